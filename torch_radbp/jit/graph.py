@@ -107,8 +107,9 @@ def rounded(number: bool | int | float, dtype: torch.dtype) -> bool | int | floa
     """A number as a tensor of a dtype holds it."""
     if type(number) is float and dtype == torch.float32:
         return ctypes.c_float(number).value
-    return number if type(number) is float and dtype == torch.float64 else (
-        torch.tensor(number, dtype=dtype, device="cpu").item())
+    if type(number) is float and dtype == torch.float64:
+        return number
+    return torch.tensor(number, dtype=dtype, device="cpu").item()
 
 
 def program(outputs: tuple[Value | None, ...]) -> Program:

@@ -335,7 +335,6 @@ class Renderer(nn.Module):
         device = self.scene.device
         workers = threads() if device.type == "cpu" else 1
         fused = self.runs_compiled()
-        stages = compiled() if fused else EAGER  # the first time, this sees to it that what is packed uses memory again
         roots = [*((name, sensor) for name, sensor in named.items() if sensor in seen), ("", self.scene)]
         parameters = dict(pair for name, root in roots for pair in cache.structure(differentiable_in, root, name))
         parameters |= {name: value for name, value in beside.items() if value.requires_grad}
@@ -352,6 +351,7 @@ class Renderer(nn.Module):
             self.cache_for_aovs = cache.close()
         else:
             self.cache = cache.close()
+        stages = compiled() if fused else EAGER
         settings = settings_of_integrand(self, scene, [view.camera for view in views])
 
         still = detached(scene)

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.team import each, threads
 from torch_radbp.scene.interaction import at_corners, clearance, edges
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.placement import InstanceTable, boxes, instance_table
@@ -278,16 +277,13 @@ def normals_and_clearances(vertices: Tensor, faces: Tensor) -> tuple[Vec3, Tenso
         vertices: (V, 3) positions, detached.
         faces: (F, 3) integers.
     """
-    positions = Vec3.of(vertices)
-
-    def of_block(block: Tensor) -> tuple[Tensor, ...]:
+    columns, positions = [], Vec3.of(vertices)
+    # By blocks, so that intermediate results stay in the processor's cache.
+    for block in faces.split(BLOCK):
         corners = at_corners(positions, block.unbind(1))
         _, e1, e2 = edges(*corners)
-        return *unit_normal(e1, e2), clearance(corners)
-
-    # By blocks, so that intermediate results stay in the processor's cache.
-    workers = threads() if faces.device.type == "cpu" else 1
-    *n, clearances = (torch.cat(parts) for parts in zip(*each(of_block, faces.split(BLOCK), workers)))
+        columns.append((*unit_normal(e1, e2), clearance(corners)))
+    *n, clearances = (torch.cat(parts) for parts in zip(*columns))
     return Vec3(*n), clearances
 
 
