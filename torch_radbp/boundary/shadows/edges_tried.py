@@ -3,6 +3,10 @@
 A way down a tree (`edge_tree.py`) ends at a silhouette or at none, by chances that only roughly follow the angles under
 which silhouettes are seen. Light samples look at the whole scene: where edges are few beside them, it costs less to try each
 edge from several, and what is found then counts by its angle alone.
+
+From small lights most edges are silhouettes nowhere, and few nearly everywhere. Each edge is tried from some light samples
+first. They only tell which edges are worth trying from many others: were they to count, edges that they miss would count too
+little. Neighbours of silhouettes are worth it as well: they are some, if rarely, and seldom ones count much where found.
 """
 
 from __future__ import annotations
@@ -22,9 +26,12 @@ from torch_radbp.boundary.shadows.ways_down import STEPS, Found
 from torch_radbp.jit.order import chosen
 from torch_radbp.path.integrand import Stages
 from torch_radbp.sampling.sampler import SampleKey, fine_unit, hash32
+from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import rows
 
 FEWEST = 8  # eyes from which each edge is tried
+FIRST = 1 / 8  # share of these that tell which edges are silhouettes
+SALT = 0x3C9A5B71  # tells the random numbers of these from others
 
 
 def eyes_for_each(outline: Outline, eyes: Eyes, looks: int) -> int:
@@ -44,37 +51,56 @@ class Tried(NamedTuple):
 
 def edges_tried(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey, each: int,
                 extent: Tensor) -> tuple[Found, Tensor]:
-    """The silhouettes among all edges, and the eyes that see them, (K,) int32; edge by edge.
+    """The silhouettes among all edges, and the eyes that see them, (K,) int32.
 
     Args:
         stages, geometry, eyes, seed: as for `seen_edges.places_seen`.
         outline: the edges.
-        each: from how many eyes, which follow each other, an edge is tried.
+        each: from how many eyes, which follow each other, an edge is tried in the mean.
         extent: () of the scene.
     """
-    count = len(eyes.w)
-    lane = numbers_to(each * len(outline.crease), eyes.w)
-    numbers = (torch.full((), value, dtype=torch.int32, device=lane.device) for value in (each, count))
-    tried = stages.edge_tried(geometry, outline, eyes, seed, *numbers, extent, lane)
-    kept = chosen(tried.angle > 0.0)
-    eye, angle = rows(tried, kept)
-    return Found(torch.div(kept, each, rounding_mode="floor"), torch.full_like(angle, count / each), angle), eye
+    def found_from(edges: Tensor, each: int, seed: SampleKey) -> tuple[Found, Tensor]:
+        lane, count = numbers_to(each * len(edges), eyes.w), len(eyes.w)
+        numbers = (torch.full((), value, dtype=torch.int32, device=lane.device) for value in (each, count))
+        tried = stages.edge_tried(geometry, outline, eyes, edges, seed, *numbers, extent, lane)
+        kept = chosen(tried.angle > 0.0)
+        (eye, angle), edge = rows(tried, kept), rows(edges, torch.div(kept, each, rounding_mode="floor"))
+        return Found(edge, torch.full_like(angle, count / each), angle), eye
+
+    edges, first = numbers_to(len(outline.crease), eyes.w), int(each * FIRST)
+    if each == len(eyes.w) or first == 0:
+        return found_from(edges, each, seed)
+    close = close_to(geometry, outline, found_from(edges, first, seed._replace(seed=hash32(seed.seed ^ SALT)))[0].edge)
+    likely, unlikely = edges[close], edges[~close]
+    often = min(len(eyes.w), (each * len(edges) - first * (len(edges) + len(unlikely))) // max(1, len(likely)))
+    parts = [found_from(own, times, seed) for own, times in ((likely, often), (unlikely, first)) if len(own)]
+    return joined(parts)
 
 
-def edge_tried(geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey, each: Tensor, count: Tensor,
+def close_to(geometry: Geometry, outline: Outline, found: Tensor) -> Tensor:
+    """Whether edges touch one of those that were found, (E,) bool; `found`: (K,) int32."""
+    touched = torch.zeros(len(geometry.triangles.vertices.p.x), dtype=torch.bool, device=found.device)
+    for end in outline.edges[:2]:
+        touched[rows(end, found).long()] = True
+    return rows(touched, outline.edges.a) | rows(touched, outline.edges.b)
+
+
+def edge_tried(geometry: Geometry, outline: Outline, eyes: Eyes, edges: Tensor, seed: SampleKey, each: Tensor, count: Tensor,
                extent: Tensor, lane: Tensor) -> Tried:
     """What eyes see of edges.
 
     Args:
         geometry, outline, extent: as for `seen_edges.angle_seen`.
         eyes: that may look.
+        edges: (K,) int32, the edges that are tried.
         seed: of random numbers.
         each: () int32, how many eyes try an edge.
         count: () int32, how many there are.
-        lane: (N,) int32, so many times the number of the edge, plus that of the eye among these.
+        lane: (N,) int32, so many times the place of the edge among these, plus that of the eye among these.
     """
-    edge = torch.div(lane, each, rounding_mode="floor")
+    place = torch.div(lane, each, rounding_mode="floor")
+    edge = rows(edges, place)
     first = (fine_unit(edge * STEPS[0] + hash32(seed.seed)) * count).floor().to(torch.int32)
-    eye = first.clamp_max(count - 1) + (lane - edge * each)
+    eye = first.clamp_max(count - 1) + (lane - place * each)
     eye = eye - count * (eye >= count).to(torch.int32)
     return Tried(eye, angle_seen(geometry, outline, edge, rows(eyes, eye), extent))
