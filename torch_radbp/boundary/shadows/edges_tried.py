@@ -6,7 +6,7 @@ edge from several, and what is found then counts by its angle alone.
 
 From small lights most edges are silhouettes nowhere, and few nearly everywhere. Each edge is tried from some light samples
 first. They only tell which edges are worth trying from many others: were they to count, edges that they miss would count too
-little. Neighbours of silhouettes are worth it as well: they are some, if rarely, and seldom ones count much where found.
+little. Neighbours of silhouettes are worth it too: they are silhouettes now and then, and what is found rarely counts much.
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import rows
 
 FEWEST = 8  # eyes from which each edge is tried
-FIRST = 1 / 8  # share of these that tell which edges are silhouettes
-SALT = 0x3C9A5B71  # tells the random numbers of these from others
+ENOUGH = 32  # eyes from which on it pays to try some first
+FIRST, SEEN, CLOSE, OTHER = 1 / 8, 3 / 8, 3 / 8, 1 / 8  # shares: of all edges first, of silhouettes, neighbours, and others
+SALT = 0x3C9A5B71  # tells the random numbers of the first from others
 
 
 def eyes_for_each(outline: Outline, eyes: Eyes, looks: int) -> int:
@@ -67,14 +68,16 @@ def edges_tried(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes
         (eye, angle), edge = rows(tried, kept), rows(edges, torch.div(kept, each, rounding_mode="floor"))
         return Found(edge, torch.full_like(angle, count / each), angle), eye
 
-    edges, first = numbers_to(len(outline.crease), eyes.w), int(each * FIRST)
-    if each == len(eyes.w) or first == 0:
+    edges, ways = numbers_to(len(outline.crease), eyes.w), each * len(outline.crease)
+    if each == len(eyes.w) or each < ENOUGH:
         return found_from(edges, each, seed)
-    close = close_to(geometry, outline, found_from(edges, first, seed._replace(seed=hash32(seed.seed ^ SALT)))[0].edge)
-    likely, unlikely = edges[close], edges[~close]
-    often = min(len(eyes.w), (each * len(edges) - first * (len(edges) + len(unlikely))) // max(1, len(likely)))
-    parts = [found_from(own, times, seed) for own, times in ((likely, often), (unlikely, first)) if len(own)]
-    return joined(parts)
+    pilot, _ = found_from(edges, int(each * FIRST), seed._replace(seed=hash32(seed.seed ^ SALT)))
+    seen = torch.zeros_like(edges, dtype=torch.bool)
+    seen[pilot.edge.long()] = True
+    close = close_to(geometry, outline, pilot.edge)
+    likely = [(edges[own], share) for own, share in ((seen, SEEN), (close & ~seen, CLOSE), (~close, OTHER))]
+    return joined([found_from(own, min(len(eyes.w), max(1, int(share * ways / len(own)))), seed)
+                   for own, share in likely if len(own)])
 
 
 def close_to(geometry: Geometry, outline: Outline, found: Tensor) -> Tensor:
