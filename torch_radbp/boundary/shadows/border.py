@@ -66,7 +66,7 @@ from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows, unit_normal
 
 SALT = 0x1F83D9AB  # tells the random numbers of borders from others
-SHARE, MOST = 16, 1 << 18  # one place for so many paths of the image; and at most
+SHARE, MOST = 16, 1 << 19  # one place for so many paths of the image; and at most
 SHARP_SHARE = 4  # the same where some lights have no extent: all that shadows move by lies on their borders
 LOOKS = 4  # for edges from each light sample
 ALIKE = 0.9  # cosine between normals of triangles of one surface
