@@ -7,6 +7,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.boundary.test_rims import icosphere
 from tests.scenes import diffuse, load, rectangle, rgb, sensor
 from torch_radbp.boundary import SilhouetteWarning, edges, warning
 from torch_radbp.boundary.edges import Edges, edges_of, spread
@@ -47,6 +48,12 @@ def test_some_edges_have_the_neighbours_that_they_have_among_all(loose):
     assert some.keys() == expected
     assert all(opposite == whole[ends] for ends, opposite in some.items())
     assert set(map(len, some.values())) == {1, 2}
+
+
+def test_of_a_closed_mesh_no_border_is_looked_for_where_neighbours_are_left_out(monkeypatch):
+    vertices, faces = icosphere(3)
+    monkeypatch.setattr(edges, "cut_at_vertices", lambda *_: pytest.fail("there is no border"))
+    assert set(edges_of(vertices.float(), faces, torch.arange(0, len(faces), 9)).count.tolist()) == {2}
 
 
 def test_all_triangles_of_small_shapes_are_looked_at_and_a_bounded_number_of_large_ones():

@@ -83,9 +83,10 @@ def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> E
     vertices = vertices[first:last + 1]
     size = weld_size(vertices)
     cells = cells_of(vertices, size)
-    near = vertex = None
+    near = vertex = wanted = None
     if chosen is not None:
         near = touching(cells, faces, faces[chosen].flatten())
+        wanted = torch.zeros(len(faces), dtype=torch.bool, device=faces.device).index_fill(0, chosen, True)[near]
         vertex, own = torch.unique(faces[near], return_inverse=True)
         cells, vertices, own = tuple(cell[vertex] for cell in cells), vertices[vertex], own.int()
     else:
@@ -95,6 +96,8 @@ def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> E
     sides, flat, cut = sides_of(corner), own.flatten(), False
     edges = met(sides, len(vertices))
     border = edges.side[0][edges.count == 1].long()
+    if wanted is not None:  # most others end here only because their neighbours are left out
+        border = border[beside(sides, border, rows(wanted, torch.div(sides.corner, 3, rounding_mode="floor")))]
     if len(border):
         ends = torch.where(sides.forward[border], sides.low[border], sides.high[border]), torch.where(
             sides.forward[border], sides.high[border], sides.low[border])
@@ -105,8 +108,7 @@ def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> E
             parts = sides_between(*pieces.int(), sides.corner[border[which]])
             sides = Sides(*(torch.cat([side[whole], part]) for side, part in zip(sides, parts)))
             edges = met(sides, len(vertices))
-    if chosen is not None:
-        wanted = torch.zeros(len(faces), dtype=torch.bool, device=faces.device).index_fill(0, chosen, True)[near]
+    if wanted is not None:
         edges = edges.of(rows(wanted, torch.div(sides.corner, 3, rounding_mode="floor")))
     corners = tuple(rows(sides.corner, side) for side in edges.side)
     alike = (edges.count > 1) & (rows(sides.forward, edges.side[0]) == rows(sides.forward, edges.side[1]))
@@ -131,6 +133,14 @@ class Sides(NamedTuple):
 def sides_between(start: Tensor, end: Tensor, corner: Tensor) -> Sides:
     """The sides that run between some vertices, (H,) int32, opposite some corners."""
     return Sides(torch.minimum(start, end), torch.maximum(start, end), start < end, corner)
+
+
+def beside(sides: Sides, border: Tensor, wanted: Tensor) -> Tensor:
+    """(B,) bool: which of some borders, (B,) int64 sides, have an end of one that is `wanted`, (H,) bool of all sides."""
+    low, high, own = sides.low[border].long(), sides.high[border].long(), wanted[border]
+    ends = torch.zeros(int(high.max()) + 1 if len(high) else 0, dtype=torch.bool, device=low.device)
+    ends[low[own]] = ends[high[own]] = True
+    return ends[low] | ends[high]
 
 
 def sides_of(faces: Tensor) -> Sides:
