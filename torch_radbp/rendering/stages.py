@@ -57,6 +57,7 @@ from torch_radbp.path.integrand import Stages
 from torch_radbp.path.queues import appearance_met, shines, side_met
 from torch_radbp.path.wavefront import brightened
 from torch_radbp.scene.interaction import corner_rows
+from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import rows
@@ -143,6 +144,9 @@ class CompiledStage:
     def into(self, results, first: int, *arguments) -> None:
         """Writes what a call would return into the tensors of `results`, from the entry `first` on."""
         try:
+            if inside_dual_level() and any_differentiated(as_it_is(results)):
+                parts = self.dual.parts(tuple(map(as_it_is, arguments)))
+                return self.dual.into(as_it_is(results), first, parts)
             self.fused.into(results, first, *arguments)
         except UnknownOperation as error:
             for target, found in zip(leaves_of(as_it_is(results)), leaves_of(self.eagerly(error, arguments))):
