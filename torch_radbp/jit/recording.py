@@ -41,7 +41,7 @@ ALL = 262_147  # stands for all lanes
 TRIES = 100_000
 BLOCK = 1 << 26  # bytes of addresses that are reserved at a time
 MAKES = ("empty", "new_empty", "empty_like", "empty_strided", "new_empty_strided")
-HARMLESS = (*MAKES, "slice", "narrow", "detach", "alias", "view", "unbind", "select", "as_strided")
+HARMLESS = (*MAKES, "is_same_size", "_has_same_storage_numel", "slice", "narrow", "detach", "alias", "view", "unbind", "select", "as_strided")
 
 
 class NotRecordable(Exception):

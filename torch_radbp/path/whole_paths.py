@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import torch
 
-from torch_radbp.jit.dual import tensors_of
+from torch_radbp.jit.dual import dual, parted, tensors_of
 from torch_radbp.jit.recorded import Given, Recorded
 from torch_radbp.jit.recording import NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.tiles import TILE, Handed, Step, handed, run_in_tiles
@@ -35,7 +35,7 @@ class Link(NamedTuple):
 
     recorded: Recorded
     handed: Handed
-    onward: Onward  # without contents
+    onward: tuple[Onward, Onward]  # without contents, values and tangents: dual tensors do not outlive a call
 
 
 def goes_whole(integrand: Integrand, lanes: int, depth: int = 0) -> bool:
@@ -71,7 +71,7 @@ def traced_whole(integrand: Integrand, onward: Onward, depth: int = 0, bounce: B
         if link is None:
             return None
         steps.append(Step(link.recorded, link.handed, Given([*varying.items, *tables.given.items]), len(handed_on)))
-        onward = link.onward
+        onward = dual(*link.onward)
     integrand.caster.count(run_in_tiles(steps, lanes))
     return L
 
@@ -80,12 +80,12 @@ def record_link(bounce: Bounce, integrand: Integrand, tables: Tables, onward: On
     """Records a bounce like this one; None if that is not possible."""
     reserve = Reserve()
     onward, L = lanes_without_contents(onward, L, reserve)
-    given = [*tensors_of((onward, L, integrand.at(depth))), *tables.given.items]
+    given = [*tensors_of(onward), *tensors_of((L, integrand.at(depth))), *tables.given.items]
     listener = Recording(given, reserve=reserve)
     try:
         with torch.no_grad(), listening(listener):
             _, _, onward = bounce(integrand, onward, depth, L)
         recorded = Recorded(listener, given, () if integrand.is_last(depth) else tensors_of(onward))
-        return Link(recorded, handed(recorded), onward)
+        return Link(recorded, handed(recorded), parted(onward))
     except NotRecordable:
         return None
