@@ -32,7 +32,7 @@ class Stages(NamedTuple):
     asked: Callable
     bounce: Callable
     ending: Callable
-    local_map: Callable
+    attached_vertex: Callable
     bounce_adjoint: Callable
     places: Callable
     pick_light: Callable

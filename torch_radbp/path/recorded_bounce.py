@@ -28,6 +28,7 @@ from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Onward, Step, bounced, first_hit
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import Vec3
 
 Bounce = Callable[[Integrand, Onward, int, Vec3 | None], tuple[PathState, Step, Onward]]  # `bounced`, or one that is like it
@@ -53,6 +54,7 @@ class RecordedBounce(NamedTuple):
 
     recorded: Recorded  # of the paths that reach it, what `Step` has of them but its queues, and those that go on
     queues: tuple[QueueOfCounts, ...]
+    dual: bool  # the results are values and, by themselves, tangents
 
 
 class Recordings:
@@ -127,7 +129,7 @@ class Recorder:
         kind = self.kind if onward.hit is None and onward.alive is not None else None
         if kind is None:
             kind = RECORDINGS.kind(self.bounce, self.tables.kind, *structure_of((onward, L)))
-            same = onward.hit is None and onward.alive is not None and not integrand.attached
+            same = onward.hit is None and onward.alive is not None and not inside_dual_level()
             self.kind = kind if same else None
         key = kind, varying.pattern, integrand.settings_at(depth), integrand.is_last(depth), depth == 0
         made = None
@@ -137,7 +139,7 @@ class Recorder:
             self.board.close()
             return self.bounce(integrand, onward, depth, L)
         found, counts = made.recorded(varying, self.tables.given, onward.count, self.board, contexts=(integrand.scene,))
-        state, hit, front, order, visible, survives, picked, values, onward = dual(*found) if integrand.attached else found
+        state, hit, front, order, visible, survives, picked, values, onward = dual(*found) if made.dual else found
         integrand.caster.count(sum([counts[last] - counts[first] for first, last in made.recorded.rays]))
         queues = [(queue, own) for queue, own in zip([queue.among(counts) for queue in made.queues], values)
                   if queue.last > queue.first]
@@ -157,10 +159,10 @@ class Recorder:
                 state, step, onward = self.bounce(integrand, onward, depth, L)
             results = (state, step.hit, step.front, step.order, step.visible, step.survives, step.picked,
                        step.texture_values, onward)
-            results = parted(results) if integrand.attached else results
+            results = parted(results) if inside_dual_level() else results
             queues = tuple(QueueOfCounts(queue, listener.points[queue.first], listener.points[queue.last])
                            for queue in step.queues)
-            return RecordedBounce(Recorded(listener, given, results), queues)
+            return RecordedBounce(Recorded(listener, given, results), queues, inside_dual_level())
         except NotRecordable:
             return None
 
@@ -239,9 +241,9 @@ def bounces_taken(integrand: Integrand, dtype: torch.dtype, bounce: Bounce = bou
 
 
 def recordable(integrand: Integrand) -> bool:
-    """True if bounces may be recorded: those of compiled stages, on the CPU. Of a scene with tangents nothing is asked
-    outside: what is, is told no tangents."""
-    outside, by_autograd = integrand.proposal.layout.reads_outside, torch.is_grad_enabled()
-    return (hasattr(integrand.stages.rows, "into") and not (integrand.attached and (outside or by_autograd))
+    """True if bounces may be recorded: those of compiled stages, on the CPU, which autograd does not record. Who is asked
+    outside is told no tangents."""
+    return (hasattr(integrand.stages.rows, "into") and not (integrand.attached and torch.is_grad_enabled())
+            and not (integrand.proposal.layout.reads_outside and inside_dual_level())
             and (integrand.caster is None or hasattr(integrand.caster, "reads"))
             and integrand.proposal.lights.choice.pmf.device.type == "cpu")

@@ -25,6 +25,7 @@ from torch_radbp.path.texture_networks import values_of_queues
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.scene.light_choice import LightPick
+from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.record import joined, leaves_of, rows_between
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import Ray, Vec3, masked, rows
@@ -315,9 +316,10 @@ def put_rows(record, place: Tensor, entries) -> None:
 
 
 def radiance_buffer(integrand: Integrand, start: PathState) -> Vec3:
-    """(N,) zeros to add the radiance of paths to, dual if a scene has tangents."""
+    """(N,) zeros to add the radiance of paths to, dual if the scene or their rays have tangents."""
     L = Vec3.buffer(start.pdf)
-    return dual(L, Vec3.buffer(start.pdf)) if integrand.attached and inside_dual_level() else L
+    moves = inside_dual_level() and (integrand.attached or any_differentiated(start))
+    return dual(L, Vec3.buffer(start.pdf)) if moves else L
 
 
 def add_at(L: Vec3, lane: Tensor, value: Vec3) -> None:

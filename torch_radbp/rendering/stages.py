@@ -11,7 +11,7 @@ from collections.abc import Callable
 from copy import copy
 
 from torch_radbp.adjoint.bounce import bounce_adjoint
-from torch_radbp.adjoint.local_map import local_map
+from torch_radbp.adjoint.local_map import attached_vertex
 from torch_radbp.aov.material import material_value
 from torch_radbp.aov.surface import surface_values
 from torch_radbp.boundary.contour import contour_length, contour_place, crosses
@@ -66,7 +66,7 @@ PATH, CURVES, MOTION = ("scene", "proposal", "arrival"), ("geometry", "sight"), 
 OUTLINE = "geometry", "outline"
 STAGES = {  # of each the arguments that are read at indices
     sample_camera: ("camera",), film_place: (), deposited: ("values", "place"), asked: ("pixels", "place"), bounce: PATH,
-    ending: PATH, local_map: ("scene", "proposal"), bounce_adjoint: ("scene", "arrival", "adj_L", "memo"),
+    ending: PATH, attached_vertex: PATH, bounce_adjoint: ("scene", "arrival", "adj_L", "memo"),
     places: ("scene", "arrival"), pick_light: ("scene", "choice"), emitter_met: ("scene",),
     chance_of_light: ("scene", "choice", "arrival"), appearance_met: ("scene",),
     side_met: ("scene", "ray", "hit", "image_lanes"), corner_rows: ("scene",), shines: ("scene",), rows: ("record",),
