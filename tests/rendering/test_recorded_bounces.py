@@ -242,7 +242,7 @@ FORWARD = {"still": ("reflectance.value", "reflectance.data", "radiance.value"),
 
 @pytest.mark.parametrize("what, sampling", [("still", "detached"), *(("moving", way) for way in (
     "detached", "hybrid", "attached"))])
-@pytest.mark.parametrize("name", ["closed box", *map(deep, ["textures", "instances and balls"])])
+@pytest.mark.parametrize("name", ["closed box", *map(deep, ["textures", "two sides"])])
 def test_tangents_of_paths_that_are_traced_whole_have_the_same_bits(name, what, sampling, monkeypatch):
     scene, generator = SCENES[name](torch.float32), torch.Generator().manual_seed(2)
     tangents = {own: 0.1 * torch.randn(value.shape, generator=generator) for own, value in scene.named_parameters()

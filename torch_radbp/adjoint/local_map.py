@@ -17,6 +17,8 @@ from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.vec import Ray, Vec3, masked, rows
 from torch_radbp.texture.reader import TextureValue
 
+MISS = Hit(-1, 0.0, 0.0, 0.0, 0)
+
 
 class LocalMap(NamedTuple):
     """The terms of L_k = E_k + F_k L_{k+1} as functions of what a bounce is attached to."""
@@ -69,11 +71,10 @@ def attached_vertex(scene: SceneTensors, proposal: SceneTensors, arrival: Arriva
         lanes: (M,) int32, those of them that are computed, in this order.
         following: (M,) what the next rays meet; of no meaning where paths end. The rest is as for `local_map`.
     """
-    arrival, goes_on = rows(arrival, lanes), verdict.survives
-    following = following._replace(prim=torch.where(goes_on, following.prim, -1), **{
-        name: torch.where(goes_on, getattr(following, name), 0.0) for name in ("u", "v", "t")})
-    if following.instance is not None:
-        following = following._replace(instance=torch.where(goes_on, following.instance, 0))
+    def where_it_goes_on(found: Tensor | None, otherwise: float) -> Tensor | None:
+        return None if found is None else torch.where(verdict.survives, found, otherwise)
+
+    arrival, following = rows(arrival, lanes), Hit(*map(where_it_goes_on, following, MISS))
     local, state = local_map(scene, proposal, arrival, verdict, following, at, settings, texture_values), arrival.state
     return local.E, PathState(local.ray, state.beta * local.F, local.pdf, state.key, state.lane, None, local.followed,
                               local.cone)
