@@ -201,7 +201,7 @@ def lanes_without_contents(onward: Onward, L: Vec3 | None, reserve: Reserve) -> 
 def structure_of(record) -> list:
     """What is there and what is not, tangents among it; equal of what one recording serves."""
     structure: list = []
-    flatten(parted(record), [], structure)
+    flatten(parted(record) if inside_dual_level() else record, [], structure)
     return structure
 
 
