@@ -6,7 +6,7 @@ from torch.autograd import forward_ad
 
 from tests.jit.emulated import emulated
 from torch_radbp.jit import UnknownOperation
-from torch_radbp.jit.dual import DualFunction, parted
+from torch_radbp.jit.dual import DualFunction, Parts, dual, parted
 
 LANES = 1000
 
@@ -63,3 +63,20 @@ def test_what_has_a_tangent_may_change_from_call_to_call():
 def test_an_operation_that_is_none_of_lanes_is_refused():
     with forward_ad.dual_level(), pytest.raises(UnknownOperation, match="sort"):
         DualFunction(lambda x: x.sort()[0], ())(forward_ad.make_dual(torch.rand(5), torch.rand(5)))
+
+
+def test_tangents_that_there_is_room_for_are_written_and_zero_where_there_are_none():
+    fused, (x, y, slope) = DualFunction(lambda x, y: (x * y, y + 1.0)), torch.rand(3, 9)
+    with forward_ad.dual_level():
+        room = dual(tuple(torch.full((12,), 7.0) for _ in range(2)), tuple(torch.full((12,), 7.0) for _ in range(2)))
+        fused.into(room, 2, Parts.of((forward_ad.make_dual(x, slope), y)))
+        for (value, tangent), right, expected in zip(map(parted, room), (x * y, y + 1.0), (slope * y, torch.zeros(9))):
+            torch.testing.assert_close(value[2:11], right)
+            torch.testing.assert_close(tangent[2:11], expected)
+            assert (value[[0, 1, 11]] == 7).all() and (tangent[[0, 1, 11]] == 7).all()
+
+
+def test_tangents_that_there_is_no_room_for_are_an_error():
+    x, slope = torch.rand(2, 9)
+    with forward_ad.dual_level(), pytest.raises(ValueError, match="no room"):
+        DualFunction(lambda x: 2.0 * x).into(torch.empty(9), 0, Parts.of((forward_ad.make_dual(x, slope),)))

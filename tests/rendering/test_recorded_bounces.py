@@ -234,3 +234,32 @@ def test_rays_of_paths_that_are_traced_whole_are_counted(monkeypatch):
 def test_derivatives_that_are_traced_apart_have_the_same_bits(calls, monkeypatch):
     monkeypatch.setattr(record, "MANY", 1)
     assert_same_bits(lambda: cornell(torch.float32, 12), calls, monkeypatch)
+
+
+FORWARD = {"still": ("reflectance.value", "reflectance.data", "radiance.value"),
+           "moving": ("reflectance.value", "to_world", "vertex_positions")}
+
+
+@pytest.mark.parametrize("what, sampling", [("still", "detached"), *(("moving", way) for way in (
+    "detached", "hybrid", "attached"))])
+@pytest.mark.parametrize("name", ["closed box", *map(deep, ["textures", "two sides"])])
+def test_tangents_of_paths_that_are_traced_whole_have_the_same_bits(name, what, sampling, monkeypatch):
+    scene, generator = SCENES[name](torch.float32), torch.Generator().manual_seed(2)
+    tangents = {own: 0.1 * torch.randn(value.shape, generator=generator) for own, value in scene.named_parameters()
+                if own.endswith(FORWARD[what])}
+    settings = SETTINGS | {"spp": 80, "sampling": sampling}
+
+    def derivative(**more) -> torch.Tensor:
+        found = rb.jvp(scene, tangents, seed=3, **settings, **more)
+        return found[0] if more else found
+
+    tiles, run = [], whole_paths.run_in_tiles
+    monkeypatch.setattr(whole_paths, "run_in_tiles", lambda steps, lanes: tiles.append(lanes) or run(steps, lanes))
+    found = [derivative(), derivative()]  # recorded, and as it was recorded
+    assert max(tiles) > TILE
+    tiles.clear()
+    found.append(derivative(aovs=["depth"]))  # which are shown each bounce
+    singly(monkeypatch)
+    found.append(derivative())
+    assert not tiles and found[0].std() > 0
+    assert all(torch.equal(found[0], other) for other in found)

@@ -6,56 +6,98 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.local_map import Verdict
+from torch_radbp.jit.dual import dual
+from torch_radbp.jit.team import loops_together
 from torch_radbp.path.bounce import places_of
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.queues import Queue
 from torch_radbp.path.state import PathState
 from torch_radbp.path.texture_networks import texture_values_at
-from torch_radbp.path.trace import trace
-from torch_radbp.path.wavefront import Step, add_at, first_hit, surviving, take_step
+from torch_radbp.path.trace import Visit, trace
+from torch_radbp.path.wavefront import Onward, Step, bounced, put_rows, room_for_vertices, surviving, take_step
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined, rows_between
 from torch_radbp.tensors.vec import Ray, Vec3, rows
 
 
-def trace_attached(integrand: Integrand, state: PathState, visit=None) -> Vec3:
-    """`trace` with all derivatives, in reverse mode (recorded) or in forward mode (of dual tensors).
+def trace_attached(integrand: Integrand, state: PathState, visit: Visit | None = None) -> Vec3:
+    """`trace` with all derivatives, in reverse mode (recorded) or in forward mode (of dual tensors)."""
+    return trace(integrand, state, visit, bounce=bounced_twice if integrand.settings.moving else bounced)
 
-    Where rays carry derivatives, each bounce is taken twice: once detached, to find out what the next ray meets, and then
-    attached to that.
+
+def bounced_twice(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) -> tuple[PathState, Step, Onward]:
+    """`bounced` where rays carry derivatives: once detached, to find out what the next ray meets, and then attached to that.
+
+    Args as there, but that `L` is always wanted.
     """
-    if not integrand.settings.moving:
-        return trace(integrand, state, visit)
-    fixed = integrand._replace(scene=integrand.proposal, parts={})
-    L, depth = Vec3.buffer(state.beta.x.detach()), 0
-    hit = first_hit(fixed, detached(state).ray, depth)
-    while depth < integrand.max_depth and len(state.lane):
-        vertex, _, step = take_step(fixed, detached(state), depth, hit=hit, with_light=False)
-        alive, last = surviving(step), integrand.is_last(depth)
-        hit = None if last else fixed.caster.intersect(rows(vertex.next.ray, alive))
-        following = spread(hit, alive, vertex.shadow_distance)
-        if visit is not None:
-            visit(depth, state, step)
-        arrival, verdict = rows(step.arrival(state), step.order), Verdict(step.visible, step.survives)
-        ahead = []
-        for queue in step.queues:
-            here = rows_between(arrival, queue.first, queue.last)
-            decided, there = (None if not queue.event.scatters else rows_between(record, queue.first, queue.last)
-                              for record in (verdict, following))
-            then = here.state
-            part = integrand.part(queue.event)
-            settings = integrand.settings_at(depth)
-            at = integrand.at(depth)
-            texture_values = texture_values_at(integrand.scene, integrand.scatterer(queue.event),
-                                               places_of(part.scene, part.proposal, here, at, settings))
-            local = integrand.stages.local_map(part.scene, part.proposal, here, decided, there, at, settings, texture_values,
-                                               None, None)
-            add_at(L, then.lane, then.beta * local.E)
-            ahead.append(then if local.ray is None else
-                         PathState(local.ray, then.beta * local.F, local.pdf, then.key, then.lane,
-                                   rows_between(vertex.next.vantage, queue.first, queue.last), local.followed, local.cone))
-        state, depth = rows(joined(ahead), alive), depth + 1
-    return L
+    fixed, stages, state = integrand.still(), integrand.stages, onward.packed(integrand)
+    vertex, _, step = take_step(fixed, detached(state), depth, hit=onward.hit, with_light=False)
+    alive = surviving(step)
+    hit = None if integrand.is_last(depth) else fixed.caster.intersect(stages.rows(vertex.next.ray, alive))
+    E, ahead = attached_vertices(integrand, state, depth, step, spread(hit, alive, step.scattered))
+    if E is not None:
+        order, lane = step.order[:step.scattered], vertex.next.lane
+        put_rows(L, lane, stages.brightened(L, state.beta, order, lane, E, None, None))
+        ahead = ahead._replace(vantage=vertex.next.vantage)
+    light = attached_light(integrand, state, depth, step)
+    if light is not None:
+        order = step.order[step.scattered:]
+        ended = stages.rows(state.lane, order)
+        put_rows(L, ended, stages.brightened(L, state.beta, order, ended, light, None, None))
+    return state, step, Onward(vertex.next if ahead is None else ahead, alive, hit)
+
+
+def attached_light(integrand: Integrand, state: PathState, depth: int, step: Step) -> Vec3 | None:
+    """The light that paths meet that end, with all derivatives; None: none does."""
+    *_, queue = step.queues
+    if queue.event.scatters:
+        return None
+    return integrand.part(queue.event).evaluate(*arguments_of(integrand, state, depth, step, queue))
+
+
+def attached_vertices(integrand: Integrand, state: PathState, depth: int, step: Step,
+                      following: Hit | None) -> tuple[Vec3 | None, PathState | None]:
+    """What vertices bring where light is scattered, and the paths from there, with all derivatives; None: it is nowhere.
+
+    Args:
+        step: what was decided.
+        following: what the next rays meet; None: nothing is scattered.
+    """
+    queues = [queue for queue in step.queues if queue.event.scatters]
+    if not queues:
+        return None, None
+    stage, verdict = integrand.stages.attached_vertex, Verdict(step.visible, step.survives)
+    prepared = [(scene, proposal, reached, lanes, *rows_between((verdict, following), queue.first, queue.last), *more)
+                for queue in queues
+                for scene, proposal, reached, lanes, *more in [arguments_of(integrand, state, depth, step, queue)]]
+    if len(queues) == 1 or not hasattr(stage, "into"):
+        return joined([stage(*of_queue) for of_queue in prepared])
+    room = room_for_paths(integrand, state, step.scattered)
+    with loops_together():
+        for queue, of_queue in zip(queues, prepared):
+            stage.into(room, queue.first, *of_queue)
+    return room
+
+
+def arguments_of(integrand: Integrand, state: PathState, depth: int, step: Step, queue: Queue) -> tuple:
+    """What the functions of a bounce are given for a queue, with all derivatives."""
+    part, lanes = integrand.part(queue.event), step.order[queue.first:queue.last]
+    arrival, at, settings, values = step.arrival(state), integrand.at(depth), integrand.settings_at(depth), ()
+    if integrand.proposal.layout.reads_outside:
+        places = places_of(part.scene, part.proposal, rows(arrival, lanes), at, settings)
+        values = texture_values_at(integrand.scene, integrand.scatterer(queue.event), places)
+    return part.scene, part.proposal, arrival, lanes, at, settings, values
+
+
+def room_for_paths(integrand: Integrand, state: PathState, lanes: int) -> tuple[Vec3, PathState]:
+    """What `attached_vertices` returns in forward mode, to write into."""
+    values, tangents = (room_for_vertices(state, lanes, True) for _ in range(2))
+    E, ahead = dual(values.Le, tangents.Le), values.next._replace(vantage=None)
+    settings, of = integrand.settings, tangents.next
+    pdf = dual(ahead.pdf, of.pdf) if settings.sampling == "attached" or settings.following else ahead.pdf
+    cone = None if ahead.cone is None else dual(ahead.cone, of.cone)
+    return E, ahead._replace(ray=dual(ahead.ray, of.ray), beta=dual(ahead.beta, of.beta), pdf=pdf, cone=cone)
 
 
 def rays_reaching(integrand: Integrand, start: PathState, depth: Tensor) -> Ray:
@@ -80,15 +122,10 @@ def rays_reaching(integrand: Integrand, start: PathState, depth: Tensor) -> Ray:
                  for parts in found))
 
 
-def spread(hit: Hit | None, alive: Tensor, like: Tensor) -> Hit | None:
-    """The hits of the lanes `alive`, among misses of all others.
-
-    Args:
-        like: (M,) of all lanes, floating point.
-    """
+def spread(hit: Hit | None, alive: Tensor, lanes: int) -> Hit | None:
+    """(N,) the hits of the lanes `alive` in their places; of no meaning in others."""
     if hit is None:
         return None
-    zero = torch.zeros_like(like)
-    nothing = torch.zeros_like(like, dtype=hit.prim.dtype)
-    miss = Hit(nothing - 1, zero, zero, zero, None if hit.instance is None else nothing)
-    return Hit(*(None if new is None else old.index_copy(0, alive.long(), new) for old, new in zip(miss, hit)))
+    whole = Hit(*[None if part is None else part.new_empty(lanes) for part in hit])
+    put_rows(whole, alive, hit)
+    return whole

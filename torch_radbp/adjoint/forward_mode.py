@@ -1,8 +1,8 @@
 """Forward mode: images with their tangents, by dual numbers through the loop over bounces.
 
 There is no second implementation: where leaves of `SceneTensors` are dual tensors (`torch.autograd.forward_ad`), torch
-carries the tangents through `path.trace` as it runs, inside of fused loops (`jit/dual.py`), too. No states are kept, so that
-the chunk bounds the memory, as in the forward pass.
+carries the tangents through `path.trace` as it runs, inside of fused loops (`jit/dual.py`) and of what was recorded of
+bounces, too. No states are kept, so that the chunk bounds the memory, as in the forward pass.
 
 `torch.func.jvp` makes dual tensors, too, but while it is active it wraps everything, down to the constants of a ray caster,
 in tensors without storage. `outside_transforms` unwraps the parameters first and wraps only the image again.

@@ -46,7 +46,7 @@ def check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None
 
     with torch.no_grad():
         call = call.still()
-        raise image_error(images, integrand._replace(scene=integrand.proposal, parts={}), call.module, trace_again)
+        raise image_error(images, integrand.still(), call.module, trace_again)
 
 
 def render_detached(call: RenderCall) -> Tensor:

@@ -8,14 +8,16 @@ import torch
 from torch import Tensor
 
 from torch_radbp.path.bounce import cone_after, followed_by, gathered, scattering
-from torch_radbp.path.state import Arrival, Position, Settings
+from torch_radbp.path.state import Arrival, PathState, Position, Settings
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.interaction import Corners
 from torch_radbp.scene.outgoing_ray import attached_outgoing_ray
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.tensors.vec import Ray, Vec3, masked
+from torch_radbp.tensors.vec import Ray, Vec3, masked, rows
 from torch_radbp.texture.reader import TextureValue
+
+MISS = Hit(-1, 0.0, 0.0, 0.0, 0)
 
 
 class LocalMap(NamedTuple):
@@ -57,3 +59,22 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, ver
     weight, ray = attached_outgoing_ray(scene, local.material, local.si, local.sample, following, settings.sampling, there)
     return LocalMap(E, masked(verdict.survives, weight * local.thinning), ray, local.sample.pdf,
                     followed_by(local.material, arrival.state, settings), cone_after(arrival.state, local))
+
+
+def attached_vertex(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, verdict: Verdict,
+                    following: Hit, at: Position, settings: Settings,
+                    texture_values: tuple[TextureValue, ...]) -> tuple[Vec3, PathState]:
+    """E_k, and the paths that leave the vertices, with all derivatives; those without `vantage`, which carries none.
+
+    Args:
+        arrival: the paths that reach this bounce.
+        lanes: (M,) int32, those of them that are computed, in this order.
+        following: (M,) what the next rays meet; of no meaning where paths end. The rest is as for `local_map`.
+    """
+    def where_it_goes_on(found: Tensor | None, otherwise: float) -> Tensor | None:
+        return None if found is None else torch.where(verdict.survives, found, otherwise)
+
+    arrival, following = rows(arrival, lanes), Hit(*map(where_it_goes_on, following, MISS))
+    local, state = local_map(scene, proposal, arrival, verdict, following, at, settings, texture_values), arrival.state
+    return local.E, PathState(local.ray, state.beta * local.F, local.pdf, state.key, state.lane, None, local.followed,
+                              local.cone)

@@ -26,7 +26,7 @@ from torch_radbp.path.bounce import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.trace import trace, walk
-from torch_radbp.path.wavefront import Step
+from torch_radbp.path.wavefront import Onward, Step
 from torch_radbp.path.whole_paths import goes_whole
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached
@@ -75,7 +75,7 @@ def traced_apart(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
 
     def derivative() -> CameraSample:
         samples = camera_samples(call, wavefront, 1)
-        walk(integrand, started(call, samples), recorder.visit)
+        walk(integrand, Onward(started(call, samples), None), recorder.visit)
         return samples
 
     (seen, L), differentiated = each(lambda side: side(), (image, derivative), threads())
@@ -108,7 +108,7 @@ def shown(call: RenderCall, integrand: Integrand, samples: CameraSample, hit: Hi
     if call.quantities is None:
         return list(weighted(L, samples.weight))
     with torch.no_grad():
-        still = integrand._replace(scene=integrand.proposal, parts={})
+        still = integrand.still()
         found = call.quantities(still, detached(started(call, samples)), hit, detached(L))
     return [value if samples.weight is None else value * samples.weight for value in (*L, *found)]
 
@@ -118,7 +118,7 @@ def record_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefron
     if call.adjoint.keep_radiance:
         return trace_wavefront(call, integrand, wavefront, 1, record=True)[1]
     samples, recorder = camera_samples(call, wavefront, 1), Recorder(call.adjoint, integrand.max_depth)
-    walk(integrand_of(call, integrand, wavefront.sensor), started(call, samples), recorder.visit)
+    walk(integrand_of(call, integrand, wavefront.sensor), Onward(started(call, samples), None), recorder.visit)
     return recorder.record(partial(start_paths, call, wavefront, 1), None, samples)
 
 

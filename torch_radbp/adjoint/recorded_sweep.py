@@ -13,13 +13,14 @@ from torch_radbp.adjoint.outside import ModuleAdjoint
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
 from torch_radbp.jit.board import Board, board
+from torch_radbp.jit.dual import tensors_of
 from torch_radbp.jit.recorded import Given, Recorded
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.structure import flatten
 from torch_radbp.path.event import Ends, Event, Scatters
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import Queue
-from torch_radbp.path.recorded_bounce import RECORDINGS, Tables, recordable, tensors_of, without_contents
+from torch_radbp.path.recorded_bounce import RECORDINGS, Tables, recordable, without_contents
 from torch_radbp.path.state import PathState
 from torch_radbp.path.texture_networks import number_outside
 from torch_radbp.path.wavefront import Step

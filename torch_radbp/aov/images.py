@@ -104,7 +104,7 @@ def lane_values(integrand: Integrand, start: PathState, names: tuple[str, ...], 
         hit: what the integrand shows of the camera rays, if it is known.
         L: their radiance, likewise.
     """
-    fixed, fixed_start = integrand._replace(scene=integrand.proposal, parts={}), detached(start)
+    fixed, fixed_start = integrand.still(), detached(start)
     found = {}
     with torch.no_grad():
         hit = first_hit(fixed, fixed_start.ray, 0) if hit is None else hit

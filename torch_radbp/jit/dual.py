@@ -13,6 +13,7 @@ from contextlib import nullcontext
 from copy import copy
 from typing import Any, NamedTuple
 
+import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
@@ -31,26 +32,54 @@ def parted(record: Any) -> tuple[Any, Any]:
     return with_leaves(record, values), with_leaves(record, tangents)
 
 
-def joined(values: Any, tangents: Any) -> Any:
+def tensors_of(record: Any) -> list[Tensor]:
+    """The tangents in a record, in order, and then the tensors."""
+    values, tangents = parted(record) if inside_dual_level() else (record, ())
+    return [leaf for leaf in (*leaves_of(tangents), *leaves_of(values)) if isinstance(leaf, Tensor)]
+
+
+def dual(values: Any, tangents: Any) -> Any:
     """The record of dual tensors of these parts."""
     return with_leaves(values, [value if tangent is None else forward_ad.make_dual(value, tangent)
                                 for value, tangent in zip(leaves_of(values), leaves_of(tangents))])
 
 
 def with_tangents(function: Callable) -> Callable:
-    """A function of values, each followed by its tangents; it returns both, too."""
+    """A function of values, each followed by its tangents, and of what tangents are asked for, see `completed`; it returns
+    values and tangents, too."""
     names = list(inspect.signature(function).parameters)
     kind = inspect.Parameter.POSITIONAL_ONLY
 
     def of_parts(*parts):
+        *pairs, asked = parts
         with nullcontext() if inside_dual_level() else forward_ad.dual_level():
-            return parted(function(*map(joined, parts[::2], parts[1::2])))
+            return completed(*parted(function(*map(dual, pairs[::2], pairs[1::2]))), asked)
 
     of_parts.__name__ = function.__name__
     of_parts.__module__ = function.__module__  # its meaning is that function's, see `fingerprint`
     of_parts.__signature__ = inspect.Signature([inspect.Parameter(part, kind) for name in names
-                                                for part in (name, tangents_of(name))])
+                                                for part in (name, tangents_of(name))]
+                                               + [inspect.Parameter("asked", kind)])
     return of_parts
+
+
+def completed(values: Any, tangents: Any, asked: tuple[bool, ...] | None) -> tuple[Any, Any]:
+    """Values and tangents, the latter 0 where there are none but some are asked for.
+
+    Args:
+        values, tangents: as of `parted`.
+        asked: of each leaf, whether its tangent is; None: as they are.
+
+    Raises:
+        ValueError: if there are tangents that are not asked for.
+    """
+    if asked is None:
+        return values, tangents
+    found = leaves_of(tangents)
+    if any(tangent is not None and not own for tangent, own in zip(found, asked, strict=True)):
+        raise ValueError(f"results have tangents where there is no room for them: {asked} are asked for")
+    return values, with_leaves(tangents, [torch.zeros_like(value) if own and tangent is None else tangent
+                                          for value, tangent, own in zip(leaves_of(values), found, asked)])
 
 
 def tangents_of(name: str) -> str:
@@ -98,7 +127,14 @@ class DualFunction:
 
     def of_parts(self, parts: Parts):
         """What a call with arguments of these parts returns."""
-        return joined(*self.fused(*parts.arguments))
+        return dual(*self.fused(*parts.arguments, None))
+
+    def into(self, results, first: int, parts: Parts) -> None:
+        """Writes what a call with arguments of these parts would return into a record of dual tensors, from the entry
+        `first` on; the tangents that it has are asked for."""
+        values, tangents = parted(results)
+        asked = tuple([tangent is not None for tangent in leaves_of(tangents)])
+        self.fused.into((values, tangents), first, *parts.arguments, asked)
 
     def __call__(self, *arguments):
         return self.of_parts(self.parts(arguments))

@@ -41,7 +41,8 @@ ALL = 262_147  # stands for all lanes
 TRIES = 100_000
 BLOCK = 1 << 26  # bytes of addresses that are reserved at a time
 MAKES = ("empty", "new_empty", "empty_like", "empty_strided", "new_empty_strided")
-HARMLESS = (*MAKES, "slice", "narrow", "detach", "alias", "view", "unbind", "select", "as_strided")
+OF_DUALS = ("is_same_size", "_has_same_storage_numel")  # asked of a tensor and its tangent when a dual tensor is made
+HARMLESS = (*MAKES, *OF_DUALS, "slice", "narrow", "detach", "alias", "view", "unbind", "select", "as_strided")
 
 
 class NotRecordable(Exception):
@@ -200,7 +201,7 @@ class Recording:
     def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
         """As `order.put`."""
         for size in {target.element_size() for target in targets}:
-            pairs = tuple((self.place(entry), self.place(target)) for target, entry in zip(targets, entries)
+            pairs = tuple((self.place(entry), self.written(target)) for target, entry in zip(targets, entries)
                           if target.element_size() == size)
             self.operations.append(Put(self.place(place), self.span(place.numel()), pairs))
 

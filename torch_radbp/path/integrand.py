@@ -32,7 +32,7 @@ class Stages(NamedTuple):
     asked: Callable
     bounce: Callable
     ending: Callable
-    local_map: Callable
+    attached_vertex: Callable
     bounce_adjoint: Callable
     places: Callable
     pick_light: Callable
@@ -140,13 +140,22 @@ class Integrand(NamedTuple):
         """The same integrand, evaluated by other functions."""
         return self._replace(stages=stages, parts={})
 
+    @property
+    def attached(self) -> bool:
+        """True if derivatives go through the loop over bounces, recorded by autograd or forward."""
+        return self.scene is not self.proposal
+
+    def still(self) -> Integrand:
+        """The same without derivatives."""
+        return self._replace(scene=self.proposal, parts={}) if self.attached else self
+
     def part(self, event: Event) -> Part:
         """What lanes go through to which this happens."""
         event = event if event.scatters else Ends.SURROUNDINGS  # where paths end the same is read, whatever ends them
         if event not in self.parts:
             scatterer = self.scatterer(event)
             proposal = part_of(self.proposal, scatterer)
-            scene = proposal if self.scene is self.proposal else part_of(self.scene, scatterer)
+            scene = part_of(self.scene, scatterer) if self.attached else proposal
             stage = event.stage(self.stages)
             tables, = taken(stage, proposal=proposal)
             prepared = knowing(stage, tables if scene is proposal else scene, tables)

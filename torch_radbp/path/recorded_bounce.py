@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.board import Board, board
+from torch_radbp.jit.dual import dual, parted, tensors_of
 from torch_radbp.jit.recorded import Given, Recorded
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.structure import flatten
@@ -25,12 +26,13 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import EMPTY, Queue
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Onward, Step, bounced, first_hit
-from torch_radbp.raycast.protocol import Hit
+from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import Vec3
 
-Bounce = Callable[[Onward, int, Hit | None, Vec3 | None], tuple[PathState, Step, Onward]]
+Bounce = Callable[[Integrand, Onward, int, Vec3 | None], tuple[PathState, Step, Onward]]  # `bounced`, or one that is like it
+BounceOf = Callable[[Onward, int, Vec3 | None], tuple[PathState, Step, Onward]]  # the same of an integrand
 MOST = 256  # recordings that are kept
 UNKNOWN = object()
 
@@ -52,6 +54,7 @@ class RecordedBounce(NamedTuple):
 
     recorded: Recorded  # of the paths that reach it, what `Step` has of them but its queues, and those that go on
     queues: tuple[QueueOfCounts, ...]
+    dual: bool  # the results are values and, by themselves, tangents
 
 
 class Recordings:
@@ -92,51 +95,51 @@ class Tables:
 
     def __init__(self, integrand: Integrand, dtype: torch.dtype):
         caster = integrand.caster
-        scene = tensors_of(integrand.proposal)
+        scene = tensors_of(integrand.scene)
         numbers = [integrand.no_appearance, *([] if integrand.differentiated is None else [integrand.differentiated])]
         self.given = Given([*numbers, *scene, *(() if caster is None else caster.reads(dtype))])
         present = [part is not None for part in (integrand.clipping, integrand.differentiated, *(
             getattr(caster, name, None) for name in ("balls", "instances")))]
         # Stages have the code that recordings call.
         self.kind = RECORDINGS.kind(integrand.stages, integrand.proposal.layout, type(caster), *present,
-                                    self.given.pattern, lying(scene))
+                                    self.given.pattern, lying(scene), moving_leaves(integrand))
 
 
 class Recorder:
     """Takes the bounces of one trace, by machine code where they can be recorded.
 
     Args:
+        bounce: takes one.
         integrand: the scene and how to step.
         board: of the helpers.
         dtype: of the rays.
     """
 
-    def __init__(self, integrand: Integrand, board: Board, dtype: torch.dtype):
-        self.integrand, self.board, self.tables = integrand, board, Tables(integrand, dtype)
+    def __init__(self, bounce: Bounce, integrand: Integrand, board: Board, dtype: torch.dtype):
+        self.bounce, self.integrand, self.board, self.tables = bounce, integrand, board, Tables(integrand, dtype)
         self.kind: int | None = None  # of the bounces after the first
 
-    def __call__(self, onward: Onward, depth: int, hit: Hit | None, L: Vec3 | None) -> tuple[PathState, Step, Onward]:
+    def __call__(self, onward: Onward, depth: int, L: Vec3 | None) -> tuple[PathState, Step, Onward]:
         """As `bounced`."""
         integrand = self.integrand
-        if depth == 0 and hit is None and integrand.rejects_hits:
+        if depth == 0 and onward.hit is None and integrand.rejects_hits:
             self.board.close()
-            hit = first_hit(integrand, onward.packed(integrand).ray, depth)  # who knows how many rays it casts
-        varying = Given(tensors_of((onward, hit, L, integrand.at(depth))))
-        kind = self.kind if hit is None and onward.alive is not None else None
+            onward = with_first_hit(integrand, onward)  # who knows how many rays it casts
+        varying = Given(tensors_of((onward, L, integrand.at(depth))))
+        kind = self.kind if onward.hit is None and onward.alive is not None else None
         if kind is None:
-            structure: list = []
-            flatten((onward, hit, L), [], structure)
-            kind = RECORDINGS.kind(self.tables.kind, *structure)
-            self.kind = kind if hit is None and onward.alive is not None else None
+            kind = RECORDINGS.kind(self.bounce, self.tables.kind, *structure_of((onward, L)))
+            same = onward.hit is None and onward.alive is not None and not inside_dual_level()
+            self.kind = kind if same else None
         key = kind, varying.pattern, integrand.settings_at(depth), integrand.is_last(depth), depth == 0
         made = None
         if all([leaf.is_contiguous() for leaf in varying.items]):
-            made = RECORDINGS.of(key, partial(self.record, onward, depth, hit, L))
+            made = RECORDINGS.of(key, partial(self.record, onward, depth, L))
         if made is None:
             self.board.close()
-            return bounced(integrand, onward, depth, hit, L)
-        (state, hit, front, order, visible, survives, picked, values, onward), counts = made.recorded(
-            varying, self.tables.given, onward.count, self.board, contexts=(integrand.scene,))
+            return self.bounce(integrand, onward, depth, L)
+        found, counts = made.recorded(varying, self.tables.given, onward.count, self.board, contexts=(integrand.scene,))
+        state, hit, front, order, visible, survives, picked, values, onward = dual(*found) if made.dual else found
         integrand.caster.count(sum([counts[last] - counts[first] for first, last in made.recorded.rays]))
         queues = [(queue, own) for queue, own in zip([queue.among(counts) for queue in made.queues], values)
                   if queue.last > queue.first]
@@ -144,23 +147,22 @@ class Recorder:
         step = Step(hit, front, order, queues, visible, survives, picked, values)
         return state, step, onward
 
-    def record(self, onward: Onward, depth: int, hit: Hit | None, L: Vec3 | None) -> RecordedBounce | None:
+    def record(self, onward: Onward, depth: int, L: Vec3 | None) -> RecordedBounce | None:
         """Records a bounce like this one; None if that is not possible."""
         integrand = self.integrand
         reserve = Reserve()
-        paths = without_contents(onward.paths, reserve, ALL if onward.alive is None else ALL + 1)  # of which some end
-        onward = Onward(paths, without_contents((onward.alive,), reserve)[0])
-        hit, L = without_contents((hit, L), reserve)
-        given = [*tensors_of((onward, hit, L, integrand.at(depth))), *self.tables.given.items]
+        onward, L = lanes_without_contents(onward, L, reserve)
+        given = [*tensors_of((onward, L, integrand.at(depth))), *self.tables.given.items]
         listener = Recording(given, reserve=reserve, contexts=(integrand.scene,))
         try:
             with torch.no_grad(), listening(listener):
-                state, step, onward = bounced(integrand, onward, depth, hit, L)
+                state, step, onward = self.bounce(integrand, onward, depth, L)
             results = (state, step.hit, step.front, step.order, step.visible, step.survives, step.picked,
                        step.texture_values, onward)
+            results = parted(results) if inside_dual_level() else results
             queues = tuple(QueueOfCounts(queue, listener.points[queue.first], listener.points[queue.last])
                            for queue in step.queues)
-            return RecordedBounce(Recorded(listener, given, results), queues)
+            return RecordedBounce(Recorded(listener, given, results), queues, inside_dual_level())
         except NotRecordable:
             return None
 
@@ -182,16 +184,36 @@ def recorded(given: Sequence[Tensor | int], reserve: Reserve, function: Callable
         return None
 
 
-def tensors_of(record) -> list[Tensor]:
-    """The tensors among the leaves of a record, in order."""
-    return [leaf for leaf in leaves_of(record) if isinstance(leaf, Tensor)]
-
-
 def without_contents(record, reserve: Reserve, lanes: int = ALL):
     """A record of lanes like another one, as recordings have them; what is the same there is so here."""
     made: dict[int, Tensor] = {}
-    return with_leaves(record, [None if leaf is None else made.setdefault(
-        leaf.data_ptr(), reserve.tensor(leaf.dtype, lanes)) for leaf in leaves_of(record)])
+    return dual(*[with_leaves(part, [None if leaf is None else made.setdefault(
+        leaf.data_ptr(), reserve.tensor(leaf.dtype, lanes)) for leaf in leaves_of(part)]) for part in parted(record)])
+
+
+def lanes_without_contents(onward: Onward, L: Vec3 | None, reserve: Reserve) -> tuple[Onward, Vec3 | None]:
+    """The same of what a bounce is given."""
+    paths = without_contents(onward.paths, reserve, ALL if onward.alive is None else ALL + 1)  # of which some end
+    alive, hit, L = without_contents((onward.alive, onward.hit, L), reserve)
+    return Onward(paths, alive, hit), L
+
+
+def structure_of(record) -> list:
+    """What is there and what is not, tangents among it; equal of what one recording serves."""
+    structure: list = []
+    flatten(parted(record) if inside_dual_level() else record, [], structure)
+    return structure
+
+
+def with_first_hit(integrand: Integrand, onward: Onward) -> Onward:
+    """Camera paths with what their rays meet."""
+    return onward._replace(hit=first_hit(integrand, detached(onward.packed(integrand).ray), 0))
+
+
+def moving_leaves(integrand: Integrand) -> tuple[int, ...]:
+    """Which leaves of the scene have tangents."""
+    tangents = leaves_of(parted(integrand.scene)[1]) if integrand.attached else ()
+    return tuple([place for place, tangent in enumerate(tangents) if tangent is not None])
 
 
 def lying(tables: Sequence[Tensor]) -> tuple:
@@ -209,18 +231,19 @@ def lying(tables: Sequence[Tensor]) -> tuple:
 
 
 @contextmanager
-def bounces_taken(integrand: Integrand, dtype: torch.dtype) -> Iterator[Bounce]:
-    """What takes one bounce after the other, of rays of a dtype: `bounced`, or machine code that does the same."""
+def bounces_taken(integrand: Integrand, dtype: torch.dtype, bounce: Bounce = bounced) -> Iterator[BounceOf]:
+    """What takes one bounce after the other, of rays of a dtype: `bounce`, or machine code that does the same."""
     if not recordable(integrand):
-        yield partial(bounced, integrand)
+        yield partial(bounce, integrand)
         return
     with board() as own:
-        yield Recorder(integrand, own, dtype)
+        yield Recorder(bounce, integrand, own, dtype)
 
 
 def recordable(integrand: Integrand) -> bool:
-    """True if bounces may be recorded: those of compiled stages, on the CPU."""
-    return (hasattr(integrand.stages.rows, "into") and integrand.scene is integrand.proposal
+    """True if bounces may be recorded: those of compiled stages, on the CPU, which autograd does not record. Who is asked
+    outside is told no tangents."""
+    return (hasattr(integrand.stages.rows, "into") and not (integrand.attached and torch.is_grad_enabled())
+            and not (integrand.proposal.layout.reads_outside and inside_dual_level())
             and (integrand.caster is None or hasattr(integrand.caster, "reads"))
-            and not inside_dual_level()
             and integrand.proposal.lights.choice.pmf.device.type == "cpu")

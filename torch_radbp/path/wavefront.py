@@ -13,6 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.dual import dual, tensors_of
 from torch_radbp.jit.order import chosen, inverted, nothing, put
 from torch_radbp.jit.team import loops_together
 from torch_radbp.path.bounce import Vertex, gathered
@@ -24,7 +25,7 @@ from torch_radbp.path.texture_networks import values_of_queues
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.scene.light_choice import LightPick
-from torch_radbp.tensors.differentiated import any_differentiated, recording
+from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.record import joined, leaves_of, rows_between
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import Ray, Vec3, masked, rows
@@ -112,9 +113,14 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
     shows = [(with_light and queue.image) or not apart for queue in queues]
     kinds = {shown: taken(bounces[0], settings=settings._replace(shown=shown))[0] for shown in set(shows)}
     prepared = [arguments(queue, reached, at, kinds[shown]) for queue, shown in zip(queues, shows)]
-    if len(bounces) == 1 or not hasattr(bounces[0], "into") or inside_dual_level():
+    if len(bounces) == 1 or not hasattr(bounces[0], "into"):
         return joined([bounce(*of_queue) for bounce, of_queue in zip(bounces, prepared)]), light
     vertices = room_for_vertices(state, step.scattered, any(shows))
+    if integrand.attached and inside_dual_level():
+        tangents = room_for_vertices(state, step.scattered, any(shows))
+        vertices = vertices._replace(Le=dual(vertices.Le, tangents.Le), Ld=dual(vertices.Ld, tangents.Ld),
+                                     F=dual(vertices.F, tangents.F), next=vertices.next._replace(
+                                         beta=dual(vertices.next.beta, tangents.next.beta)))
     rooms = {True: vertices, False: vertices._replace(Le=None, Ld=None, F=None)}
     rooms = {shown: bounces[0].room(rooms[shown]) for shown in kinds}
     with loops_together():
@@ -245,6 +251,7 @@ class Onward(NamedTuple):
 
     paths: PathState  # (K,) of the vertices, those that end there among them
     alive: Tensor | None  # (M,) int32, the places of those that go on; None: all do
+    hit: Hit | None = None  # (M,) of their rays, if it is known
 
     @property
     def count(self) -> int:
@@ -258,22 +265,20 @@ class Onward(NamedTuple):
         return integrand.stages.rows(self.paths, self.alive)
 
 
-def bounced(integrand: Integrand, onward: Onward, depth: int, hit: Hit | None,
-            L: Vec3 | None) -> tuple[PathState, Step, Onward]:
+def bounced(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) -> tuple[PathState, Step, Onward]:
     """One bounce of every lane, which adds what it brings to the radiance `L` of those of the image: L += beta_k E_k.
 
     Args:
         integrand: the scene and how to step.
         onward: the paths that take it.
         depth: of the bounce.
-        hit: of their rays, if it is known.
         L: (N,) of all lanes, written into; None: nobody asks for it.
 
     Returns:
         The paths that reached the bounce, what was decided there, and those that go on.
     """
     state = onward.packed(integrand)
-    vertex, light, step = take_step(integrand, state, depth, hit=hit, with_light=L is not None)
+    vertex, light, step = take_step(integrand, state, depth, hit=onward.hit, with_light=L is not None)
     stages, last = integrand.stages, step.queues[-1]
     shown = [queue for queue in step.queues if queue.image and queue.event.scatters]
     if shown and L is not None:
@@ -303,11 +308,18 @@ def brightened(L: Vec3, beta: Vec3, order: Tensor, lane: Tensor, Le: Vec3, Ld: V
 def put_rows(record, place: Tensor, entries) -> None:
     """Overwrites the entries at `place`, (N,) int32 without repetition, of every tensor of a record in nested tuples."""
     targets, found = ([leaf for leaf in leaves_of(part) if leaf is not None] for part in (record, entries))
-    if recording() and any_differentiated(found):
+    if torch.is_grad_enabled() and any([leaf.requires_grad for leaf in found]):
         for target, new in zip(targets, found):
             target.index_copy_(0, place.long(), new)
     else:
-        put(targets, place, found)
+        put(tensors_of(targets), place, tensors_of(found))
+
+
+def radiance_buffer(integrand: Integrand, start: PathState) -> Vec3:
+    """(N,) zeros to add the radiance of paths to, dual if the scene or their rays have tangents."""
+    L = Vec3.buffer(start.pdf)
+    moves = inside_dual_level() and (integrand.attached or any_differentiated(start))
+    return dual(L, Vec3.buffer(start.pdf)) if moves else L
 
 
 def add_at(L: Vec3, lane: Tensor, value: Vec3) -> None:

@@ -10,15 +10,21 @@ from typing import NamedTuple
 
 import torch
 
+from torch_radbp.jit.dual import dual, parted, tensors_of
 from torch_radbp.jit.recorded import Given, Recorded
-from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
-from torch_radbp.jit.structure import flatten
+from torch_radbp.jit.recording import NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.tiles import TILE, Handed, Step, handed, run_in_tiles
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.recorded_bounce import RECORDINGS, Tables, recordable, tensors_of, without_contents
-from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import Onward, bounced, first_hit
-from torch_radbp.raycast.protocol import Hit
+from torch_radbp.path.recorded_bounce import (
+    RECORDINGS,
+    Bounce,
+    Tables,
+    lanes_without_contents,
+    recordable,
+    structure_of,
+    with_first_hit,
+)
+from torch_radbp.path.wavefront import Onward, bounced, radiance_buffer
 from torch_radbp.tensors.vec import Vec3
 
 MOST_BOUNCES = 64
@@ -29,7 +35,7 @@ class Link(NamedTuple):
 
     recorded: Recorded
     handed: Handed
-    onward: Onward  # without contents
+    onward: tuple[Onward, Onward]  # without contents, values and tangents: dual tensors do not outlive a call
 
 
 def goes_whole(integrand: Integrand, lanes: int, depth: int = 0) -> bool:
@@ -39,47 +45,47 @@ def goes_whole(integrand: Integrand, lanes: int, depth: int = 0) -> bool:
             and not integrand.proposal.layout.reads_outside)
 
 
-def traced_whole(integrand: Integrand, start: PathState, hit: Hit | None = None, depth: int = 0) -> Vec3 | None:
-    """What `trace.trace` returns, (N,), for paths that nobody visits; None if they cannot be traced so. Args as there."""
-    if not goes_whole(integrand, len(start.lane), depth):
+def traced_whole(integrand: Integrand, onward: Onward, depth: int = 0, bounce: Bounce = bounced) -> Vec3 | None:
+    """What `trace.trace` returns, (N,), for paths that nobody visits; None if they cannot be traced so.
+
+    Args:
+        integrand, depth, bounce: as there.
+        onward: all paths.
+    """
+    if not goes_whole(integrand, onward.count, depth):
         return None
-    L = Vec3.buffer(start.beta.x)
+    L, dtype = radiance_buffer(integrand, onward.paths), onward.paths.pdf.dtype
     if integrand.max_depth <= depth:
         return L
-    if depth == 0 and hit is None and integrand.rejects_hits:
-        hit = first_hit(integrand, start.ray, depth)
-    tables, onward = Tables(integrand, start.pdf.dtype), Onward(start, None)
-    steps = []
-    for bounce in range(depth, integrand.max_depth):
-        lanes = tensors_of((onward, hit))
-        varying = Given([*lanes, *tensors_of((L, integrand.at(bounce)))])
+    if depth == 0 and onward.hit is None and integrand.rejects_hits:
+        onward = with_first_hit(integrand, onward)
+    tables, lanes, steps = Tables(integrand, dtype), onward.count, []
+    for number in range(depth, integrand.max_depth):
+        handed_on = tensors_of(onward)
+        varying = Given([*handed_on, *tensors_of((L, integrand.at(number)))])
         if not all([leaf.is_contiguous() for leaf in varying.items]):
             return None
-        structure: list = []
-        flatten((onward, hit, L), [], structure)
-        key = ("whole", RECORDINGS.kind(tables.kind, *structure), varying.pattern, integrand.settings_at(bounce),
-               integrand.is_last(bounce), bounce == 0)
-        link = RECORDINGS.of(key, partial(record_link, integrand, tables, onward, bounce, hit, L))
+        key = ("whole", bounce, RECORDINGS.kind(tables.kind, *structure_of((onward, L))), varying.pattern,
+               integrand.settings_at(number), integrand.is_last(number), number == 0)
+        link = RECORDINGS.of(key, partial(record_link, bounce, integrand, tables, onward, number, L))
         if link is None:
             return None
-        steps.append(Step(link.recorded, link.handed, Given([*varying.items, *tables.given.items]), len(lanes)))
-        onward, hit = link.onward, None
-    integrand.caster.count(run_in_tiles(steps, len(start.lane)))
+        steps.append(Step(link.recorded, link.handed, Given([*varying.items, *tables.given.items]), len(handed_on)))
+        onward = dual(*link.onward)
+    integrand.caster.count(run_in_tiles(steps, lanes))
     return L
 
 
-def record_link(integrand: Integrand, tables: Tables, onward: Onward, depth: int, hit: Hit | None, L: Vec3) -> Link | None:
+def record_link(bounce: Bounce, integrand: Integrand, tables: Tables, onward: Onward, depth: int, L: Vec3) -> Link | None:
     """Records a bounce like this one; None if that is not possible."""
     reserve = Reserve()
-    paths = without_contents(onward.paths, reserve, ALL if onward.alive is None else ALL + 1)  # of which some end
-    onward = Onward(paths, without_contents((onward.alive,), reserve)[0])
-    hit, L = without_contents((hit, L), reserve)
-    given = [*tensors_of((onward, hit, L, integrand.at(depth))), *tables.given.items]
+    onward, L = lanes_without_contents(onward, L, reserve)
+    given = [*tensors_of(onward), *tensors_of((L, integrand.at(depth))), *tables.given.items]
     listener = Recording(given, reserve=reserve)
     try:
         with torch.no_grad(), listening(listener):
-            _, _, onward = bounced(integrand, onward, depth, hit, L)
-        recorded = Recorded(listener, given, () if integrand.is_last(depth) else onward)
-        return Link(recorded, handed(recorded), onward)
+            _, _, onward = bounce(integrand, onward, depth, L)
+        recorded = Recorded(listener, given, () if integrand.is_last(depth) else tensors_of(onward))
+        return Link(recorded, handed(recorded), parted(onward))
     except NotRecordable:
         return None

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from copy import copy
 
 from torch_radbp.adjoint.bounce import bounce_adjoint
-from torch_radbp.adjoint.local_map import local_map
+from torch_radbp.adjoint.local_map import attached_vertex
 from torch_radbp.aov.material import material_value
 from torch_radbp.aov.surface import surface_values
 from torch_radbp.boundary.contour import contour_length, contour_place, crosses
@@ -57,6 +57,7 @@ from torch_radbp.path.integrand import Stages
 from torch_radbp.path.queues import appearance_met, shines, side_met
 from torch_radbp.path.wavefront import brightened
 from torch_radbp.scene.interaction import corner_rows
+from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import rows
@@ -65,7 +66,7 @@ PATH, CURVES, MOTION = ("scene", "proposal", "arrival"), ("geometry", "sight"), 
 OUTLINE = "geometry", "outline"
 STAGES = {  # of each the arguments that are read at indices
     sample_camera: ("camera",), film_place: (), deposited: ("values", "place"), asked: ("pixels", "place"), bounce: PATH,
-    ending: PATH, local_map: ("scene", "proposal"), bounce_adjoint: ("scene", "arrival", "adj_L", "memo"),
+    ending: PATH, attached_vertex: PATH, bounce_adjoint: ("scene", "arrival", "adj_L", "memo"),
     places: ("scene", "arrival"), pick_light: ("scene", "choice"), emitter_met: ("scene",),
     chance_of_light: ("scene", "choice", "arrival"), appearance_met: ("scene",),
     side_met: ("scene", "ray", "hit", "image_lanes"), corner_rows: ("scene",), shines: ("scene",), rows: ("record",),
@@ -143,6 +144,9 @@ class CompiledStage:
     def into(self, results, first: int, *arguments) -> None:
         """Writes what a call would return into the tensors of `results`, from the entry `first` on."""
         try:
+            if inside_dual_level() and any_differentiated(as_it_is(results)):
+                parts = self.dual.parts(tuple(map(as_it_is, arguments)))
+                return self.dual.into(as_it_is(results), first, parts)
             self.fused.into(results, first, *arguments)
         except UnknownOperation as error:
             for target, found in zip(leaves_of(as_it_is(results)), leaves_of(self.eagerly(error, arguments))):

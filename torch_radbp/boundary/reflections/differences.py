@@ -12,13 +12,14 @@ from torch_radbp.boundary.reflections.ideal_steps import FRONT, LIT, ONWARDS, OU
 from torch_radbp.boundary.reflections.surfaces import Surfaces
 from torch_radbp.jit.arguments import Taken
 from torch_radbp.jit.board import board
+from torch_radbp.jit.dual import tensors_of
 from torch_radbp.jit.order import chosen
 from torch_radbp.jit.recorded import Given, Recorded
 from torch_radbp.jit.recording import Reserve
 from torch_radbp.jit.structure import flatten
 from torch_radbp.path.integrand import Stages
 from torch_radbp.path.integrand import number as number_of
-from torch_radbp.path.recorded_bounce import RECORDINGS, lying, recorded, tensors_of, without_contents
+from torch_radbp.path.recorded_bounce import RECORDINGS, lying, recorded, without_contents
 from torch_radbp.path.wavefront import put_rows
 from torch_radbp.scene.interaction import triangle_normal
 from torch_radbp.tensors.lookup import lookup

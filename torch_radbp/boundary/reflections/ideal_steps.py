@@ -17,6 +17,7 @@ from torch import Tensor
 from torch_radbp.boundary.reflections.surfaces import Surfaces, cells_met
 from torch_radbp.jit.arguments import Taken
 from torch_radbp.jit.board import board
+from torch_radbp.jit.dual import tensors_of
 from torch_radbp.jit.order import chosen, partition
 from torch_radbp.jit.recorded import Given, Recorded
 from torch_radbp.jit.recording import ALL, Reserve
@@ -31,7 +32,6 @@ from torch_radbp.path.recorded_bounce import (
     lying,
     recordable,
     recorded,
-    tensors_of,
     without_contents,
 )
 from torch_radbp.path.state import PathState

@@ -146,7 +146,7 @@ def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, foll
     attached = integrand.settings.sampling == "attached"
     with bounces_taken(integrand, start.pdf.dtype) as bounce:
         while onward.count and not integrand.is_last(depth):
-            state, step, onward = bounce(onward, depth, None, L)
+            state, step, onward = bounce(onward, depth, L)
             meant = [torch.arange(queue.first, queue.last, dtype=torch.int32, device=key.seed.device)
                      for queue in step.queues if queue.event.scatters and scatters_as(integrand, queue.event, following)]
             if meant:
