@@ -9,7 +9,7 @@ from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Geometry, in_world
 from torch_radbp.boundary.shadows import hidden_light
 from torch_radbp.boundary.shadows.edge_tree import angle_of_node, rounded
-from torch_radbp.boundary.shadows.edges_tried import FEWEST, edges_tried, eyes_for_each
+from torch_radbp.boundary.shadows.edges_tried import ENOUGH, FEWEST, edges_tried, eyes_for_each
 from torch_radbp.boundary.shadows.eyes import Eyes, Lobe
 from torch_radbp.boundary.shadows.seen_edges import Casting, angle_seen, extent_of, places_seen
 from torch_radbp.boundary.shadows.ways_down import ways_down
@@ -149,14 +149,15 @@ def test_places_are_no_more_than_ways_that_found_an_edge(casting):
         most // 2, most]
 
 
+@pytest.mark.parametrize("some", [16, ENOUGH], ids=["all alike", "some first"])
 @pytest.mark.parametrize("stages", [EAGER, compiled()], ids=["eager", "compiled"])
-def test_edges_that_are_tried_add_up_to_all_that_is_seen(casting, stages):
+def test_edges_that_are_tried_add_up_to_all_that_is_seen(casting, stages, some):
     geometry, casting = casting
     eyes, outline, sums = rows(eyes_around(), torch.arange(40)), casting.outline, []
     edges = len(outline.crease)
     slot = casting.tree.slots.argsort()[-edges:]  # of each edge
     angle = angles(geometry, casting, eyes)[:, slot]
-    for seed, each in [(0, len(eyes.w)), *((seed, 16) for seed in range(1, 64))]:
+    for seed, each in [(0, len(eyes.w)), *((seed, some) for seed in range(1, 64))]:
         key = SampleKey(torch.tensor(seed, dtype=torch.int32), torch.tensor(-1, dtype=torch.int32))
         found, eye = edges_tried(stages, geometry, outline, eyes, key, each, extent_of(geometry))
         assert len(eye) == len(found.edge) > 0
@@ -167,6 +168,18 @@ def test_edges_that_are_tried_add_up_to_all_that_is_seen(casting, stages):
     error = sums[1:].std(0) / len(sums[1:]) ** 0.5
     off = (sums[1:].mean(0) - whole) / error.clamp_min(1e-9)
     assert (error < 0.2 * whole + 1e-2).all() and off.abs().max() < 5
+
+
+@pytest.mark.parametrize("casting", [("waves", torch.float64)], ids=str, indirect=True)
+def test_of_small_lights_the_edges_that_they_see_as_silhouettes_are_tried_most(casting):
+    geometry, (outline, _) = casting
+    place = torch.randn(512, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    one = torch.ones(512, dtype=torch.float64)
+    eyes = Eyes(Vec3.of(0.01 * place + torch.tensor([2.0, 1.5, 3.0])), one, Vec3(0 * one, 0 * one, 0 * one), one, 0 * one)
+    key = SampleKey(torch.tensor(5, dtype=torch.int32), torch.tensor(-1, dtype=torch.int32))
+    found, eye = edges_tried(EAGER, geometry, outline, eyes, key, 64, extent_of(geometry))
+    assert (found.times < 512 / 64).double().mean() > 0.9  # each stands for fewer than if all were tried alike
+    assert len(torch.stack([found.edge, eye]).unique(dim=1).T) == len(eye)  # none twice
 
 
 def test_edges_are_tried_from_as_many_eyes_as_ways_would_look_at_edges(casting):

@@ -31,7 +31,8 @@ from torch_radbp.tensors.vec import rows
 
 FEWEST = 8  # eyes from which each edge is tried
 ENOUGH = 32  # eyes from which on it pays to try some first
-FIRST, SEEN, CLOSE, OTHER = 1 / 8, 3 / 8, 3 / 8, 1 / 8  # shares: of all edges first, of silhouettes, neighbours, and others
+FIRST = 1 / 8  # share of what is tried by which one tells which edges are silhouettes,
+SEEN, CLOSE, OTHER = 3 / 8, 3 / 8, 1 / 8  # and shares of these, of their neighbours, and of all others
 SALT = 0x3C9A5B71  # tells the random numbers of the first from others
 
 
