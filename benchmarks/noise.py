@@ -4,7 +4,7 @@ This renderer and Mitsuba (``prb`` in ``llvm_ad_rgb``) take turns within one pro
 new samples, on the scenes of `versus_mitsuba` with the filter of your choice. Image and derivative have samples of their own
 on both sides, as is the default. Printed are ours over Mitsuba's: the variance of the image, mean over pixels; of the
 gradient of each parameter, sum over its entries; the time of a pass forward and backward, median; and *equal noise*, which
-is variance times time: what an answer of a given noise costs.
+is variance times time: what an answer of a given noise costs. ``--busy 4`` lets four other processes compute meanwhile.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from rich.progress import track
 
+from benchmarks.busy import busy_processes
 from benchmarks.peers import Mitsuba, Ours
 from benchmarks.scenes import ALL, SCENES
 from benchmarks.scenes.description import with_filter, without_samplers
@@ -89,12 +90,14 @@ def main() -> None:
     parser.add_argument("--sampler", choices=(SCENE, OWN), default=SCENE,
                         help="scene: independent samples, as the scenes say; own: what each renderer takes if none is named")
     parser.add_argument("--rounds", type=int, default=16)
+    parser.add_argument("--busy", type=int, default=0, help="how many processes compute beside")
     parser.add_argument("--only", choices=ALL, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.only:
         print(json.dumps(measure(options)))
         return
-    print(f"Ours over Mitsuba's, filter {options.filter}, sampler: {options.sampler}, {options.rounds} rounds.\n\n"
+    print(f"Ours over Mitsuba's, filter {options.filter}, sampler: {options.sampler}, {options.rounds} rounds, "
+          f"{options.busy} busy processes beside.\n\n"
           "| scene | size, samples | variance of the image | of gradients, median | worst | time | equal noise, image | "
           "gradient, worst |\n|---|---|---|---|---|---|---|---|", flush=True)
     for name in options.scene:
@@ -103,7 +106,8 @@ def main() -> None:
                 command = [sys.executable, "-m", "benchmarks.noise", "--only", name, "--resolution", str(resolution),
                            "--spp", str(spp), "--filter", options.filter, "--sampler", options.sampler, "--rounds",
                            str(options.rounds)]
-                done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
+                with busy_processes(options.busy):
+                    done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
                 print(row(name, resolution, spp, json.loads(done.stdout.splitlines()[-1])) if done.returncode == 0
                       else f"| {name} | failed |", flush=True)
 
