@@ -10,7 +10,7 @@ from tests.gradients import assert_informative, cotangent, image_and_gradients, 
 from tests.scenes import CASES, cornell, parameters
 from torch_radbp.boundary import terms
 from torch_radbp.rendering import stages
-from torch_radbp.sampling.sampler import sample_key
+from torch_radbp.sampling.sampler import film_order, sample_key
 from torch_radbp.tensors.differentiated import detached
 
 pytestmark = pytest.mark.filterwarnings("error:.*runs eagerly:RuntimeWarning")
@@ -119,7 +119,7 @@ def test_camera_rays_in_double_precision():
     camera = detached(cornell(torch.float64, SIZE).sensors[0].tensors())
     numbers = torch.arange(256, dtype=torch.int32)
     key = sample_key(3, 0, True, numbers.device)
-    arguments = camera, torch.tensor(SIZE, dtype=torch.int32), numbers, numbers % 7, key, False
+    arguments = camera, film_order(SIZE, 7, numbers.device), numbers, numbers % 7, key, False
     (expected, *_), (ray, *_) = (stage.sample_camera(*arguments) for stage in (stages.EAGER, stages.compiled()))
     for part, wanted in zip((*ray.o, *ray.d), (*expected.o, *expected.d)):
         assert part.dtype == torch.float64 and (part - wanted).abs().max() < 1e-14

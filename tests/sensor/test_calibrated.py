@@ -16,7 +16,7 @@ from torch_radbp.film.tent import Tent
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.io.write import save
 from torch_radbp.rendering.stages import EAGER, compiled
-from torch_radbp.sampling.sampler import sample_key
+from torch_radbp.sampling.sampler import film_order, sample_key
 from torch_radbp.sensor.calibrated import Calibrated
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.tensors.differentiated import detached
@@ -80,7 +80,7 @@ def test_coefficients_that_are_given_are_parameters():
 def test_compiled_rays_are_the_eager_ones(coefficients):
     sensor = load(sensor=calibrated(16, 0.7, **coefficients), lamp=rectangle((0, 0, 0), emitter=GLOW)).sensors[0]
     numbers = torch.arange(256, dtype=torch.int32)
-    arguments = (detached(sensor.tensors()), torch.tensor(16, dtype=torch.int32), numbers, numbers % 7,
+    arguments = (detached(sensor.tensors()), film_order(16, 7, numbers.device), numbers, numbers % 7,
                  sample_key(3, 0, True, numbers.device), True)
     (expected, _, weight, cone, _), (found, _, counts, fused, _) = (
         stages.sample_camera(*arguments) for stages in (EAGER, compiled()))

@@ -15,7 +15,7 @@ from torch_radbp.io.transform import rotate, translate
 from torch_radbp.io.write import save
 from torch_radbp.path.bounce import APERTURE_U, APERTURE_V
 from torch_radbp.rendering.stages import EAGER, compiled
-from torch_radbp.sampling.sampler import CAMERA_COUNTER, bounce_key, lane_key, sample_key, uniform
+from torch_radbp.sampling.sampler import CAMERA_COUNTER, bounce_key, film_order, lane_key, sample_key, uniform
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.sensor.thinlens import ThinLens
 from torch_radbp.tensors.differentiated import detached
@@ -91,7 +91,7 @@ def test_rays_start_all_over_the_lens():
 
 def test_compiled_rays_are_the_eager_ones():
     sample = torch.arange(64, dtype=torch.int32)
-    arguments = (detached(camera().tensors()), torch.tensor(12, dtype=torch.int32), torch.full_like(sample, 40), sample,
+    arguments = (detached(camera().tensors()), film_order(12, 64, sample.device), torch.full_like(sample, 40), sample,
                  sample_key(3, 0, True, sample.device), False)
     (expected, *_), (found, *_) = (stages.sample_camera(*arguments) for stages in (EAGER, compiled()))
     for part, wanted in zip((*found.o, *found.d), (*expected.o, *expected.d)):

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_radbp.film.develop import Grid
 from torch_radbp.film.window import Window
 from torch_radbp.plugin import Sensor
-from torch_radbp.sampling.sampler import SampleKey, sample_key
+from torch_radbp.sampling.sampler import FilmOrder, SampleKey, film_order, sample_key
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
@@ -39,10 +39,9 @@ class View(NamedTuple):
     def height(self) -> int:
         return self.window.rows.size
 
-    @property
-    def numbered(self) -> Tensor:
-        """() int32, the columns by which pixels are numbered; see `Window`."""
-        return torch.full((), self.window.numbered, dtype=torch.int32, device=self.camera.film.size_x.device)
+    def order(self, samples: int) -> FilmOrder:
+        """In which order the film's pixels, with so many samples each, take points of a sequence; see `Window`."""
+        return film_order(self.window.numbered, samples, self.camera.film.size_x.device)
 
     @property
     def grid(self) -> Grid:

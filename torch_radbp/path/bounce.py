@@ -28,10 +28,11 @@ from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import (
     CAMERA_COUNTER,
     BounceKey,
+    FilmOrder,
     LaneKey,
     SampleKey,
     bounce_key,
-    lane_key,
+    film_lane_key,
     random_bits,
     uniform,
 )
@@ -102,21 +103,21 @@ class Vertex(NamedTuple):
     survives: Tensor  # bool: the path goes on
 
 
-def sample_camera(camera: Camera, width: Tensor, pixel: Tensor, sample: Tensor, key: SampleKey,
+def sample_camera(camera: Camera, order: FilmOrder, pixel: Tensor, sample: Tensor, key: SampleKey,
                   cones: bool) -> CameraSample:
     """One camera ray per lane.
 
     Args:
         camera: the sensor.
-        width: () int32, columns of pixels of the film that have samples.
+        order: of the film.
         pixel, sample: (N,) int32, row-major number of the pixel on the film and number of the sample in it.
         key: of the call.
         cones: whether textures ask for them.
     """
-    lane = lane_key(key, pixel, sample)
+    lane = film_lane_key(order, pixel, sample, key)
     camera_key = bounce_key(lane, CAMERA_COUNTER)
-    row = torch.div(pixel, width, rounding_mode="floor")
-    column = pixel - row * width
+    row = torch.div(pixel, order.width, rounding_mode="floor")
+    column = pixel - row * order.width
     place = place_in_pixel(camera_key, camera.dtype)
     aperture = None
     if camera.kind.has_aperture:
@@ -126,9 +127,9 @@ def sample_camera(camera: Camera, width: Tensor, pixel: Tensor, sample: Tensor, 
     return CameraSample(ray, lane, weight, cone, place)
 
 
-def film_place(like: Tensor, pixel: Tensor, sample: Tensor, key: SampleKey) -> Vec2:
+def film_place(like: Tensor, order: FilmOrder, pixel: Tensor, sample: Tensor, key: SampleKey) -> Vec2:
     """Where in its pixel each sample lies, as `sample_camera` has it; args as there, `like` has the dtype."""
-    return place_in_pixel(bounce_key(lane_key(key, pixel, sample), CAMERA_COUNTER), like.dtype)
+    return place_in_pixel(bounce_key(film_lane_key(order, pixel, sample, key), CAMERA_COUNTER), like.dtype)
 
 
 def place_in_pixel(key: BounceKey, dtype: torch.dtype) -> Vec2:

@@ -29,6 +29,7 @@ MULTIPLIERS = tuple(
 SCRAMBLERS = (0x21F0AAAD, -0x2CA5D269)  # of `hash32`
 LATTICE = (182667, 469891)  # of the third and fourth dimension
 HALVES = ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF), (16, 0x0000FFFF))  # distance and lower one
+SPREAD = ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555))
 DIMENSIONS_PER_BOUNCE = len(MULTIPLIERS)
 
 
@@ -37,6 +38,14 @@ class SampleKey(NamedTuple):
 
     seed: Tensor  # from `seed_key`
     shared: Tensor  # -1: the samples of a pixel are points of one sequence; 0: they are independent
+
+
+class FilmOrder(NamedTuple):
+    """In which order the pixels of a film take points of one sequence; () int32 each, from `film_order`."""
+
+    width: Tensor  # columns by which pixels are numbered
+    bits: Tensor  # of the number of a sample in its pixel
+    side: Tensor  # base-2 logarithm of the side of a block, in pixels, in which no point comes twice
 
 
 class LaneKey(NamedTuple):
@@ -87,10 +96,42 @@ def sample_key(seed: int, sensor: int, low_discrepancy: bool, device: torch.devi
                        for value in (seed_key(seed, sensor), -int(low_discrepancy))))
 
 
-def lane_key(key: SampleKey, pixel: Tensor, sample: Tensor) -> LaneKey:
-    """The key of each lane's random numbers, from its pixel and the number of the sample in it, (N,) int32."""
-    ours = hash32(pixel) + key.seed
-    return LaneKey(hash32(hash32(ours) + (hash32(sample ^ 0x5BD1E995) & ~key.shared)), reversed_bits(sample) & key.shared)
+def film_order(width: int, samples: int, device: torch.device) -> FilmOrder:
+    """The order of a film whose pixels are numbered by `width` columns and have so many samples each."""
+    bits = max(0, samples - 1).bit_length()
+    return FilmOrder(*(torch.full((), value, dtype=torch.int32, device=device) for value in (width, bits, 16 - (bits + 1) // 2)))
+
+
+def film_lane_key(order: FilmOrder, pixel: Tensor, sample: Tensor, key: SampleKey) -> LaneKey:
+    """The key of each lane's random numbers, from its pixel's row-major number and the number of the sample in it, (N,) int32.
+
+    The pixels of a block follow each other along a curve of Morton, so that those of every square of 2^k x 2^k aligned
+    pixels take points that follow each other.
+    """
+    row = torch.div(pixel, order.width, rounding_mode="floor")
+    column = pixel - row * order.width
+    block = (row >> order.side << 16) + (column >> order.side)
+    inside = (1 << order.side) - 1
+    along = spread_bits(column & inside) + (spread_bits(row & inside) << 1)
+    return lane_key(key, block, (along << order.bits) + sample)
+
+
+def spread_bits(x: Tensor) -> Tensor:
+    """The 16 lowest bits of int32 values, a zero before each."""
+    for distance, mask in SPREAD:
+        x = (x | x << distance) & mask
+    return x
+
+
+def lane_key(key: SampleKey, group: Tensor, number: Tensor) -> LaneKey:
+    """The key of each lane's random numbers, from its group, whose lanes take points of one sequence, and its number in that.
+
+    Args:
+        key: of the call.
+        group, number: (N,) int32.
+    """
+    ours = hash32(group) + key.seed
+    return LaneKey(hash32(hash32(ours) + (hash32(number ^ 0x5BD1E995) & ~key.shared)), reversed_bits(number) & key.shared)
 
 
 def reversed_bits(x: Tensor) -> Tensor:

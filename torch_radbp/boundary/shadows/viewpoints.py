@@ -30,6 +30,7 @@ from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, max_component, rows, where
 
 SALT = 0x5BE0CD19  # tells the random numbers of these paths from others
+MOST = 1 << 28  # paths that begin in one pixel
 
 
 class Viewpoints(NamedTuple):
@@ -100,7 +101,7 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, 
     cell, area = cells_begun(sample - begun + jitter, count, cells, density)
     row = torch.div(cell, grid.columns, rounding_mode="floor")
     column, pixel = cell - row * grid.columns, view.window.numbers(cell - row * grid.columns, row)
-    camera = call.stages.sample_camera(view.camera, view.numbered, pixel, sample, key, call.scene.layout.traces_cones)
+    camera = call.stages.sample_camera(view.camera, view.order(MOST), pixel, sample, key, call.scene.layout.traces_cones)
     place = Vec2(column - view.window.columns.before + camera.place.x.double(),
                  row - view.window.rows.before + camera.place.y.double())
     picked = picked_vertices(integrand, started(call, camera), key, following)
@@ -216,7 +217,7 @@ def arriving(call: RenderCall, number: int, points: Viewpoints, all_of_them: boo
     view, cones = call.views[number], call.scene.layout.traces_cones
 
     def begun(chosen: Viewpoints) -> CameraSample:
-        return sample_camera(view.camera, view.numbered, chosen.pixel, chosen.sample, salted(view, SALT), cones)
+        return sample_camera(view.camera, view.order(MOST), chosen.pixel, chosen.sample, salted(view, SALT), cones)
 
     first, ray = points.depth == 0, points.ray
     if any_differentiated(view.camera):
