@@ -1,7 +1,8 @@
 """The counter-based random numbers: uniform, uncorrelated along every address, the same in both precisions.
 
-Samples of low discrepancy share all this but for those of one pixel, which are spread evenly, as is tested at the end. So
-the other tests take one sample of each of many pixels where they take many independent samples of few.
+Samples of low discrepancy share all this but for those of one group, which are spread evenly, as is tested at the end, and
+pixels of a film are one. So the other tests take one sample of each of many groups ("pixels") where they take many independent
+samples of few.
 """
 
 import itertools
@@ -16,6 +17,8 @@ from torch_radbp.sampling.sampler import (
     LaneKey,
     bounce_key,
     depth_counter,
+    film_lane_key,
+    film_order,
     hash32,
     lane_key,
     sample_key,
@@ -223,3 +226,75 @@ def test_products_over_depths_keep_their_mean_and_are_not_noisier():
         means = product.mean(1) * np.sqrt(SAMPLES)
         assert abs(means.mean()) < 5 / np.sqrt(PIXELS)
         assert means.std() < 1.35
+
+
+SIDE = 32  # pixels of a film
+
+
+def of_film(samples, seed=0, side=SIDE, width=100, corner=0):
+    """The keys of the lanes of the square of pixels at a corner of a film of 100 columns, (side, side, samples)."""
+    across = torch.arange(side, dtype=torch.int32) + corner
+    pixel = (across[:, None] * width + across)[:, :, None].expand(-1, -1, samples).flatten()
+    sample = torch.arange(samples, dtype=torch.int32).repeat(side * side)
+    order = film_order(width, samples, pixel.device)
+    return film_lane_key(order, pixel, sample, sample_key(seed, 0, LOW_DISCREPANCY, pixel.device))
+
+
+@pytest.mark.parametrize("samples", [1, 2, 4, 16])
+@pytest.mark.parametrize("depth, dimension", [(-1, 0), (3, 0), (3, 4)])
+def test_squares_of_pixels_fill_every_elementary_interval(low_discrepancy, samples, depth, dimension):
+    """All samples of aligned squares of 1, 4, 16, ... pixels, of one pair of dimensions, as long as samples are powers of two."""
+    u, v = (draw(of_film(samples), depth, dimension + k).reshape(SIDE, SIDE, samples) for k in (0, 1))
+    for side in (1, 2, 4, 8, 16):
+        points = side * side * samples
+        bits = points.bit_length() - 1
+        squares = [x.reshape(SIDE // side, side, SIDE // side, side, samples).movedim(2, 1).reshape(-1, points) for x in (u, v)]
+        for across in range(bits + 1):
+            cell = (squares[0] * 2**across).long() * 2**(bits - across) + (squares[1] * 2**(bits - across)).long()
+            assert points == 1 or cell.sort(1).values.eq(torch.arange(points)).all() == low_discrepancy
+
+
+@pytest.mark.parametrize("samples", [1, 3, 5, 16, 4096, 70_000])
+def test_no_two_samples_of_a_film_share_their_numbers(samples):
+    """Also beside each other at the corners of blocks, for numbers of samples that are none of 2^k."""
+    for corner in (0, 40):
+        key = of_film(samples, side=2 if samples > 5 else SIDE, corner=corner)
+        camera = bounce_key(key, depth_counter(-1, key.point.device))
+        assert len(set(zip(*(part.tolist() for part in camera)))) == len(key.point)
+
+
+def test_films_of_any_width_have_their_own_numbers():
+    """Blocks beyond the first 2^16 columns, as rays in a row have them, and of films with many samples."""
+    for samples, numbers_of_pixels in ((1, (0, 1, 1 << 16, 1 << 20, (1 << 31) - 1)), (1 << 20, (0, 64, 128, 1 << 12))):
+        pixel = torch.tensor(numbers_of_pixels, dtype=torch.int64).to(torch.int32)
+        order = film_order((1 << 31) - 1, samples, pixel.device)
+        key = film_lane_key(order, pixel, torch.zeros_like(pixel), sample_key(0, 0, LOW_DISCREPANCY, pixel.device))
+        first = bounce_key(key, depth_counter(0, pixel.device))
+        assert len(set(zip(*(part.tolist() for part in first)))) == len(pixel)
+
+
+def test_means_over_a_film_are_unbiased_and_less_noisy(low_discrepancy):
+    """Of what changes smoothly from pixel to pixel, one sample each: over seeds, against the noise of independent samples."""
+    slope = torch.linspace(0.5, 1.5, SIDE, dtype=torch.float64)
+    weight = (slope[:, None] * slope).flatten()
+    means = []
+    for seed in range(64):
+        key = of_film(1, seed)
+        means.append(float((weight * torch.exp(draw(key, 2, 4) + draw(key, 2, 5))).mean()))
+    expected = float(weight.mean()) * (np.e - 1) ** 2
+    independent = np.sqrt(float((weight**2).mean()) * (((np.e**2 - 1) / 2) ** 2 - (np.e - 1) ** 4)) / SIDE
+    assert abs(np.mean(means) - expected) < 5 * np.std(means) / 8
+    assert np.std(means) < independent / 8 if low_discrepancy else abs(np.std(means) / independent - 1) < 0.4
+
+
+@pytest.mark.parametrize("first, second", [(-1, 0), (0, 1), (2, 5)])
+def test_products_over_depths_of_a_film_keep_their_mean_and_are_not_noisier(first, second):
+    """As of a pixel; all pixels of a film have the order of a bounce in common."""
+    for dimension, other in ((0, 0), (0, 1), (1, 5), (2, 2)):
+        means = []
+        for seed in range(128):
+            key = of_film(1, seed)
+            product = 12 * (draw(key, first, dimension) - 0.5) * (draw(key, second, other) - 0.5)
+            means.append(float(product.mean()) * SIDE)
+        assert abs(np.mean(means)) < 5 / np.sqrt(128)
+        assert np.std(means) < 1.4

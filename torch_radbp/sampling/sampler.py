@@ -4,14 +4,19 @@ Nothing is stored or restored for a replay, and results do not depend on chunk s
 arithmetic is in int32, which wraps in torch on every device. float32 and float64 renderings use the same 24 random bits, so
 that both follow the same paths.
 
-The samples of a pixel are points of low discrepancy. At every bounce, four dimensions at a time are the points of one
-sequence, in an order that depends on pixel and bounce, moved by a random shift that depends on pixel, bounce and dimension.
+The samples of a film are points of low discrepancy. At every bounce, four dimensions at a time are the points of one
+sequence, in an order that depends on the bounce, moved by a random shift that depends on bounce and dimension. Pixels take
+them along a curve that passes through each square of 2^k x 2^k pixels before it leaves it, all samples of a pixel at once: so
+the samples of a pixel are spread evenly, and those of its surroundings fill the gaps. What sums over pixels, as gradients of
+what many of them see and images that are filtered or looked at from afar, is less noisy for it.
+
 The first two dimensions are those of Sobol': every 2^k samples leave no elementary interval of area 2^-k empty. The other
 two form a lattice. Each number by itself, and all numbers of a path together, are distributed as if they were independent,
-and so are those of different pixels, sensors and seeds. Independent samples use a single point, and a shift for each sample.
+and so are those of different sensors and seeds. Independent samples use a single point, and a shift for each sample.
 
 References: Sobol' 1967; Cranley and Patterson 1976 (shifts); Burley 2020, "Practical Hash-based Owen Scrambling" (orders);
-Vegdahl 2021, "Building a Better LK Hash" (constants); Cools, Kuo and Nuyens 2006 (the lattice).
+Vegdahl 2021, "Building a Better LK Hash" (constants); Cools, Kuo and Nuyens 2006 (the lattice); Ahmed and Wonka 2020,
+"Screen-Space Blue-Noise Diffusion of Monte Carlo Sampling Error via Hierarchical Ordering of Pixels" (the curve).
 """
 
 from __future__ import annotations
@@ -37,7 +42,7 @@ class SampleKey(NamedTuple):
     """The key of all random numbers of a call and sensor; () int32 each."""
 
     seed: Tensor  # from `seed_key`
-    shared: Tensor  # -1: the samples of a pixel are points of one sequence; 0: they are independent
+    shared: Tensor  # -1: the lanes of a group are points of one sequence; 0: they are independent
 
 
 class FilmOrder(NamedTuple):
@@ -51,7 +56,7 @@ class FilmOrder(NamedTuple):
 class LaneKey(NamedTuple):
     """The key of all random numbers of a lane; (N,) int32 each."""
 
-    shift: Tensor  # the same for all samples of a pixel, or another for each
+    shift: Tensor  # the same for all lanes of a group, or another for each
     point: Tensor  # bit-reversed index in the sequence: the first coordinate as a fraction of 2^32
 
 
