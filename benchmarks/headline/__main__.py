@@ -1,15 +1,16 @@
 """Time to equal error: ``python -m benchmarks.headline`` (needs mitsuba==3.9.1, cholespy, trimesh and LLVM).
 
 Five tasks of inverse rendering, each with this renderer and with Mitsuba (``llvm_ad_rgb``): the same scene, targets (by
-Mitsuba), first guess, size of images, samples a pixel, loss (mean squared error), and Adam with the same rates. Mitsuba has
+Mitsuba), first guess, size of images, loss (mean squared error), and Adam with the same rates. Mitsuba has
 the integrators of its tutorials, and where they guide samples of edges, which takes time, it also runs without guiding.
 The scenes name no sampler, so that each has its own, ours points of low discrepancy and Mitsuba independent samples; Mitsuba
-also runs with its ``multijitter``, the quietest of its samplers for gradients, and whichever is sooner counts.
+also runs with its ``multijitter``, the quietest of its samplers for gradients. Both run with the task's samples a pixel and
+with a quarter of them: quick steps are noisier. Of all runs of a renderer those that are soonest count.
 This renderer has its defaults: ``renderer(seed=step)``, image and derivative by samples of their own, as Mitsuba's.
 
 Ours and one way of running Mitsuba step by turns within one process, after steps that compile and count for nothing but the
 column "first step"; a process holds one scene of each, since others would cost Mitsuba time. Recorded are the seconds of
-every step and the error of what was found. The common error is 1.5 times that at the end of ours, or of Mitsuba's best,
+every step and the error of what was found. The common error is 1.5 times that at the end of our best or Mitsuba's,
 whichever is greater; the figure is the ratio of the seconds after which the errors stay below it, medians of the seeds. Who
 takes longer than ``--seconds`` for a run is stopped. Figures of tasks that were measured before are kept in the folder of
 ``--out`` and shown again, so that one can measure task by task.
@@ -31,13 +32,13 @@ from rich.progress import Progress
 
 from benchmarks.headline.chart import panel, write_chart
 from benchmarks.headline.loops import MitsubaLoop, OurLoop
-from benchmarks.headline.race import Curve, Loop, Outcome, common_error, fastest, outcome, race
+from benchmarks.headline.race import OURS, Curve, Loop, Outcome, common_error, fastest, is_ours, outcome, race
 from benchmarks.headline.task import Task
 from benchmarks.headline.tasks import TASKS
 from benchmarks.peers import mitsuba_for
 from benchmarks.scenes import QUICK
 
-OURS = "ours"
+FEWER = (1, 4)  # by how many times fewer samples than the task's a renderer runs
 SAMPLERS = {None: "", "multijitter": ", multijitter"}  # of Mitsuba's sensors; None: its default
 WARM_UP = 2
 HEADER = """\
@@ -53,11 +54,13 @@ def measure(options: argparse.Namespace) -> dict:
         if options.quick:
             task = task._replace(setting=QUICK._replace(max_depth=task.setting.max_depth), steps=2)
         targets = task.targets(mi, options.target_samples)
-        integrator, sampler = ways(task)[options.against]
+        integrator, sampler, samples = ways(task)[options.against]
+        task = task._replace(setting=task.setting._replace(spp=samples))
         ours, theirs = (task.sampled(Path(folder), kind) for kind in (None, sampler))
 
         def loops(seed: int) -> dict[str, Loop]:
-            return {OURS: OurLoop(ours, targets, seed), options.against: MitsubaLoop(theirs, integrator, mi, targets, seed)}
+            return {our_name(samples): OurLoop(ours, targets, seed),
+                    options.against: MitsubaLoop(theirs, integrator, mi, targets, seed)}
 
         first = warm_up(loops(seed=0))
         shown = progress.add_task(f"{task.title}: {options.against}", total=options.seeds * task.steps)
@@ -72,10 +75,20 @@ def measure(options: argparse.Namespace) -> dict:
             "runs": {name: [curve._asdict() for curve in curves] for name, curves in runs.items()}}
 
 
-def ways(task: Task) -> dict[str, tuple[str, str | None]]:
-    """The ways in which Mitsuba runs a task: integrator and type of sampler, by what the table calls them."""
-    return {f"{integrator}{said}": (integrator, sampler)
-            for integrator in task.integrators for sampler, said in SAMPLERS.items()}
+def ways(task: Task) -> dict[str, tuple[str, str | None, int]]:
+    """The ways in which Mitsuba runs a task: integrator, type of sampler, samples a pixel, by what the table calls them."""
+    return {f"{integrator}{said}, {samples} a pixel": (integrator, sampler, samples)
+            for samples in samples_tried(task) for integrator in task.integrators for sampler, said in SAMPLERS.items()}
+
+
+def samples_tried(task: Task) -> list[int]:
+    """The samples a pixel with which both renderers run a task."""
+    return sorted({max(1, task.setting.spp // fewer) for fewer in FEWER}, reverse=True)
+
+
+def our_name(samples: int) -> str:
+    """What the table calls runs of ours with so many samples a pixel."""
+    return f"{OURS}, {samples} a pixel"
 
 
 def warm_up(loops: dict[str, Loop]) -> dict[str, float]:
@@ -123,16 +136,15 @@ def curves_of(found: dict) -> dict[str, list[Curve]]:
 def rows(found: dict) -> list[str]:
     """The lines of the table for one task, a renderer each."""
     runs = curves_of(found)
-    common = common_error(runs, OURS)
-    outcomes = {name: outcome(curves, common) for name, curves in runs.items()}
-    theirs = fastest(each for name, each in outcomes.items() if name != OURS)
-    mine = outcomes[OURS].seconds
+    common = common_error(runs)
+    outcomes = {name: outcome(runs[name], common) for name in sorted(runs, key=lambda name: not is_ours(name))}
+    mine, theirs = (fastest(each for name, each in outcomes.items() if is_ours(name) == own) for own in (True, False))
     # None, where it is not reached, or no seconds at all, where already the first guess is as good.
     ratio = f"**{mine / theirs:.2f}**" if mine and theirs else "none: not reached by both, or at once"
-    return [f"| {found['title'] if name == OURS else ''} | {name} | {1e3 * each.step:.0f} | {found['first'][name]:.1f} | "
+    return [f"| {'' if number else found['title']} | {name} | {1e3 * each.step:.0f} | {found['first'][name]:.1f} | "
             f"{runs[name][0].errors[0]:.3g} | {ending(each)} | {common:.3g} | "
-            f"{'not reached' if each.seconds is None else f'{each.seconds:.2f}'} | {ratio if name == OURS else ''} |"
-            for name, each in outcomes.items()]
+            f"{'not reached' if each.seconds is None else f'{each.seconds:.2f}'} | {'' if number else ratio} |"
+            for number, (name, each) in enumerate(outcomes.items())]
 
 
 def ending(found: Outcome) -> str:
@@ -169,7 +181,7 @@ def main() -> None:
         (options.out / "table.md").write_text(table + "\n")
         print(table)
         write_chart(options.out / "curves.png", [panel(found["title"], found["measure"], runs := curves_of(found),
-                                                       common_error(runs, OURS)) for found in known])
+                                                       common_error(runs)) for found in known])
     if failed:
         raise SystemExit(f"failed: {', '.join(failed)}")
 

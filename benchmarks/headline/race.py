@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+OURS = "ours"  # what the names of runs of this renderer begin with
 SLACK = 1.5  # of the error at the end, which the curves have to reach
 LAST = 0.1  # of the steps, whose errors are averaged as that at the end
 CONVERGED = 0.5  # of the error at the start, that a run has to leave behind
@@ -80,10 +81,22 @@ class Outcome(NamedTuple):
     converged: bool
 
 
-def common_error(runs: dict[str, list[Curve]], ours: str) -> float:
-    """1.5 times the error at the end of ours or of Mitsuba's best, whichever is greater; stopped runs end where they are."""
+def is_ours(name: str) -> bool:
+    """True of the name of runs of this renderer."""
+    return name.startswith(OURS)
+
+
+def common_error(runs: dict[str, list[Curve]]) -> float:
+    """1.5 times the error at the end of our best or of Mitsuba's, whichever is greater; stopped runs end where they are."""
     finals = {name: statistics.median(curve.final for curve in curves) for name, curves in runs.items()}
-    return SLACK * max(finals[ours], min(final for name, final in finals.items() if name != ours))
+    return SLACK * max(min(final for name, final in finals.items() if is_ours(name) == own) for own in (True, False))
+
+
+def soonest(runs: dict[str, list[Curve]], error: float, most: int) -> dict[str, list[Curve]]:
+    """So many runs that reach an error first, ours before others, among them the first of both."""
+    seconds = {name: outcome(curves, error).seconds or float("inf") for name, curves in runs.items()}
+    ours, theirs = (sorted((name for name in runs if is_ours(name) == own), key=seconds.get) for own in (True, False))
+    return {name: runs[name] for name in (ours[:most // 2] + theirs)[:most]}
 
 
 def outcome(curves: list[Curve], error: float) -> Outcome:

@@ -1,8 +1,8 @@
 """The counter-based random numbers: uniform, uncorrelated along every address, the same in both precisions.
 
-Samples of low discrepancy share all this but for those of one group, which are spread evenly, as is tested at the end, and
-pixels of a film are one. So the other tests take one sample of each of many groups ("pixels") where they take many independent
-samples of few.
+Samples of low discrepancy share all this but for those of one group, which are spread evenly, as is tested at the end; the
+pixels of a film are one. So the other tests take one sample of each of many groups, "pixels", where they take many
+independent samples of few.
 """
 
 import itertools
@@ -243,12 +243,13 @@ def of_film(samples, seed=0, side=SIDE, width=100, corner=0):
 @pytest.mark.parametrize("samples", [1, 2, 4, 16])
 @pytest.mark.parametrize("depth, dimension", [(-1, 0), (3, 0), (3, 4)])
 def test_squares_of_pixels_fill_every_elementary_interval(low_discrepancy, samples, depth, dimension):
-    """All samples of aligned squares of 1, 4, 16, ... pixels, of one pair of dimensions, as long as samples are powers of two."""
+    """All samples, a power of two, of aligned squares of 1, 4, 16, ... pixels, in one pair of dimensions."""
     u, v = (draw(of_film(samples), depth, dimension + k).reshape(SIDE, SIDE, samples) for k in (0, 1))
     for side in (1, 2, 4, 8, 16):
         points = side * side * samples
         bits = points.bit_length() - 1
-        squares = [x.reshape(SIDE // side, side, SIDE // side, side, samples).movedim(2, 1).reshape(-1, points) for x in (u, v)]
+        squares = [x.reshape(SIDE // side, side, SIDE // side, side, samples).movedim(2, 1).reshape(-1, points)
+                   for x in (u, v)]
         for across in range(bits + 1):
             cell = (squares[0] * 2**across).long() * 2**(bits - across) + (squares[1] * 2**(bits - across)).long()
             assert points == 1 or cell.sort(1).values.eq(torch.arange(points)).all() == low_discrepancy
@@ -274,7 +275,7 @@ def test_films_of_any_width_have_their_own_numbers():
 
 
 def test_means_over_a_film_are_unbiased_and_less_noisy(low_discrepancy):
-    """Of what changes smoothly from pixel to pixel, one sample each: over seeds, against the noise of independent samples."""
+    """Of what changes smoothly from pixel to pixel, by one sample each, over seeds; against independent samples' noise."""
     slope = torch.linspace(0.5, 1.5, SIDE, dtype=torch.float64)
     weight = (slope[:, None] * slope).flatten()
     means = []

@@ -87,8 +87,8 @@ def samples_of_chunks(call: RenderCall, wavefront: Wavefront, which: int) -> lis
     """As `camera_samples`, chunk by chunk."""
     def of_chunk(chunk: Chunk) -> CameraSample:
         view = call.views[chunk.sensor]
-        return call.stages.sample_camera(view.camera, view.order(call.spp), *numbers_of(call, chunk), view.sample_keys[which],
-                                         call.scene.layout.traces_cones)
+        return call.stages.sample_camera(view.camera, view.order(call.spp), *numbers_of(call, chunk),
+                                         view.sample_keys[which], call.scene.layout.traces_cones)
 
     return [of_chunk(chunk) for chunk in wavefront.chunks]
 
@@ -97,7 +97,8 @@ def film_places(call: RenderCall, wavefront: Wavefront, which: int) -> Vec2:
     """Where in their pixels a wavefront's lanes lie, (N,) in [0, 1). `which` as for `start_paths`."""
     def of_chunk(chunk: Chunk) -> Vec2:
         view = call.views[chunk.sensor]
-        return call.stages.film_place(view.camera.film.size_x, view.order(call.spp), *numbers_of(call, chunk), view.sample_keys[which])
+        return call.stages.film_place(view.camera.film.size_x, view.order(call.spp), *numbers_of(call, chunk),
+                                      view.sample_keys[which])
 
     return joined([of_chunk(chunk) for chunk in wavefront.chunks])
 

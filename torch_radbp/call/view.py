@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
 
 from torch_radbp.film.develop import Grid
 from torch_radbp.film.window import Window

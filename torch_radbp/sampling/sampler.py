@@ -6,9 +6,9 @@ that both follow the same paths.
 
 The samples of a film are points of low discrepancy. At every bounce, four dimensions at a time are the points of one
 sequence, in an order that depends on the bounce, moved by a random shift that depends on bounce and dimension. Pixels take
-them along a curve that passes through each square of 2^k x 2^k pixels before it leaves it, all samples of a pixel at once: so
-the samples of a pixel are spread evenly, and those of its surroundings fill the gaps. What sums over pixels, as gradients of
-what many of them see and images that are filtered or looked at from afar, is less noisy for it.
+them along a curve that passes through all of a square of 2^k x 2^k pixels before it leaves it, all samples of a pixel at
+once: so the samples of a pixel are spread evenly, and those of its surroundings fill the gaps. What sums over pixels, as
+gradients of what many of them see and images that are filtered or looked at from afar, is less noisy for it.
 
 The first two dimensions are those of Sobol': every 2^k samples leave no elementary interval of area 2^-k empty. The other
 two form a lattice. Each number by itself, and all numbers of a path together, are distributed as if they were independent,
@@ -21,6 +21,7 @@ Vegdahl 2021, "Building a Better LK Hash" (constants); Cools, Kuo and Nuyens 200
 
 from __future__ import annotations
 
+import functools
 import hashlib
 from typing import NamedTuple
 
@@ -101,17 +102,25 @@ def sample_key(seed: int, sensor: int, low_discrepancy: bool, device: torch.devi
                        for value in (seed_key(seed, sensor), -int(low_discrepancy))))
 
 
+@functools.lru_cache(maxsize=64)
 def film_order(width: int, samples: int, device: torch.device) -> FilmOrder:
     """The order of a film whose pixels are numbered by `width` columns and have so many samples each."""
     bits = max(0, samples - 1).bit_length()
-    return FilmOrder(*(torch.full((), value, dtype=torch.int32, device=device) for value in (width, bits, 16 - (bits + 1) // 2)))
+    with torch.inference_mode(False):  # they are kept, for renderings that are differentiated
+        return FilmOrder(*(torch.full((), value, dtype=torch.int32, device=device)
+                           for value in (width, bits, 16 - (bits + 1) // 2)))
 
 
 def film_lane_key(order: FilmOrder, pixel: Tensor, sample: Tensor, key: SampleKey) -> LaneKey:
-    """The key of each lane's random numbers, from its pixel's row-major number and the number of the sample in it, (N,) int32.
+    """The key of each lane's random numbers.
 
-    The pixels of a block follow each other along a curve of Morton, so that those of every square of 2^k x 2^k aligned
+    The pixels of a block follow each other along a curve of Morton, so that those of every aligned square of 2^k x 2^k
     pixels take points that follow each other.
+
+    Args:
+        order: of the film.
+        pixel, sample: (N,) int32, row-major number of the pixel on the film and number of the sample in it.
+        key: of the call.
     """
     row = torch.div(pixel, order.width, rounding_mode="floor")
     column = pixel - row * order.width
@@ -129,11 +138,12 @@ def spread_bits(x: Tensor) -> Tensor:
 
 
 def lane_key(key: SampleKey, group: Tensor, number: Tensor) -> LaneKey:
-    """The key of each lane's random numbers, from its group, whose lanes take points of one sequence, and its number in that.
+    """The key of each lane's random numbers.
 
     Args:
         key: of the call.
-        group, number: (N,) int32.
+        group: (N,) int32; the lanes of a group take points of one sequence.
+        number: (N,) int32, of the point in that.
     """
     ours = hash32(group) + key.seed
     return LaneKey(hash32(hash32(ours) + (hash32(number ^ 0x5BD1E995) & ~key.shared)), reversed_bits(number) & key.shared)

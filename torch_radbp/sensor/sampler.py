@@ -17,7 +17,8 @@ class LowDiscrepancy(Sampler):
     """A low-discrepancy sequence for the samples of each pixel, and of pixels beside each other; the default of sensors.
 
     Arguments: see `Sampler`. Unbiased for any number of samples, and best for powers of two. Different seeds and sensors are
-    independent; pixels of one image are not, their noise cancels in what sums over them. See `torch_radbp.sampling.sampler`. Mitsuba's plugin of this name serves the same purpose with other numbers.
+    independent; pixels of one image are not: their noise cancels in what sums over them. See
+    `torch_radbp.sampling.sampler`. Mitsuba's plugin of this name serves the same purpose with other numbers.
     """
 
     low_discrepancy = True
