@@ -40,7 +40,8 @@ with tempfile.TemporaryDirectory() as folder:
             optimizer.step()
             colour.data.clamp_(0, 1)
         decay.step()
-after = exposure(rb.render(scene, spp=256, max_depth=3), torch.arange(8)).detach()
+with torch.no_grad():
+    after = exposure(rb.render(scene, spp=256, max_depth=3), torch.arange(8))
 print(f"colour off by {(colour - truth).square().mean().sqrt():.4f}, grey by {(0.5 - truth).square().mean().sqrt():.4f}")
 print(f"gains from {gains.min():.2f} to {gains.max():.2f}, off by {(exposure.gains / gains - 1).abs().max():.2%} at most")
 rows = {"before": before, "photographs": exposed, "after": after}
