@@ -37,7 +37,7 @@ def images(numbers, **settings):
 
 def seen():
     """All views, and how far off everything is: where on the surface a vertex lies does not count, for nobody sees it."""
-    image, off = images(range(8), seed=0, spp=64).detach(), ((pot.vertex_positions - vertices) * pot.vertex_normals).sum(1)
+    image, off = images(range(8), seed=0, spp=256).detach(), ((pot.vertex_positions - vertices) * pot.vertex_normals).sum(1)
     moved = distance[2:], motion[2:, 3:].norm(dim=1), motion[2:, :3].norm(dim=1), image.clip(0, 1) - target.clip(0, 1)
     return image, [each.square().mean().sqrt().item() for each in (*(part.data - truth[part] for part in maps), off, *moved)]
 

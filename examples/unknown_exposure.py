@@ -31,7 +31,7 @@ with tempfile.TemporaryDirectory() as folder:
     renderer = rb.Renderer(scene, spp=4, max_depth=3, share_samples=True)
     optimizer = torch.optim.Adam([colour, *exposure.parameters()], lr=0.03, betas=(0.8, 0.95))
     decay = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.05 ** (1 / epochs))
-    before = rb.render(scene, spp=64, max_depth=3).detach()
+    before = rb.render(scene, spp=256, max_depth=3).detach()
     for epoch in range(epochs):
         for number, batch in enumerate(loader):
             a, b = (exposure(renderer(seed=8 * epoch + 2 * number + k, sensors=batch.sensors), batch.views) for k in (0, 1))
@@ -40,7 +40,8 @@ with tempfile.TemporaryDirectory() as folder:
             optimizer.step()
             colour.data.clamp_(0, 1)
         decay.step()
-after = exposure(rb.render(scene, spp=64, max_depth=3), torch.arange(8)).detach()
+with torch.no_grad():
+    after = exposure(rb.render(scene, spp=256, max_depth=3), torch.arange(8))
 print(f"colour off by {(colour - truth).square().mean().sqrt():.4f}, grey by {(0.5 - truth).square().mean().sqrt():.4f}")
 print(f"gains from {gains.min():.2f} to {gains.max():.2f}, off by {(exposure.gains / gains - 1).abs().max():.2%} at most")
 rows = {"before": before, "photographs": exposed, "after": after}

@@ -100,7 +100,8 @@ class Parameter(Group):
     # meshes: steps move the shape as a whole, see `rb.optim.LargeSteps`.
     parametrisation: Literal["clamp", "sigmoid", "log", "rigid", "network", "large_steps"] = "clamp"
     network: Network | None = None  # None: of the default size
-    pivot: Vector | None = None  # of "rigid": the place in the world that rotations are about; None: the own origin
+    # Of "rigid": the place in the world that rotations are about, see `rigid`; None: the own origin.
+    pivot: Vector | None = None
     smoothness: Positive | None = None  # of large steps: how far, in squared edges, one reaches; None: 19
     coarse_to_fine: CoarseToFine | None = None  # None: all texels are free from the first step on
     # For reports only. "scene": the value in the scene file; of vertex_positions also a mesh, .ply or .obj,

@@ -75,6 +75,16 @@ def test_a_pivot_stays_where_it_is():
     torch.testing.assert_close(rigid.right_inverse(rigid(motion)), motion, atol=1e-12, rtol=0)
 
 
+def test_with_a_pivot_numbers_are_along_the_own_axes_in_units_of_its_distance():
+    pivot, axes = vector(0.3, -2.0, 1.5), MATRIX[:3, :3] / MATRIX[:3, :3].norm(dim=0)
+    distance, rigid = (MATRIX[:3, 3] - pivot).norm(), Rigid(MATRIX, pivot.tolist())
+    for axis in range(3):
+        raw = torch.zeros(2, 3, dtype=torch.float64)
+        raw[1, axis] = 0.1
+        torch.testing.assert_close(rigid(raw), moved(MATRIX, vector(0, 0, 0), 0.1 * distance * axes[:, axis]))
+        torch.testing.assert_close(rigid(raw.flip(0)), moved(MATRIX, 0.1 * axes[:, axis], vector(0, 0, 0), pivot))
+
+
 def test_pose_error_is_angle_and_distance():
     error = PoseError.between(moved(MATRIX, vector(0, math.radians(2), 0), vector(0.3, 0, 0.4)), MATRIX)
     assert error == pytest.approx((2.0, 0.5))
@@ -118,7 +128,8 @@ def test_a_pivot_changes_steps_but_not_where_a_run_begins(pose_recipe):
                      for overrides in ([], ["parameters.0.pivot=[0.0, 1.0, 2.0]"]))
     torch.testing.assert_close(plain.value, turned.value)
     step = torch.tensor([[0.1, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    moved_plain, moved_turned = (each.module.parametrizations.to_world[0](step) for each in (plain, turned))
+    rigid, about = (each.module.parametrizations.to_world[0] for each in (plain, turned))
+    moved_plain, moved_turned = rigid(step), about(step @ about.axes)
     torch.testing.assert_close(moved_plain[:3, :3], moved_turned[:3, :3])
     assert (moved_plain[:3, 3] - moved_turned[:3, 3]).norm() > 0.05
     with pytest.raises(ValueError, match=r'pivot = ... needs parametrisation = "rigid", got "clamp"'):

@@ -8,7 +8,9 @@ of M, its last column, the matrix is
 so that a rotation leaves the origin of the object (or the camera) where it is, and scale and shear stay as they are. The
 optimiser's own numbers may be of a rotation about another place c, a pivot. With the middle of what a camera looks at as the
 pivot, the rotation turns the view and the translation shifts it; with the camera's own origin both shift it, and one
-that scales each number by itself, as Adam does, is slow to tell them apart.
+that scales each number by itself, as Adam does, is slow to tell them apart. For the same reason they are then along the own
+axes of M, so that the distance, which hardly shows in an image, is a number by itself; and the unit of translations is the
+distance of c, so that a step shifts the image by about as large an angle as a step of the rotation is.
 """
 
 import math
@@ -45,19 +47,31 @@ class Rigid(nn.Module):
 
     Args:
         initial: (4, 4).
-        pivot: the three coordinates of c; None: the origin of `initial`.
+        pivot: the three coordinates of c. Both vectors are then along the axes of `initial`, or the orthogonal ones that are
+            nearest to them, and translations in units of the distance of its origin from c, unless that is 0. None: the
+            origin of `initial`, axes and units of the world.
     """
 
     def __init__(self, initial: Tensor, pivot: list[float] | None = None):
         super().__init__()
         self.register_buffer("initial", initial.detach().clone())
         self.register_buffer("pivot", None if pivot is None else initial.new_tensor(pivot))
+        distance = 1.0 if pivot is None else (self.initial[:3, 3] - self.pivot).norm().item() or 1.0
+        self.register_buffer("axes", torch.eye(3).to(initial) if pivot is None else own_axes(self.initial))
+        self.register_buffer("units", initial.new_tensor([[1.0], [distance]]))
 
     def forward(self, raw: Tensor) -> Tensor:
-        return moved(self.initial, raw[0], raw[1], self.pivot)
+        rotation, translation = self.units * raw @ self.axes.T
+        return moved(self.initial, rotation, translation, self.pivot)
 
     def right_inverse(self, value: Tensor) -> Tensor:
-        return motion_between(self.initial, value, self.pivot)
+        return motion_between(self.initial, value, self.pivot) @ self.axes / self.units
+
+
+def own_axes(matrix: Tensor) -> Tensor:
+    """Computes the orthogonal (3, 3) matrix that is nearest to that of a (4, 4) affine one; its columns are the axes."""
+    left, _, right = torch.linalg.svd(matrix[:3, :3])
+    return left @ right
 
 
 def motion_between(matrix: Tensor, other: Tensor, pivot: Tensor | None = None) -> Tensor:

@@ -12,7 +12,7 @@ from torch_radbp.optim.closest import closest_points
 from torch_radbp.training.recovery.recovered import RecoveredParameter
 from torch_radbp.transforms import transform_points
 
-POINTS = 2000  # on each surface
+POINTS, POINTS_OF_STEP = 2000, 300  # on each surface, for a report and for the curve of a run
 
 
 class Surface(NamedTuple):
@@ -21,13 +21,13 @@ class Surface(NamedTuple):
     vertices: Tensor  # (V, 3)
     faces: Tensor  # (F, 3) int64
 
-    def points(self) -> Tensor:
-        """(`POINTS`, 3) points spread evenly over the area; of the same mesh always the same."""
+    def points(self, count: int) -> Tensor:
+        """(count, 3) points spread evenly over the area; of the same mesh always the same."""
         corners = self.vertices[self.faces]
         area = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1)
         generator = torch.Generator().manual_seed(0)
-        u, v, stratum = torch.rand(3, POINTS, generator=generator, dtype=torch.float64)
-        share = (torch.arange(POINTS, dtype=torch.float64) + stratum) / POINTS * area.sum()
+        u, v, stratum = torch.rand(3, count, generator=generator, dtype=torch.float64)
+        share = (torch.arange(count, dtype=torch.float64) + stratum) / count * area.sum()
         chosen = corners[torch.searchsorted(area.cumsum(0), share).clamp_max(len(area) - 1)]
         root = u.sqrt()  # uniform in a triangle
         weights = torch.stack([1 - root, root * (1 - v), root * v], 1)
@@ -46,9 +46,9 @@ def read_surface(path: Path, to_world: Tensor) -> Surface:
     return Surface(vertices, torch.from_numpy(mesh.faces))
 
 
-def chamfer_distance(one: Surface, other: Surface) -> float:
-    """The mean distance of the points of each surface from the other surface, in their units."""
-    return (other.mean_distance(one.points()) + one.mean_distance(other.points())) / 2
+def chamfer_distance(one: Surface, other: Surface, points: int = POINTS) -> float:
+    """The mean distance of so many points of each surface from the other surface, in their units."""
+    return (other.mean_distance(one.points(points)) + one.mean_distance(other.points(points))) / 2
 
 
 @dataclass
@@ -61,16 +61,17 @@ class RecoveredShape(RecoveredParameter):
 
     surface: Surface = field(kw_only=True)
 
-    def distance(self, vertices: Tensor) -> float:
+    def distance(self, vertices: Tensor, points: int = POINTS) -> float:
         """The Chamfer distance of the mesh with these vertices from the true surface."""
-        return chamfer_distance(Surface(vertices.detach().double().cpu(), self.module.faces.long().cpu()), self.surface)
+        mesh = Surface(vertices.detach().double().cpu(), self.module.faces.long().cpu())
+        return chamfer_distance(mesh, self.surface, points)
 
     @property
     def distance_column(self) -> str:
         return f"{self.name}:chamfer"
 
     def columns(self, value: Tensor) -> dict[str, float]:
-        return {f"{self.name}:mean": value.mean().item(), self.distance_column: self.distance(value)}
+        return {f"{self.name}:mean": value.mean().item(), self.distance_column: self.distance(value, POINTS_OF_STEP)}
 
     @property
     def size(self) -> float:
