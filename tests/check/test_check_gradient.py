@@ -143,7 +143,7 @@ ALONG_X[0, 3] = 1.0
 @pytest.mark.parametrize("direction", [None, ALONG_X], ids=["random", "along x"])
 def test_an_edge_that_moves_over_the_border_of_pixels_is_no_silhouette_that_is_left_out(edge, direction):
     """Where it stands on the border, or within a step from it, differences are the mean of two derivatives."""
-    result = rb.check_gradient(lamp(edge), "lamp.to_world", spp=512, max_depth=1, batches=8, direction=direction)
+    result = rb.check_gradient(lamp(edge), "lamp.to_world", spp=512, max_depth=1, batches=16, direction=direction)
     assert result.verdict in ("agrees", "too noisy") and "silhouette" not in str(result), str(result)
     assert direction is None or result.comparison.projections[1].bend > 0 and "borders of pixels" in result.explanation
 

@@ -19,6 +19,7 @@ from torch_radbp.rendering.stages import EAGER
 from torch_radbp.tensors.differentiated import detached
 
 NETWORKS = {"networks": room, "shining networks": lit_room}
+SEED = 1
 SCENES = (*EVERYTHING, *NETWORKS)
 SAMPLINGS = ("hybrid", "attached")
 Calls = dict[str, dict[tuple, tuple]]  # arguments, by the stage's name and their structure
@@ -54,11 +55,12 @@ def calls_of(name: str, sampling: str, dtype: torch.dtype = torch.float64) -> Ca
         for sensor in scene.sensors:
             sensor.film.rfilter = Gaussian()  # a box counts in one pixel, which takes no function of lanes
         renderer = rb.Renderer(scene, spp=2, max_depth=4, rr_depth=2, sampling=sampling, compile=False)
-        image = renderer()
+        image = renderer(seed=SEED)
         image.backward(cotangent(image.detach()))
         with torch.no_grad():
             tangents = {name: torch.zeros_like(value) for name, value in scene.named_parameters()}
             tangents[next(name for name in tangents if name.endswith("to_world"))][0, 3] = 1.0
-            assert rb.jvp(scene, tangents, spp=2, max_depth=4, rr_depth=2, sampling=sampling, compile=False).any()
+            settings = {"spp": 2, "max_depth": 4, "rr_depth": 2, "sampling": sampling, "compile": False}
+            assert rb.jvp(scene, tangents, seed=SEED, **settings).any()
             assert all(values.isfinite().all() for values in renderer.aovs(["sh_normal", "uv", "albedo"]).values())
     return found
