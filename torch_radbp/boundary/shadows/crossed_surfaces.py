@@ -82,17 +82,16 @@ def shines(scene: SceneTensors, segments: Segments) -> bool:
     return any(bool((rows(scene.triangles.emitter, triangle) >= 0).any()) for triangle, _ in surfaces_of(segments))
 
 
-def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree, effort: float) -> CrossedOfView | None:
+def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree) -> CrossedOfView | None:
     """What vertices of paths of view `number` see of such curves; None: nothing.
 
     Args:
         call: without derivatives.
         crossing: the curves.
-        effort: share of the samples that are taken.
     """
     view, geometry = call.views[number], geometry_of(call.scene)
     integrand = integrand_of(call, call.integrand, number)
-    points = viewpoints(call, number, integrand, number_of_paths(call, view, PATHS * effort))
+    points = viewpoints(call, number, integrand, number_of_paths(call, view, PATHS))
     if not len(points.depth):
         return None
     at, corners = vertex_at(call, geometry, number, points), corners_of(geometry, points.hit)

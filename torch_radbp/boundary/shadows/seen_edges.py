@@ -185,8 +185,8 @@ def density_seen(a: Vec3, b: Vec3, along: Tensor) -> Tensor:
     return torch.where(squared > 0.0, torch.sqrt(squared) / (dot(p, p) * angle).clamp_min(TINY), 1.0)
 
 
-def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes, seed: SampleKey, each: int,
-                count: int) -> Passed | None:
+def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes, seed: SampleKey, each: int, count: int,
+                tried: Tensor | None = None) -> Passed | None:
     """Places on edges that eyes see as silhouettes, in proportion to the angles of these; None: they see none.
 
     Args:
@@ -197,22 +197,24 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
         seed: of the random numbers.
         each: how often each looks for an edge.
         count: how many places there are to be on edges that were found, at most: no more than ways that found one.
+        tried: (M,) bool, eyes whose places have random numbers of their own, and do not depend on what others find; they
+            come first. None: there are none.
     """
     outline, tree = casting
     extent = extent_of(geometry)
-    at = ways_down(stages, tree, eyes, seed, each, extent)
+    at = ways_down(stages, tree, eyes, seed, each, extent, tried)
     found = stages.edge_found(geometry, outline, tree, eyes, at, extent)
     count = min(count, int(torch.count_nonzero(found.times)))
-    return places_on(stages, geometry, outline, eyes, seed, picked_ones(found, at.eye, each, count), count)
+    return places_on(stages, geometry, outline, eyes, seed, picked_ones(found, at.eye, each, count, tried))
 
 
-def places_on(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey, found: PickedOnes | None,
-              count: int) -> Passed | None:
-    """So many places on edges that were `found`; None: there are none. The other args as for `places_seen`."""
+def places_on(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey,
+              found: PickedOnes | None) -> Passed | None:
+    """Places on edges that were `found`; None: there are none. The other args as for `places_seen`."""
     if found is None:
         return None
     return stages.edge_passed(geometry, outline, eyes, found.lot, found.found, found.eye, seed, extent_of(geometry),
-                              numbers_to(count, found.eye))
+                              numbers_to(found.count, found.eye))
 
 
 def salted(view: View, salt: int) -> SampleKey:
