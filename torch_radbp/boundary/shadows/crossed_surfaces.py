@@ -99,7 +99,8 @@ def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree) -> Cros
     eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, (points.lobe,))
     seed, count, (segments, tree) = salted(view, SALT), PLACES * len(points.depth), crossing
     ways = ways_down(call.stages, tree, eyes, seed, LOOKS, extent)
-    found = picked_ones(call.stages.segment_found(geometry, segments, tree, eyes, ways, extent), ways.eye, LOOKS, count)
+    found = call.stages.segment_found(geometry, segments, tree.slots, eyes, ways, extent)
+    found = picked_ones(found, ways.eye, LOOKS, count)
     if found is None:
         return None
     passed = call.stages.segment_passed(geometry, segments, eyes, found.lot, found.found, found.eye, seed, extent,

@@ -91,18 +91,18 @@ def angle_of(a: Vec3, b: Vec3, eye: Eyes, extent: Tensor) -> Tensor:
     return counts * torch.where(eye.w > 0.0, torch.sqrt(dot(apart, apart)), torch.sqrt(dot(across, across)) / extent)
 
 
-def edge_found(geometry: Geometry, outline: Outline, tree: EdgeTree, eyes: Eyes, at: Descent, extent: Tensor) -> Found:
+def edge_found(geometry: Geometry, outline: Outline, slots: Tensor, eyes: Eyes, at: Descent, extent: Tensor) -> Found:
     """Silhouettes below the last nodes of the tree, in proportion to their angles.
 
     Args:
         geometry, outline, extent: as for `angle_seen`.
-        tree: over the edges of the outline.
+        slots: of the tree over the edges of the outline.
         eyes: look for them.
         at: (N,) at the last nodes.
     """
-    own, first = rows(eyes, at.eye), (at.node - tree.leaves) * GROUP
-    angles = [angle_seen(geometry, outline, lookup(tree.slots, first + place), own, extent) for place in range(GROUP)]
-    return found_among(tree, at, first, angles)
+    own, first = rows(eyes, at.eye), at.node * GROUP
+    angles = [angle_seen(geometry, outline, lookup(slots, first + place), own, extent) for place in range(GROUP)]
+    return found_among(slots, at, first, angles)
 
 
 def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, found: Found, eye: Tensor, seed: SampleKey,
@@ -203,7 +203,7 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
     outline, tree = casting
     extent = extent_of(geometry)
     at = ways_down(stages, tree, eyes, seed, each, extent, tried)
-    found = stages.edge_found(geometry, outline, tree, eyes, at, extent)
+    found = stages.edge_found(geometry, outline, tree.slots, eyes, at, extent)
     count = min(count, int(torch.count_nonzero(found.times)))
     return places_on(stages, geometry, outline, eyes, seed, picked_ones(found, at.eye, each, count, tried))
 

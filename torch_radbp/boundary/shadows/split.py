@@ -20,7 +20,7 @@ from torch_radbp.call.render_call import RenderCall
 from torch_radbp.sampling.sampler import SampleKey, hash32
 
 TRIED = 1 / 16  # share of the samples that tell the noise
-LEAST = 1 / 8  # share of the samples that are taken in any case
+LEAST = 1 / 4  # share of the samples that are taken in any case
 COST = 3.0  # times as long as a sample of the first integral one of the others takes
 WORTH = 1 << 16  # paths of an image from which on it is worth trying
 SALT = 0x5851F42D  # tells the random numbers of what is tried from others

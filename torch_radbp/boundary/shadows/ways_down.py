@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.places import NEIGHBOURS, Lot, lot_of
-from torch_radbp.boundary.shadows.edge_tree import LEVELS, Descent, EdgeTree, drawn, numbers_to, rounded
+from torch_radbp.boundary.shadows.edge_tree import Descent, EdgeTree, drawn, numbers_to, rounded
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.path.integrand import Stages
 from torch_radbp.sampling.running_sum import running_sum
@@ -31,11 +31,11 @@ def ways_down(stages: Stages, tree: EdgeTree, eyes: Eyes, seed: SampleKey, each:
     if tried is not None:
         shift = torch.where(rows(tried, eye), hash32(seed.seed ^ SALT), shift)
     u = fine_unit(eye * STEPS[0] + shift) + (way - eye * each)  # as many in each part of the edges
-    at = Descent(eye, torch.ones_like(way), u / each, torch.ones_like(u))
-    whole, part = divmod(int(tree.leaves).bit_length() - 1, LEVELS)
-    seen_from, wide = (rounded(part, tree.nodes.bend.dtype) for part in (eyes, extent))
-    for levels in [part] * (part > 0) + [LEVELS] * whole:
-        at = stages.descended(tree.nodes, seen_from, wide, at, levels)
+    at, above = Descent(eye, torch.zeros_like(way), u / each, torch.ones_like(u)), 1
+    dtype = tree.levels[0].bend.dtype if tree.levels else extent.dtype
+    seen_from, wide = rounded(eyes, dtype), extent.to(dtype)
+    for nodes in tree.levels:
+        at, above = stages.descended(nodes, seen_from, wide, at, len(nodes.bend) // above), len(nodes.bend)
     return at
 
 
@@ -96,7 +96,7 @@ class Found(NamedTuple):
     angle: Tensor  # (N,) float64, under which it is seen
 
 
-def found_among(tree: EdgeTree, at: Descent, first: Tensor, angles: Sequence[Tensor]) -> Found:
+def found_among(slots: Tensor, at: Descent, first: Tensor, angles: Sequence[Tensor]) -> Found:
     """What ways down have found below the last nodes, of `GROUP` slots each, from `first` on, with these angles."""
     place, share, _ = drawn(angles, at.u)
     angle = torch.zeros_like(share)
@@ -105,4 +105,4 @@ def found_among(tree: EdgeTree, at: Descent, first: Tensor, angles: Sequence[Ten
     chance = at.chance * share
     exists = chance > 0.0
     times = torch.where(exists, 1.0 / torch.where(exists, chance, 1.0), 0.0)
-    return Found(torch.where(exists, lookup(tree.slots, first + place), -1), times, angle)
+    return Found(torch.where(exists, lookup(slots, first + place), -1), times, angle)
