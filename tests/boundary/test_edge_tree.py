@@ -140,7 +140,7 @@ def test_places_are_no_more_than_ways_that_found_an_edge(casting):
     key = SampleKey(torch.tensor(3, dtype=torch.int32), torch.tensor(-1, dtype=torch.int32))
     eyes = rows(eyes_around(), torch.arange(40))
     ways = ways_down(EAGER, casting.tree, eyes, key, 4, extent_of(geometry))
-    found = EAGER.edge_found(geometry, casting.outline, casting.tree.slots, eyes, ways, extent_of(geometry))
+    found = EAGER.edge_found(geometry, casting.outline.slots, eyes, ways, extent_of(geometry))
     most = int((found.edge >= 0).sum())
     assert 0 < most < 4 * len(eyes.w)
     assert [len(places_seen(EAGER, geometry, casting, eyes, key, 4, count).edge) for count in (most // 2, 4096)] == [

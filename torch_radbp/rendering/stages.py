@@ -78,7 +78,7 @@ STAGES = {  # of each the arguments that are read at indices
     slopes: MOTION, asked_of_places: ("camera", "pixels", "film"), boxes_around: ("geometry",),
     ray_along_edge: ("geometry", "bodies"),
     edge_bounds: (*OUTLINE, "slots"), merged_bounds: ("below",), descended: ("nodes", "eyes"),
-    edge_found: (*OUTLINE, "slots", "eyes"), edge_tried: (*OUTLINE, "eyes", "edges"),
+    edge_found: ("geometry", "slots", "eyes"), edge_tried: (*OUTLINE, "eyes", "edges"),
     edge_passed: (*OUTLINE, "eyes", "lot", "found", "eye"), segment_bounds: ("geometry", "segments", "slots"),
     segment_found: ("geometry", "segments", "slots", "eyes"),
     segment_passed: ("geometry", "segments", "eyes", "lot", "found", "eye"), sheets_seen: ("geometry", "segments", "at"),

@@ -107,7 +107,7 @@ class CastShadows(NamedTuple):
     """N places on borders of shadows, and what is known of them."""
 
     borders: Borders
-    passed: Passed  # how the light does that; its edge may be hidden from the light
+    passed: Passed  # how the light does that
     inwards: Vec3  # by which points right beside the edges lie in the shade
     times: Tensor  # how many edges in the mean of all light samples a place stands for
 
@@ -217,7 +217,8 @@ def borders_of(call: RenderCall, number: int, casting: Casting, lights: Lights, 
     lit = lit_edges(call, number, casting, lights, share)
     if lit is None:
         return None
-    passed, receiver = onto_surfaces(call.integrand, lit.passed)
+    found = onto_surfaces(call.integrand, lit.passed)
+    passed, receiver = rows(found, unhidden(call.integrand, found[0]))
     return shadows_cast(geometry_of(call.scene), lit, passed, receiver) if len(passed.edge) else None
 
 
@@ -249,7 +250,6 @@ def borders_in_view(call: RenderCall, number: int, casting: Casting, lights: Lig
     course = integrand.part(Ends.SURROUNDINGS).call(call.stages.border_course, geometry, casting.outline, camera, borders,
                                                     inwards, times, aperture)
     counted = ((course.normal.x != 0.0) | (course.normal.y != 0.0)).nonzero().squeeze(1)
-    counted = counted[unhidden(integrand, rows(passed, counted))]
     borders, course, key = rows((borders, course, passed.key), counted)
     sample = camera_sample(call, view, course.film, course.aperture, key)
     shown = sees(integrand, sample.ray, borders.receiver, course.on_border).nonzero().squeeze(1)

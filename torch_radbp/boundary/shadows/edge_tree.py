@@ -75,7 +75,7 @@ class Descent(NamedTuple):
 
 def edge_tree(stages: Stages, geometry: Geometry, outline: Outline) -> EdgeTree:
     """The tree over the edges of an outline, of what is detached."""
-    slots = outline.slots
+    slots = outline.slots.edge
     return tree_over(stages, stages.edge_bounds(geometry, outline, slots, numbers_to(len(slots), slots)), slots)
 
 
