@@ -8,8 +8,12 @@ import torch
 
 import torch_radbp as rb
 from tests.derivatives.shadow_scenes import SHADOWS
+from torch_radbp.boundary import shadows
+from torch_radbp.boundary.places import NEIGHBOURS
 from torch_radbp.boundary.shadows import hidden_light, split
 from torch_radbp.boundary.shadows.seen_edges import evenly_seen
+from torch_radbp.boundary.shadows.viewpoints import Viewpoints
+from torch_radbp.boundary.shadows.ways_down import weights_apart
 from torch_radbp.tensors.vec import Vec3
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
@@ -73,6 +77,61 @@ def test_what_is_not_worth_it_gets_fewer_samples(monkeypatch):
     rb.jvp(scene, {moving.name: moving.tangent(scene)}, spp=128, seed=0, max_depth=3, terms=("shadow",))
     assert amounts[0] == split.Amount(split.LEAST, split.TRIED)
     assert sum(amount.counted for amount in amounts) < 1.0
+
+
+@pytest.mark.parametrize("first, amounts", [(1e9, [(0.25, 0.0625, 0.0)]), (1e-6, [(0.25, 0.0625, 0.0), (0.75, 0.0, 0.25)])])
+def test_others_are_found_only_if_they_are_worth_it(first, amounts):
+    asked = []
+
+    def found(amount):
+        asked.append(tuple(amount))
+        return cuts_of([True, False, False] if amount.tried else [False] * 3, 1.0)
+
+    kept = hidden_light.as_worth(first, found)
+    assert asked == amounts
+    assert kept.points.tried is None and len(kept.points.depth) == len(kept.strength[0]) == 2 + 3 * (len(asked) - 1)
+    # Of two samples of the same, 2 and 3 cuts of size 1, by the numbers of paths behind them.
+    assert float(kept.strength[0].sum()) == pytest.approx(2.0 if len(asked) == 1 else 0.25 * 2.0 + 0.75 * 3.0)
+
+
+def cuts_of(tried: list[bool], size: float) -> hidden_light.CutsOfView:
+    """A cut for each of some paths."""
+    count = len(tried)
+    number, flags = torch.arange(count, dtype=torch.int32), torch.tensor(tried) if any(tried) else None
+    points = Viewpoints(*[None] * 3, number.long(), *[None] * 6, flags)
+    return hidden_light.CutsOfView(points, hidden_light.Cuts(number, number, *[None] * 3), None,
+                                   torch.full((3, count), size, dtype=torch.float64), torch.ones(count, dtype=torch.float64))
+
+
+def test_what_is_tried_has_places_of_its_own():
+    generator = torch.Generator().manual_seed(2)
+    weight = torch.rand(5000, generator=generator, dtype=torch.float64) * (torch.arange(5000) % 3 > 0)
+    tried = torch.arange(5000) < 900
+    scaled, count = weights_apart(weight, tried, 2000, 0.2)
+    assert float(scaled[tried].sum()) == pytest.approx(448.0) and float(scaled[~tried].sum()) == pytest.approx(1600.0)
+    assert count == 2048 and 448 % NEIGHBOURS == 0
+    for own in (tried, ~tried):
+        share = scaled[own] / weight[own]
+        assert torch.allclose(share[weight[own] > 0], share[weight[own] > 0][0])
+    assert weights_apart(weight * ~tried, tried, 2000, 0.2)[1] == 1600
+    assert weights_apart(weight * 0, tried, 2000, 0.2)[1] == 0
+
+
+def test_the_derivative_is_the_same_with_those_that_tell_the_noise(monkeypatch):
+    """In sums over the film of what vertices of paths see, a floor and what stands on it, beside all samples of that."""
+    moving, found, image_of = SHADOWS["cube, rectangle"], {}, shadows.image_of
+    monkeypatch.setattr(shadows, "image_of", lambda view, jumps, dtype: image_of(view, jumps[1:], dtype))
+    for name, worth in (("all", 1 << 30), ("split", 1)):
+        monkeypatch.setattr(split, "WORTH", worth)
+        scene = moving.build()
+        found[name] = torch.stack([rb.jvp(scene, {moving.name: moving.tangent(scene)}, spp=128, seed=seed, max_depth=3,
+                                          terms=("shadow",))[0] for seed in range(12)]).double()
+    weights = found["all"].mean(0).sign()
+    sums = {name: (images * weights).sum((1, 2, 3)) for name, images in found.items()}
+    noise = sum(float(own.var()) / len(own) for own in sums.values())**0.5
+    print(noise, sums)
+    assert 0.0 < noise < 0.05 * float(sums["all"].mean())
+    assert abs(float(sums["all"].mean() - sums["split"].mean())) < 4.0 * noise
 
 
 def test_nothing_is_split_beside_sharp_shadows(monkeypatch):

@@ -172,7 +172,7 @@ def as_worth(first: float, found: Callable[[Amount], CutsOfView | None]) -> Cuts
     some = found(Amount(split.LEAST, split.TRIED))
     tried, some = (None, None) if some is None else some.parted()
     worth = split.effort(first, tried)
-    if worth <= split.LEAST:
+    if worth < split.LEAST + split.TRIED:  # so few others cost far more than they lower the noise
         return some
     more = found(Amount(worth - split.LEAST, before=split.LEAST))
     share = split.LEAST / worth
