@@ -116,6 +116,8 @@ def test_what_is_tried_has_places_of_its_own():
         assert torch.allclose(share[weight[own] > 0], share[weight[own] > 0][0])
     assert weights_apart(weight * ~tried, tried, 2000, 0.2)[1] == 1600
     assert weights_apart(weight * 0, tried, 2000, 0.2)[1] == 0
+    alone = torch.arange(5000) == 1000
+    assert weights_apart(weight * alone, tried, 1, 0.2)[1] == 1  # what is found is not lost
 
 
 def test_the_derivative_is_the_same_with_those_that_tell_the_noise(monkeypatch):

@@ -108,7 +108,7 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, 
     key = salted(call.views[number], SALT)
     paths = paths_begun(call, number, key, count, density, begun)
     if tried:
-        paths = joined([paths_begun(call, number, salted(call.views[number], OF_TRIED), tried, density, 0), paths])
+        paths = joined([paths_begun(call, number, salted(call.views[number], OF_TRIED), tried, density, begun), paths])
     pixel, sample, place, area, camera = paths
     chosen = key._replace(seed=hash32(key.seed ^ begun)) if begun else key
     picked = picked_vertices(integrand, started(call, camera), chosen, following)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -80,7 +81,7 @@ def weights_apart(weight: Tensor, tried: Tensor, count: int, share: float) -> tu
     places, scaled = 0, torch.zeros_like(weight)
     for among, most in ((tried, count * share), (~tried, count * (1.0 - share))):
         own = torch.where(among, weight, 0.0)
-        total, wanted = float(own.sum()), min(int(most), int(torch.count_nonzero(own)))
+        total, wanted = float(own.sum()), min(math.ceil(most), int(torch.count_nonzero(own)))
         if among is tried:
             wanted = -(-wanted // NEIGHBOURS) * NEIGHBOURS
         if total > 0.0:
