@@ -93,21 +93,20 @@ def test_no_silhouette_is_ruled_out(casting):
     seen = angles(geometry, casting[1], eyes) > 0
     assert seen.any(1).float().mean() > 0.5
     below = seen.view(len(eyes.w), -1, GROUP).any(2)
-    first = int(tree.leaves)
-    while first:
-        node = torch.arange(first, 2 * first)
-        own, extent = (rounded(part, tree.nodes.bend.dtype) for part in (of_each(eyes, first), extent_of(geometry)))
-        estimate = angle_of_node(rows(tree.nodes, node.repeat(len(eyes.w))), own, extent)
-        assert (estimate.view(-1, first)[below] > 0).all(), first
-        below, first = below.view(len(eyes.w), -1, 2).any(2) if first > 1 else below, first // 2
+    for nodes in reversed(tree.levels):
+        count = len(nodes.bend)
+        below = below.view(len(eyes.w), count, -1).any(2)
+        own, extent = (rounded(part, nodes.bend.dtype) for part in (of_each(eyes, count), extent_of(geometry)))
+        estimate = angle_of_node(rows(nodes, torch.arange(count).repeat(len(eyes.w))), own, extent)
+        assert (estimate.view(-1, count)[below] > 0).all(), count
 
 
 def test_slabs_hold_all_edges_below_and_are_no_thicker_than_boxes(casting):
     geometry, (outline, tree) = casting
     ends = in_world(geometry, rows((outline.edges.a, outline.edges.b), tree.slots.clamp_min(0)), outline.instance)
-    exists, first = (tree.slots >= 0).view(1, -1), int(tree.leaves)
-    while first:
-        node = rows(tree.nodes, torch.arange(first, 2 * first))
+    exists = (tree.slots >= 0).view(1, -1)
+    for node in tree.levels:
+        first = len(node.bend)
         each = [part.view(first, 1).double() for part in (*node.axis, node.plane, node.thickness)]
         for p in ends:
             along = sum(axis * part.view(first, -1) for axis, part in zip(each, p))
@@ -116,7 +115,6 @@ def test_slabs_hold_all_edges_below_and_are_no_thicker_than_boxes(casting):
         assert filled.any()
         most = dot(node.axis.map(torch.abs), (node.high - node.low) * 0.5)
         assert (node.thickness <= most + 1e-5)[filled].all(), first
-        first //= 2
 
 
 @pytest.mark.parametrize("stages", [EAGER, compiled()], ids=["eager", "compiled"])
@@ -142,7 +140,7 @@ def test_places_are_no_more_than_ways_that_found_an_edge(casting):
     key = SampleKey(torch.tensor(3, dtype=torch.int32), torch.tensor(-1, dtype=torch.int32))
     eyes = rows(eyes_around(), torch.arange(40))
     ways = ways_down(EAGER, casting.tree, eyes, key, 4, extent_of(geometry))
-    found = EAGER.edge_found(geometry, *casting, eyes, ways, extent_of(geometry))
+    found = EAGER.edge_found(geometry, casting.outline.slots, eyes, ways, extent_of(geometry))
     most = int((found.edge >= 0).sum())
     assert 0 < most < 4 * len(eyes.w)
     assert [len(places_seen(EAGER, geometry, casting, eyes, key, 4, count).edge) for count in (most // 2, 4096)] == [

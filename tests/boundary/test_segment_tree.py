@@ -28,7 +28,7 @@ def test_what_is_found_adds_up_to_all_that_is_seen(stages):
     for seed in range(32):
         key = SampleKey(torch.tensor(seed, dtype=torch.int32), torch.tensor(-1, dtype=torch.int32))
         ways = ways_down(stages, tree, eyes, key, EACH, extent)
-        found = stages.segment_found(geometry, segments, tree, eyes, ways, extent)
+        found = stages.segment_found(geometry, segments, tree.slots, eyes, ways, extent)
         there = found.edge >= 0
         assert there.double().mean() > 0.5
         assert torch.allclose(found.angle[there], angle[ways.eye.long(), found.edge.long()][there])

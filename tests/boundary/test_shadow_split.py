@@ -8,9 +8,14 @@ import torch
 
 import torch_radbp as rb
 from tests.derivatives.shadow_scenes import SHADOWS
+from torch_radbp.boundary.places import NEIGHBOURS
 from torch_radbp.boundary.shadows import hidden_light, split
 from torch_radbp.boundary.shadows.seen_edges import evenly_seen
+from torch_radbp.boundary.shadows.viewpoints import Viewpoints
+from torch_radbp.boundary.shadows.ways_down import weights_apart
 from torch_radbp.tensors.vec import Vec3
+
+NOISE = 3.8e-7  # of another integral, beside which a plate's cuts are just worth a look of their own, or just not
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 
@@ -54,25 +59,91 @@ def test_samples_are_as_the_root_of_the_variance_over_their_cost_but_for_the_lea
     assert split.effort(first, tried) == pytest.approx(max(quiet, split.LEAST))
 
 
-def test_of_little_known_noise_many_samples_are_taken():
-    assert split.effort(1e9, samples(split.ENOUGH - 1, 0.1)) == split.effort(1e9, None) == split.UNKNOWN
-    assert split.effort(0.0, samples(64, 0.1)) == 1.0
+def test_where_nothing_is_found_the_least_is_taken():
+    assert split.effort(1e9, None) == split.LEAST and split.effort(0.0, samples(64, 0.1)) == 1.0
 
 
 def test_what_is_not_worth_it_gets_fewer_samples(monkeypatch):
     """The shadow of a lamp is far stronger than that of the light that a floor sends back to what stands on it."""
-    efforts, cuts = [], hidden_light.cuts_of_view
+    amounts, cuts = [], hidden_light.cuts_of_view
 
-    def noted(call, number, casting, effort, first):
-        efforts.append(effort)
-        return cuts(call, number, casting, effort, first)
+    def noted(call, number, casting, amount, *, first):
+        amounts.append(amount)
+        return cuts(call, number, casting, amount, first=first)
 
     monkeypatch.setattr(hidden_light, "cuts_of_view", noted)
     moving = SHADOWS["cube, rectangle"]
     monkeypatch.setattr(split, "WORTH", 1)
     scene = moving.build()
     rb.jvp(scene, {moving.name: moving.tangent(scene)}, spp=128, seed=0, max_depth=3, terms=("shadow",))
-    assert efforts[0] == split.TRIED and split.LEAST <= efforts[1] < 1.0
+    assert amounts[0] == split.Amount(split.LEAST, split.TRIED)
+    assert sum(amount.counted for amount in amounts) < 1.0
+
+
+@pytest.mark.parametrize("first, amounts", [(1e9, [(0.25, 0.0625, 0.0)]), (1e-6, [(0.25, 0.0625, 0.0), (0.75, 0.0, 0.25)])])
+def test_others_are_found_only_if_they_are_worth_it(first, amounts):
+    asked = []
+
+    def found(amount):
+        asked.append(tuple(amount))
+        return cuts_of([True, False, False] if amount.tried else [False] * 3, 1.0)
+
+    kept = hidden_light.as_worth(first, found)
+    assert asked == amounts
+    assert kept.points.tried is None and len(kept.points.depth) == len(kept.strength[0]) == 2 + 3 * (len(asked) - 1)
+    # Of two samples of the same, 2 and 3 cuts of size 1, by the numbers of paths behind them.
+    assert float(kept.strength[0].sum()) == pytest.approx(2.0 if len(asked) == 1 else 0.25 * 2.0 + 0.75 * 3.0)
+
+
+def cuts_of(tried: list[bool], size: float) -> hidden_light.CutsOfView:
+    """A cut for each of some paths."""
+    count = len(tried)
+    number, flags = torch.arange(count, dtype=torch.int32), torch.tensor(tried) if any(tried) else None
+    points = Viewpoints(*[None] * 3, number.long(), *[None] * 6, flags)
+    return hidden_light.CutsOfView(points, hidden_light.Cuts(number, number, *[None] * 3), None,
+                                   torch.full((3, count), size, dtype=torch.float64), torch.ones(count, dtype=torch.float64))
+
+
+def test_what_is_tried_has_places_of_its_own():
+    generator = torch.Generator().manual_seed(2)
+    weight = torch.rand(5000, generator=generator, dtype=torch.float64) * (torch.arange(5000) % 3 > 0)
+    tried = torch.arange(5000) < 900
+    scaled, count = weights_apart(weight, tried, 2000, 0.2)
+    assert float(scaled[tried].sum()) == pytest.approx(448.0) and float(scaled[~tried].sum()) == pytest.approx(1600.0)
+    assert count == 2048 and 448 % NEIGHBOURS == 0
+    for own in (tried, ~tried):
+        share = scaled[own] / weight[own]
+        assert torch.allclose(share[weight[own] > 0], share[weight[own] > 0][0])
+    assert weights_apart(weight * ~tried, tried, 2000, 0.2)[1] == 1600
+    assert weights_apart(weight * 0, tried, 2000, 0.2)[1] == 0
+    alone = torch.arange(5000) == 1000
+    assert weights_apart(weight * alone, tried, 1, 0.2)[1] == 1  # what is found is not lost
+
+
+def test_the_derivative_is_the_same_with_those_that_tell_the_noise(monkeypatch):
+    """A plate over a floor under an even sky, in sums over the film, where now few cuts are taken and now many."""
+    moving, found, worth, cuts = SHADOWS["plate, constant"], {}, [], hidden_light.cuts_of_view
+    effort = split.effort
+
+    def noted(first, tried):
+        worth.append(effort(first, tried))
+        return worth[-1]
+
+    def as_worth(call, number, casting, *, first):
+        return hidden_light.as_worth(NOISE, lambda amount: cuts(call, number, casting, amount, first=first))
+
+    monkeypatch.setattr(split, "effort", noted)
+    for name, taken in (("all", cuts), ("split", as_worth)):
+        monkeypatch.setattr(hidden_light, "cuts_of_view", taken)
+        scene = moving.build()
+        found[name] = torch.stack([rb.jvp(scene, {moving.name: moving.tangent(scene)}, spp=256, seed=seed, terms=("shadow",),
+                                          max_depth=moving.max_depth)[0] for seed in range(16)]).double()
+    assert min(worth) < split.LEAST + split.TRIED < max(worth)
+    weights = found["all"].mean(0).sign()
+    sums = {name: (images * weights).sum((1, 2, 3)) for name, images in found.items()}
+    noise = sum(float(own.var()) / len(own) for own in sums.values())**0.5
+    assert noise < 0.05 * float(sums["all"].mean())
+    assert abs(float(sums["all"].mean() - sums["split"].mean())) < 4.0 * noise
 
 
 def test_nothing_is_split_beside_sharp_shadows(monkeypatch):

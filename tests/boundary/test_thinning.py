@@ -54,9 +54,9 @@ def test_the_derivative_is_the_same_of_rounds_of_which_little_is_kept(monkeypatc
     """A plate over a floor under an even sky, in sums over the film by which noise is small."""
     moving, found, kept, made = SHADOWS["plate, constant"], {}, [], hidden_light.together
 
-    def noted(cuts, rounds):
-        kept.append((rounds, sum(len(own.cuts.edge) for own in cuts)))
-        return made(cuts, rounds)
+    def noted(cuts):
+        kept.append((len(cuts), sum(len(own.cuts.edge) for own, _ in cuts)))
+        return made(cuts)
 
     monkeypatch.setattr(hidden_light, "together", noted)
     for most in (1 << 16, 512):

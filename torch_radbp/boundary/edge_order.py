@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
 from torch_radbp.scene.light_tree import halved
 
 GROUP = 8  # edges below each of the last nodes
+
+
+class EdgeSlots(NamedTuple):
+    """The edges in the order of a tree, and the vertices of their triangles; (S,) int32 each."""
+
+    edge: Tensor  # -1: none
+    vertices: tuple[Tensor, ...]  # rows of the scene's vertices: the edge's a and b, and those opposite of it
+    instance: Tensor | None  # that shows them, as hits count; None: the scene has none
 
 
 def slots_of(body: Tensor, points: Tensor) -> Tensor:

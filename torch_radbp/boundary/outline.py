@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.creases import FOLD, creases
-from torch_radbp.boundary.edge_order import slots_of
+from torch_radbp.boundary.edge_order import EdgeSlots, slots_of
 from torch_radbp.boundary.edges import Edges, edges_of
 from torch_radbp.boundary.edges import joined as joined_edges
 from torch_radbp.boundary.faces import Faces
@@ -36,6 +36,7 @@ from torch_radbp.shape.placement import Instances
 from torch_radbp.tensors.record import joined as joined_records
 from torch_radbp.tensors.record import mapped
 from torch_radbp.tensors.vec import rows
+from torch_radbp.texture.interleaved import interleaved
 
 
 class Outline(NamedTuple):
@@ -46,7 +47,7 @@ class Outline(NamedTuple):
     crease: Tensor  # (E,) int32, how much of a jump an edge may be that is no silhouette: `NONE`, `WHOLE`, `FOLD`, ...
     folds: bool  # some are `FOLD` or `TURNED`
     share: Tensor | None  # (E,) float64, probability with which an edge is among these; None: all are
-    slots: Tensor | None = None  # (S,) int32, of everything, the edges in the order of a tree, see `edge_order.slots_of`
+    slots: EdgeSlots | None = None  # of everything, see `edge_order.slots_of`
 
 
 class Jumps(NamedTuple):
@@ -103,7 +104,7 @@ class Outlines:
         self.known: dict[object, OutlinedMesh] = {}
         self.shown: dict[Moving, Shown] = {}
         self.faces: dict[Moving, tuple[tuple, Faces | None]] = {}  # with what they depend on
-        self.order: tuple[tuple[Tensor, ...], Tensor] | None = None
+        self.order: tuple[tuple[Tensor, ...], EdgeSlots] | None = None
         self.passing = Passing()
 
     def of_views(self, rendering: Rendering, call: RenderCall, seed: int) -> list[Jumps]:
@@ -157,12 +158,15 @@ class Outlines:
         body = body if found.instance is None else body + found.instance * len(sizes)
         return found._replace(slots=self.order_of(call.still_scene, found, body))
 
-    def order_of(self, scene: SceneTensors, outline: Outline, body: Tensor) -> Tensor:
+    def order_of(self, scene: SceneTensors, outline: Outline, body: Tensor) -> EdgeSlots:
         """The slots of all edges, found anew only if these have changed; `body`: (E,) whose they are."""
-        tables = (outline.edges.a, outline.edges.b, body)
-        if self.order is None or not all(map(unchanged, tables, self.order[0])):
-            points, = in_world(geometry_of(scene), (outline.edges.a,), outline.instance)
-            self.order = tables, slots_of(body, points.stack())
+        edges, instance = outline.edges, outline.instance
+        tables = (edges.a, edges.b, body, *edges.opposite)
+        if self.order is None or len(tables) != len(self.order[0]) or not all(map(unchanged, tables, self.order[0])):
+            points, = in_world(geometry_of(scene), (edges.a,), instance)
+            slots = slots_of(body, points.stack())
+            found = EdgeSlots(slots, *rows(((edges.a, edges.b, *edges.opposite), instance), slots.clamp_min(0)))
+            self.order = tables, interleaved(found)
         return self.order[1]
 
     def of(self, scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Outline | None:

@@ -35,6 +35,7 @@ from torch_radbp.boundary.shadows import (
 from torch_radbp.boundary.shadows.edge_tree import edge_tree
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, image_of
 from torch_radbp.boundary.shadows.followed_light import directions_turn
+from torch_radbp.boundary.shadows.hidden_light import as_worth
 from torch_radbp.boundary.shadows.seen_edges import Casting
 from torch_radbp.boundary.shadows.segment_tree import SegmentTree, segment_tree
 from torch_radbp.call.render_call import RenderCall
@@ -50,9 +51,9 @@ BYTES_OF_JUMP = 800  # what is kept of it for the backward pass
 class Part(NamedTuple):
     """One of the integrals that are cut off."""
 
-    found: Callable[..., Any]  # of a call without derivatives, a view, edges and effort: places; None: there are none
+    found: Callable[..., Any]  # of a call without derivatives, a view and edges: places; None: there are none
     jumps: Callable[..., FilmJumps]  # of a call, a view's number, edges and the places
-    is_cast: bool = True  # by edges; its places are `split.Sampled`
+    is_split: bool = False  # `found` also takes a `split.Amount`, beside the first part with its places as `split.Sampled`
 
 
 def shadows_move(call: RenderCall) -> bool:
@@ -135,22 +136,21 @@ def parts_of(call: RenderCall, curves: SegmentTree | None) -> list[Part]:
         lights = border.Lights(settings.nee, surfaces, around)
         parts.append(Part(partial(border.borders_in_view, lights=lights), border.jumps_in_view))
     if on_film and settings.nee:
-        parts += [Part(partial(pictures.borders_in_view, kind=kind, lines=lines), partial(pictures.jumps_in_view, kind=kind),
-                       is_cast=False) for kind, lines in pictures.lines_of_pictures(call).items()]
+        parts += [Part(partial(pictures.borders_in_view, kind=kind, lines=lines), partial(pictures.jumps_in_view, kind=kind))
+                  for kind, lines in pictures.lines_of_pictures(call).items()]
     if glues(call) and (deep or not (surfaces and around)):
-        parts.append(Part(partial(hidden_light.cuts_of_view, first=first), hidden_light.jumps_in_view))
+        parts.append(Part(partial(hidden_light.cuts_of_view, first=first), hidden_light.jumps_in_view, is_split=True))
     if glues(call) and deep and seen_through.passes_straight(call.scene):
-        parts.append(Part(seen_through.cuts_of_view, hidden_light.jumps_in_view))
+        parts.append(Part(seen_through.cuts_of_view, hidden_light.jumps_in_view, is_split=True))
     if glues(call) and sharp:
         parts.append(Part(bounced.borders_of_paths, bounced.jumps_in_view))
     if not glues(call) or settings.following:
-        parts.append(Part(partial(followed_light.cuts_of_view, first=first), followed_light.jumps_in_view, is_cast=False))
+        parts.append(Part(partial(followed_light.cuts_of_view, first=first), followed_light.jumps_in_view))
         if sharp:
-            parts.append(Part(followed_borders.borders_of_paths, followed_borders.jumps_in_view, is_cast=False))
+            parts.append(Part(followed_borders.borders_of_paths, followed_borders.jumps_in_view))
     if curves is not None:
-        parts.append(Part(lambda still, number, _, effort: crossed_surfaces.curves_of_view(still, number, curves, effort),
-                          lambda attached, number, _, found: crossed_surfaces.jumps_in_view(attached, number, found),
-                          is_cast=False))
+        parts.append(Part(lambda still, number, _: crossed_surfaces.curves_of_view(still, number, curves),
+                          lambda attached, number, _, found: crossed_surfaces.jumps_in_view(attached, number, found)))
     return parts
 
 
@@ -163,14 +163,12 @@ def found_of_view(still: RenderCall, number: int, edges: Casting, parts: Sequenc
         edges: of all that casts shadows.
         parts: of the derivative.
     """
-    found = [part.found(still, number, edges, 1.0) for part in parts[:1]]
-    splits = parts[:1] and parts[0].is_cast and split.is_worth_trying(still, number)
-    most, tried = split.variance(found[0]) if splits else 0.0, split.trying(still)
+    found = [part.found(still, number, edges) for part in parts[:1]]
+    splits = any(part.is_split for part in parts[1:]) and split.is_worth_trying(still, number)
+    first = split.variance(found[0]) if splits else 0.0
     for part in parts[1:]:
-        effort = 1.0
-        if most > 0.0 and part.is_cast:
-            effort = split.effort(most, part.found(tried, number, edges, split.TRIED))
-        found.append(part.found(still, number, edges, effort))
+        own = partial(part.found, still, number, edges)
+        found.append(as_worth(first, own) if part.is_split and first > 0.0 else own())
     return found
 
 

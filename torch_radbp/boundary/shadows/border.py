@@ -107,7 +107,7 @@ class CastShadows(NamedTuple):
     """N places on borders of shadows, and what is known of them."""
 
     borders: Borders
-    passed: Passed  # how the light does that; its edge may be hidden from the light
+    passed: Passed  # how the light does that
     inwards: Vec3  # by which points right beside the edges lie in the shade
     times: Tensor  # how many edges in the mean of all light samples a place stands for
 
@@ -183,21 +183,19 @@ def share_of(scene: SceneTensors) -> int:
     return SHARP_SHARE if any(kind.delta for kind in scene.layout.lights) else SHARE
 
 
-def lit_edges(call: RenderCall, number: int, casting: Casting, effort: float, lights: Lights,
-              share: int) -> LitEdges | None:
+def lit_edges(call: RenderCall, number: int, casting: Casting, lights: Lights, share: int) -> LitEdges | None:
     """Places on edges that light samples see as silhouettes; None: they see none.
 
     Args:
         call: detached.
         number: of the view whose samples these are.
         casting: the edges.
-        effort: share of the samples that are taken.
         lights: whose shadows are meant.
-        share: one place for so many paths of the image, with all of them.
+        share: one place for so many paths of the image.
     """
     view, scene = call.views[number], call.scene
     paths = view.width * view.height * call.spp
-    points = light_points(call.stages, scene, view, max(FEWEST, int(effort * min(MOST, paths // share))))
+    points = light_points(call.stages, scene, view, max(FEWEST, min(MOST, paths // share)))
     count, meant = len(points.kind), lights.of(scene)[points.kind].nonzero().squeeze(1)
     points = rows(points, meant)
     if not len(meant):
@@ -213,14 +211,14 @@ def shadows_cast(geometry: Geometry, lit: LitEdges, passed: Passed, receiver: Hi
     return CastShadows(borders, passed, passed.outwards * (-BESIDE * extent_of(geometry)), passed.times / lit.count)
 
 
-def borders_of(call: RenderCall, number: int, casting: Casting, effort: float, lights: Lights,
-               share: int) -> CastShadows | None:
+def borders_of(call: RenderCall, number: int, casting: Casting, lights: Lights, share: int) -> CastShadows | None:
     """Places on borders of shadows, whether view `number` sees them or not; None: there are none. Args as for
     `lit_edges`."""
-    lit = lit_edges(call, number, casting, effort, lights, share)
+    lit = lit_edges(call, number, casting, lights, share)
     if lit is None:
         return None
-    passed, receiver = onto_surfaces(call.integrand, lit.passed)
+    found = onto_surfaces(call.integrand, lit.passed)
+    passed, receiver = rows(found, unhidden(call.integrand, found[0]))
     return shadows_cast(geometry_of(call.scene), lit, passed, receiver) if len(passed.edge) else None
 
 
@@ -231,20 +229,19 @@ def places_lit(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes,
     if not each:
         return places_seen(stages, geometry, casting, eyes, seed, LOOKS, count)
     found, eye = edges_tried(stages, geometry, outline, eyes, seed, each, extent_of(geometry))
-    return places_on(stages, geometry, outline, eyes, seed, picked_ones(found, eye, 1, count), count)
+    return places_on(stages, geometry, outline, eyes, seed, picked_ones(found, eye, 1, count))
 
 
-def borders_in_view(call: RenderCall, number: int, casting: Casting, effort: float, lights: Lights) -> BordersInView | None:
+def borders_in_view(call: RenderCall, number: int, casting: Casting, lights: Lights) -> BordersInView | None:
     """Places on borders of shadows of direct light that view `number` sees; None: there are none.
 
     Args:
         call: detached.
         casting: the edges of all that casts shadows.
-        effort: share of the samples that are taken.
         lights: whose shadows are meant.
     """
     view, scene = call.views[number], call.scene
-    found = borders_of(call, number, casting, effort, lights, share_of(scene))
+    found = borders_of(call, number, casting, lights, share_of(scene))
     if found is None:
         return None
     borders, passed, inwards, times = found
@@ -253,7 +250,6 @@ def borders_in_view(call: RenderCall, number: int, casting: Casting, effort: flo
     course = integrand.part(Ends.SURROUNDINGS).call(call.stages.border_course, geometry, casting.outline, camera, borders,
                                                     inwards, times, aperture)
     counted = ((course.normal.x != 0.0) | (course.normal.y != 0.0)).nonzero().squeeze(1)
-    counted = counted[unhidden(integrand, rows(passed, counted))]
     borders, course, key = rows((borders, course, passed.key), counted)
     sample = camera_sample(call, view, course.film, course.aperture, key)
     shown = sees(integrand, sample.ray, borders.receiver, course.on_border).nonzero().squeeze(1)

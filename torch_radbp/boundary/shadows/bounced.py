@@ -74,9 +74,9 @@ class Pairs(NamedTuple):
     key: LaneKey  # of random numbers
 
 
-def borders_of_paths(call: RenderCall, number: int, casting: Casting, effort: float) -> ConnectedBorders | None:
+def borders_of_paths(call: RenderCall, number: int, casting: Casting) -> ConnectedBorders | None:
     """Places on borders, each connected to a vertex of a path of view `number`; args as of `border.borders_in_view`."""
-    pairs = pairs_of(call, number, casting, effort, False)
+    pairs = pairs_of(call, number, casting, False)
     if pairs is None:
         return None
     points, start, borders, inwards, times, key = pairs
@@ -97,14 +97,14 @@ def borders_of_paths(call: RenderCall, number: int, casting: Casting, effort: fl
     return ConnectedBorders(*rows((points, start, borders, normal), kept), torch.where(ahead, light, -light))
 
 
-def pairs_of(call: RenderCall, number: int, casting: Casting, effort: float, following: bool) -> Pairs | None:
+def pairs_of(call: RenderCall, number: int, casting: Casting, following: bool) -> Pairs | None:
     """Places on borders, with a vertex of a path of view `number` each; None: there are none.
 
     Args:
-        call, number, casting, effort: as of `border.borders_in_view`.
+        call, number, casting: as of `border.borders_in_view`.
         following: as for `viewpoints`.
     """
-    lit = lit_edges(call, number, casting, effort, Lights(sharp=True, soft=False, around=False), SHARE)
+    lit = lit_edges(call, number, casting, Lights(sharp=True, soft=False, around=False), SHARE)
     if lit is None:
         return None
     integrand, geometry, count = integrand_of(call, call.integrand, number), geometry_of(call.scene), len(lit.passed.edge)

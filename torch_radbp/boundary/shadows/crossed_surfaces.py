@@ -82,17 +82,16 @@ def shines(scene: SceneTensors, segments: Segments) -> bool:
     return any(bool((rows(scene.triangles.emitter, triangle) >= 0).any()) for triangle, _ in surfaces_of(segments))
 
 
-def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree, effort: float) -> CrossedOfView | None:
+def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree) -> CrossedOfView | None:
     """What vertices of paths of view `number` see of such curves; None: nothing.
 
     Args:
         call: without derivatives.
         crossing: the curves.
-        effort: share of the samples that are taken.
     """
     view, geometry = call.views[number], geometry_of(call.scene)
     integrand = integrand_of(call, call.integrand, number)
-    points = viewpoints(call, number, integrand, number_of_paths(call, view, PATHS * effort))
+    points = viewpoints(call, number, integrand, number_of_paths(call, view, PATHS))
     if not len(points.depth):
         return None
     at, corners = vertex_at(call, geometry, number, points), corners_of(geometry, points.hit)
@@ -100,7 +99,8 @@ def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree, effort:
     eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, (points.lobe,))
     seed, count, (segments, tree) = salted(view, SALT), PLACES * len(points.depth), crossing
     ways = ways_down(call.stages, tree, eyes, seed, LOOKS, extent)
-    found = picked_ones(call.stages.segment_found(geometry, segments, tree, eyes, ways, extent), ways.eye, LOOKS, count)
+    found = call.stages.segment_found(geometry, segments, tree.slots, eyes, ways, extent)
+    found = picked_ones(found, ways.eye, LOOKS, count)
     if found is None:
         return None
     passed = call.stages.segment_passed(geometry, segments, eyes, found.lot, found.found, found.eye, seed, extent,

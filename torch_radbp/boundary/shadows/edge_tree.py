@@ -7,9 +7,9 @@ to the other; so a node may have one if directions to its box and to its slab li
 down, one of the nodes some levels below is picked in proportion to an estimate of the angle under which its edges are seen,
 0 where none may be a silhouette. Below the last nodes the angles of a few edges are computed.
 
-Children follow from the number of their parent: 2 n and 2 n + 1, from the root, 1, on. The order of the edges is found once;
-their bounds follow what moves. They have the scene's dtype, in float32 a row of 64 bytes for each node, and are as much
-wider as rounding may be wrong.
+Children follow from the number of their parent: 2 n and 2 n + 1. Only levels that ways reach have tables. The order of the
+edges is found once; their bounds follow what moves. They have the scene's dtype, in float32 a row of 64 bytes for each node,
+and are as much wider as rounding may be wrong.
 
 References: Hertzmann and Zorin 2000, "Illustrating smooth surfaces", section 3.3 (silhouettes by a hierarchy); Li, Aittala,
 Durand and Lehtinen 2018, "Differentiable Monte Carlo Ray Tracing through Edge Sampling", section 5 (importance sampling).
@@ -29,7 +29,7 @@ from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.eyes import COPLANAR, Eyes, how_much_counts, how_much_lobes_count
 from torch_radbp.path.integrand import Stages
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.record import joined, leaves_of, with_leaves
+from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.vec import TINY, Vec3, angle_between, cross, dot, max_component, normalize, rows, unit_normal, where
 from torch_radbp.texture.interleaved import interleaved
 
@@ -60,34 +60,41 @@ class EdgeNodes(NamedTuple):
 class EdgeTree(NamedTuple):
     """A tree over the edges of an outline."""
 
-    nodes: EdgeNodes  # (2 L,) of which the first is none
+    levels: tuple[EdgeNodes, ...]  # those that ways reach one after the other, below the root; the last has L nodes
     slots: Tensor  # (GROUP L,) int32, the edges below the last L nodes; -1: none
-    leaves: Tensor  # () int32, L
 
 
 class Descent(NamedTuple):
     """Where N places are on their way down; (N,)."""
 
     eye: Tensor  # int32, from where they look for edges
-    node: Tensor  # int32
+    node: Tensor  # int32, its number in its level
     u: Tensor  # float64, a uniform number that is left over
     chance: Tensor  # float64, with which that node was reached; 0: no edge below may be a silhouette
 
 
 def edge_tree(stages: Stages, geometry: Geometry, outline: Outline) -> EdgeTree:
     """The tree over the edges of an outline, of what is detached."""
-    slots = outline.slots
+    slots = outline.slots.edge
     return tree_over(stages, stages.edge_bounds(geometry, outline, slots, numbers_to(len(slots), slots)), slots)
 
 
 def tree_over(stages: Stages, bounds: EdgeNodes, slots: Tensor) -> EdgeTree:
     """The tree over what has bounds, (S,), one for each of its slots."""
-    levels = [bounds]
-    while len(levels[-1].bend) > 1:
-        levels.append(stages.merged_bounds(levels[-1], numbers_to(len(levels[-1].bend) // 2, slots)))
-    above = levels[GROUP.bit_length() - 1:]
-    nodes = interleaved(joined([above[-1], *reversed(above)]))
-    return EdgeTree(nodes, slots, torch.full((), len(above[0].bend), dtype=torch.int32, device=slots.device))
+    last, levels = len(slots) // GROUP, []
+    for count in level_sizes(last):
+        below, size = (levels[-1], len(levels[-1].bend)) if levels else (bounds, len(slots))
+        levels.append(interleaved(stages.merged_bounds(below, numbers_to(count, slots), size // count)))
+    return EdgeTree(tuple(reversed(levels)), slots)
+
+
+def level_sizes(last: int) -> list[int]:
+    """How many nodes the levels have that ways reach, from the last on, which has so many, a power of 2."""
+    sizes = []
+    while last > 1:
+        sizes.append(last)
+        last >>= LEVELS
+    return sizes
 
 
 def numbers_to(count: int, like: Tensor) -> Tensor:
@@ -140,9 +147,16 @@ def normal_of(geometry: Geometry, corner: Tensor, instance: Tensor | None) -> Ve
     return cross(p[1] - p[0], p[2] - p[0])
 
 
-def merged_bounds(below: EdgeNodes, node: Tensor) -> EdgeNodes:
-    """The bounds of two nodes together, number 2 n and 2 n + 1 of those `below`; `node`: (N,) int32, n."""
-    one, other = (rows(below, 2 * node + side) for side in (0, 1))
+def merged_bounds(below: EdgeNodes, node: Tensor, count: int) -> EdgeNodes:
+    """The bounds of nodes, (N,) int32, each over so many, a power of 2, of those `below`: number `count` n and the next."""
+    nodes = [rows(below, node * count + place) for place in range(count)]
+    while len(nodes) > 1:
+        nodes = [merged(*pair) for pair in zip(nodes[::2], nodes[1::2])]
+    return nodes[0]
+
+
+def merged(one: EdgeNodes, other: EdgeNodes) -> EdgeNodes:
+    """The bounds of two nodes together."""
     low, high = (Vec3(*(extreme(p, q) for p, q in zip(*parts))) for extreme, parts in (
         (torch.minimum, (one.low, other.low)), (torch.maximum, (one.high, other.high))))
     both = (one.bend > 0.0) & (other.bend > 0.0)
@@ -211,18 +225,18 @@ def rounded(record, dtype: torch.dtype):
     return with_leaves(record, [leaf.to(dtype) for leaf in leaves_of(record)])
 
 
-def descended(nodes: EdgeNodes, eyes: Eyes, extent: Tensor, at: Descent, levels: int) -> Descent:
+def descended(nodes: EdgeNodes, eyes: Eyes, extent: Tensor, at: Descent, count: int) -> Descent:
     """Places some levels farther down: one of all nodes there is picked, so that few ways end where no edge is.
 
     Args:
-        nodes: of the tree.
+        nodes: of the level that they reach.
         eyes: look for edges; in the dtype of the nodes.
         extent: () of the scene, likewise.
         at: (N,) where they are.
-        levels: how many.
+        count: how many nodes there are below each of that level.
     """
-    eye, first = rows(eyes, at.eye), at.node * (1 << levels)
-    angles = [angle_of_node(rows(nodes, first + place), eye, extent).double() for place in range(1 << levels)]
+    eye, first = rows(eyes, at.eye), at.node * count
+    angles = [angle_of_node(rows(nodes, first + place), eye, extent).double() for place in range(count)]
     place, share, u = drawn(angles, at.u)
     return Descent(at.eye, first + place, u, at.chance * share)
 

@@ -55,9 +55,9 @@ def sight_of(scene: SceneTensors, geometry: Geometry, outline: Outline, at: Vec3
     return Vec2(*(dot(d, across) for across in basis))
 
 
-def borders_of_paths(call: RenderCall, number: int, casting: Casting, effort: float) -> FollowedBorders | None:
+def borders_of_paths(call: RenderCall, number: int, casting: Casting) -> FollowedBorders | None:
     """Places on borders, each seen by a vertex of a path of view `number`; args as of `border.borders_in_view`."""
-    pairs = pairs_of(call, number, casting, effort, True)
+    pairs = pairs_of(call, number, casting, True)
     if pairs is None:
         return None
     points, start, borders, inwards, times, key = pairs

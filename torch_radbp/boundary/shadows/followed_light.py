@@ -128,16 +128,16 @@ def moved_directions(call: RenderCall, points: Viewpoints, rays: Ray, numbers: N
     return found.map(torch.Tensor.double)
 
 
-def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float, first: FirstVertex) -> FollowedCuts | None:
+def cuts_of_view(call: RenderCall, number: int, casting: Casting, first: FirstVertex) -> FollowedCuts | None:
     """Places where edges are met by directions that carry derivatives; None: there are none.
 
     Args:
-        call, casting, effort: as for `border.borders_in_view`.
+        call, casting: as for `border.borders_in_view`.
         first: of which lights picked points count at the first vertices of paths.
     """
     view, geometry = call.views[number], geometry_of(call.scene)
     integrand = integrand_of(call, call.integrand, number)
-    points = viewpoints(call, number, integrand, number_of_paths(call, view, effort), following=True)
+    points = viewpoints(call, number, integrand, number_of_paths(call, view), following=True)
     if not len(points.depth):
         return None
     at = vertex_at(call, geometry, number, points)

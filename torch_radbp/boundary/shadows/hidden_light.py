@@ -53,6 +53,7 @@ from torch_radbp.boundary.shadows.seen_edges import (
     unhidden,
 )
 from torch_radbp.boundary.shadows.slid import less_what_slides
+from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.shadows.thinning import chances, thinned
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
@@ -116,6 +117,14 @@ class CutsOfView(NamedTuple):
         _, path = self.cuts.viewpoint.unique(return_inverse=True)
         return self.strength.new_zeros(3, int(path.max()) + 1).index_add(1, path, self.strength * self.sweep)
 
+    def parted(self) -> tuple[CutsOfView | None, CutsOfView | None]:
+        """Those of paths that are tried, which only tell the noise, and the others; None: there are none."""
+        if self.points.tried is None:
+            return None, self
+        tried, own = rows(self.points.tried, self.cuts.viewpoint), self._replace(points=self.points._replace(tried=None))
+        return tuple(with_used_viewpoints(some_of(own, part.nonzero().squeeze(1))) if part.any() else None
+                     for part in (tried, ~tried))
+
 
 def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: CutsOfView) -> FilmJumps:
     """What edges hide from paths adds to the derivative of view `number`; args as of `border.jumps_in_view`."""
@@ -153,27 +162,47 @@ def cut_at(geometry: Geometry, outline: Outline, vertices: Vec3, cuts: Cuts, ste
     return Vec2(*(torch.where(cuts.hit.prim >= 0, inside, dot(d, across)) for inside, across in zip(met, cuts.basis)))
 
 
-def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float, first: FirstVertex) -> CutsOfView | None:
+def as_worth(first: float, found: Callable[[Amount], CutsOfView | None]) -> CutsOfView | None:
+    """As many cuts of an integral as are worth it; None: there are none.
+
+    Args:
+        first: variance of the first integral, with all of its samples.
+        found: gives so many cuts.
+    """
+    some = found(Amount(split.LEAST, split.TRIED))
+    tried, some = (None, None) if some is None else some.parted()
+    worth = split.effort(first, tried)
+    if worth < split.LEAST + split.TRIED:  # so few others cost far more than they lower the noise
+        return some
+    more = found(Amount(worth - split.LEAST, before=split.LEAST))
+    share = split.LEAST / worth
+    return together([(own, share) for own, share in ((some, share), (more, 1.0 - share)) if own is not None])
+
+
+def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount = ALL, *,
+                 first: FirstVertex) -> CutsOfView | None:
     """Places where edges cut off light from paths of view `number`; None: there are none.
 
     Args:
-        call, casting, effort: as for `border.borders_in_view`.
+        call, casting: as for `border.borders_in_view`.
+        amount: how many paths are looked at; cuts of those that are only tried are among the others.
         first: what the first vertices of paths receive straight from lights.
     """
     view, integrand = call.views[number], integrand_of(call, call.integrand, number)
-    paths = number_of_paths(call, view, effort, ROUNDS * MOST)
-    density, tried = None, paths // film_density.SHARE
-    if tried >= film_density.FEWEST:
-        trial = looks_at_edges(split.trying(call), number, integrand, casting, tried, first)
+    paths, more, before = (number_of_paths(call, view, share, ROUNDS * MOST) for share in (
+        amount.counted, amount.tried, amount.before))
+    density, some = None, paths // film_density.SHARE
+    if some >= film_density.FEWEST:
+        trial = looks_at_edges(split.trying(call), number, integrand, casting, some, first)
         density = None if trial is None else film_density.film_density(view, trial.points, trial.passed)
-    rounds = -(-paths // MOST)
+    rounds = -(-(paths + more) // MOST)
     count, found = paths // rounds, []
-    for begun in range(0, rounds * count, count):
-        looks = looks_at_edges(call, number, integrand, casting, count, first, density, begun)
+    for begun in range(before, before + rounds * count, count):
+        looks = looks_at_edges(call, number, integrand, casting, count, first, density, begun, more // rounds)
         cuts = None if looks is None else cuts_of_looks(call, integrand, casting, looks, first)
         if cuts is not None:
             found.append(cuts if rounds == 1 else fewer(cuts, salted(view, SALT), begun, MOST * PLACES // rounds))
-    return together(found, rounds)
+    return together([(own, 1.0 / rounds) for own in found])
 
 
 def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, looks: Looks,
@@ -204,15 +233,17 @@ def fewer(found: CutsOfView, key: SampleKey, begun: int, most: int) -> CutsOfVie
     return with_used_viewpoints(some_of(found, kept)._replace(strength=found.strength[:, kept] / chance[kept]))
 
 
-def together(found: Sequence[CutsOfView], rounds: int) -> CutsOfView | None:
-    """The cuts of some of so many rounds, each of which stands for the whole; None: there are none."""
-    if rounds == 1 or not found:
-        return found[0] if found else None
-    before = itertools.accumulate([len(own.points.depth) for own in found], initial=0)
-    parts = [leaves_of(own._replace(strength=own.strength / rounds,
-                                    cuts=own.cuts._replace(viewpoint=own.cuts.viewpoint + first)))
-             for own, first in zip(found, before)]
-    return with_leaves(found[0], [torch.cat(own, -1) if isinstance(own[0], Tensor) else own[0] for own in zip(*parts)])
+def together(found: Sequence[tuple[CutsOfView, float]]) -> CutsOfView | None:
+    """Several times cuts that stand for the whole, each with the share for which they count; None: there are none."""
+    if not found:
+        return None
+    before = itertools.accumulate([len(own.points.depth) for own, _ in found], initial=0)
+    parts = [own._replace(strength=own.strength * share, cuts=own.cuts._replace(viewpoint=own.cuts.viewpoint + first))
+             for (own, share), first in zip(found, before)]
+    if len(parts) == 1:
+        return parts[0]
+    columns = zip(*(leaves_of(part) for part in parts))
+    return with_leaves(parts[0], [torch.cat(own, -1) if isinstance(own[0], Tensor) else own[0] for own in columns])
 
 
 class Looks(NamedTuple):
@@ -224,7 +255,7 @@ class Looks(NamedTuple):
 
 
 def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting: Casting, count: int, first: FirstVertex,
-                   density: Tensor | None = None, begun: int = 0) -> Looks | None:
+                   density: Tensor | None = None, begun: int = 0, tried: int = 0) -> Looks | None:
     """Places on edges that vertices of so many paths see; None: they see none.
 
     Args:
@@ -232,10 +263,10 @@ def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting:
         integrand: the view's.
         count: of the paths.
         first: as for `cuts_of_view`.
-        density, begun: of the paths, as for `viewpoints`.
+        density, begun, tried: of the paths, as for `viewpoints`.
     """
     geometry = geometry_of(call.scene)
-    points = viewpoints(call, number, integrand, count, density=density, begun=begun)
+    points = viewpoints(call, number, integrand, count, density=density, begun=begun, tried=tried)
     if not len(points.depth):
         return None
     if begun:
@@ -243,7 +274,7 @@ def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting:
     at = vertex_at(call, geometry, number, points)
     eyes = eyes_of(call, number, integrand, points, at, first)
     passed = places_seen(call.stages, geometry, casting, eyes, salted(call.views[number], SALT), LOOKS,
-                         PLACES * len(points.depth))
+                         PLACES * len(points.depth), points.tried)
     return None if passed is None else Looks(points, at, passed)
 
 
@@ -267,9 +298,9 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
     return Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, lobes)
 
 
-def number_of_paths(call: RenderCall, view: View, effort: float, most: int = MOST) -> int:
-    """Of how many paths edges are looked at, with a share of the samples that there are at most."""
-    return max(FEWEST_PATHS, int(effort * min(most, view.width * view.height * call.spp // SHARE)))
+def number_of_paths(call: RenderCall, view: View, share: float = 1.0, most: int = MOST) -> int:
+    """Of how many paths edges are looked at, with a share of the samples that there are at most; of 0 none."""
+    return max(FEWEST_PATHS, int(share * min(most, view.width * view.height * call.spp // SHARE))) if share else 0
 
 
 def cuts_that_matter(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed,

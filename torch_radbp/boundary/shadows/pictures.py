@@ -103,18 +103,17 @@ class PictureBorders(NamedTuple):
     strength: Tensor  # (3, K) float64, what is lost where the curve moves along that by one
 
 
-def borders_in_view(call: RenderCall, number: int, casting: Casting, effort: float, kind: int,
+def borders_in_view(call: RenderCall, number: int, casting: Casting, kind: int,
                     lines: PictureLines) -> PictureBorders | None:
     """Places of borders of pictures on surfaces that view `number` sees; None: there are none.
 
     Args:
         call: without derivatives.
         casting: edges, which do not matter here.
-        effort: share of the samples that are taken.
         kind: of the lights, its number.
         lines: of their pictures.
     """
-    lit = curves_lit(call, number, effort, kind, lines)
+    lit = curves_lit(call, number, kind, lines)
     return None if lit is None else borders_seen(call, number, kind, *lit)
 
 
@@ -151,14 +150,14 @@ def light_of(scene: SceneTensors, kind: int, curves: LitCurves, step: Tensor | f
     return Ray(light.place, scene.layout.lights[kind].leaving(light, uv))
 
 
-def curves_lit(call: RenderCall, number: int, effort: float, kind: int,
+def curves_lit(call: RenderCall, number: int, kind: int,
                lines: PictureLines) -> tuple[LitCurves, Tensor, LaneKey] | None:
     """Places whose light meets a receiver, how many lines each stands for, and the random numbers of each; args as for
     `borders_in_view`."""
     view, scene = call.views[number], call.scene
     run = lines.end + lines.start * -1.0
     weight = torch.hypot(run.x, run.y)
-    count = max(FEWEST, int(effort * min(MOST, view.width * view.height * call.spp // SHARE)))
+    count = max(FEWEST, min(MOST, view.width * view.height * call.spp // SHARE))
     place = torch.arange(count, dtype=torch.int32, device=scene.device)
     key = lane_key(salted(view, SALT), torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
     along = fine_unit(random_bits(bounce_key(key, CAMERA_COUNTER), 0))

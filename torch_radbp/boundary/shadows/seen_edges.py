@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
-from torch_radbp.boundary.edge_order import GROUP
+from torch_radbp.boundary.edge_order import GROUP, EdgeSlots
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import NEIGHBOURS, Lot, picked
@@ -74,9 +74,14 @@ def angle_seen(geometry: Geometry, outline: Outline, edge: Tensor, eye: Eyes, ex
         extent: () of the scene.
     """
     edges, instance = rows((outline.edges, outline.instance), edge.clamp_min(0))
-    a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
+    return angle_of_edge(geometry, EdgeSlots(edge, (edges.a, edges.b, *edges.opposite), instance), eye, extent)
+
+
+def angle_of_edge(geometry: Geometry, slot: EdgeSlots, eye: Eyes, extent: Tensor) -> Tensor:
+    """As `angle_seen`; `slot`: (N,) the edges."""
+    a, b, *opposite = in_world(geometry, slot.vertices, slot.instance)
     silhouette = is_silhouette(a, b, opposite, a * eye.w - eye.place)
-    return torch.where((edge >= 0) & silhouette, angle_of(a, b, eye, extent), 0.0)
+    return torch.where((slot.edge >= 0) & silhouette, angle_of(a, b, eye, extent), 0.0)
 
 
 def angle_of(a: Vec3, b: Vec3, eye: Eyes, extent: Tensor) -> Tensor:
@@ -91,18 +96,18 @@ def angle_of(a: Vec3, b: Vec3, eye: Eyes, extent: Tensor) -> Tensor:
     return counts * torch.where(eye.w > 0.0, torch.sqrt(dot(apart, apart)), torch.sqrt(dot(across, across)) / extent)
 
 
-def edge_found(geometry: Geometry, outline: Outline, tree: EdgeTree, eyes: Eyes, at: Descent, extent: Tensor) -> Found:
+def edge_found(geometry: Geometry, slots: EdgeSlots, eyes: Eyes, at: Descent, extent: Tensor) -> Found:
     """Silhouettes below the last nodes of the tree, in proportion to their angles.
 
     Args:
-        geometry, outline, extent: as for `angle_seen`.
-        tree: over the edges of the outline.
+        geometry, extent: as for `angle_seen`.
+        slots: of the tree.
         eyes: look for them.
         at: (N,) at the last nodes.
     """
-    own, first = rows(eyes, at.eye), (at.node - tree.leaves) * GROUP
-    angles = [angle_seen(geometry, outline, lookup(tree.slots, first + place), own, extent) for place in range(GROUP)]
-    return found_among(tree, at, first, angles)
+    own, first = rows(eyes, at.eye), at.node * GROUP
+    angles = [angle_of_edge(geometry, rows(slots, first + place), own, extent) for place in range(GROUP)]
+    return found_among(slots.edge, at, first, angles)
 
 
 def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, found: Found, eye: Tensor, seed: SampleKey,
@@ -110,7 +115,8 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, foun
     """Places on some of the edges that were found.
 
     Args:
-        geometry, outline, eyes, extent: as for `edge_found`.
+        geometry, outline, extent: as for `angle_seen`.
+        eyes: look for them.
         lot: of what was found.
         found: (K,) edges.
         eye: (K,) int32, that sees each.
@@ -185,8 +191,8 @@ def density_seen(a: Vec3, b: Vec3, along: Tensor) -> Tensor:
     return torch.where(squared > 0.0, torch.sqrt(squared) / (dot(p, p) * angle).clamp_min(TINY), 1.0)
 
 
-def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes, seed: SampleKey, each: int,
-                count: int) -> Passed | None:
+def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes, seed: SampleKey, each: int, count: int,
+                tried: Tensor | None = None) -> Passed | None:
     """Places on edges that eyes see as silhouettes, in proportion to the angles of these; None: they see none.
 
     Args:
@@ -197,22 +203,24 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
         seed: of the random numbers.
         each: how often each looks for an edge.
         count: how many places there are to be on edges that were found, at most: no more than ways that found one.
+        tried: (M,) bool, eyes whose places have random numbers of their own, and do not depend on what others find; they
+            come first. None: there are none.
     """
     outline, tree = casting
     extent = extent_of(geometry)
-    at = ways_down(stages, tree, eyes, seed, each, extent)
-    found = stages.edge_found(geometry, outline, tree, eyes, at, extent)
+    at = ways_down(stages, tree, eyes, seed, each, extent, tried)
+    found = stages.edge_found(geometry, outline.slots, eyes, at, extent)
     count = min(count, int(torch.count_nonzero(found.times)))
-    return places_on(stages, geometry, outline, eyes, seed, picked_ones(found, at.eye, each, count), count)
+    return places_on(stages, geometry, outline, eyes, seed, picked_ones(found, at.eye, each, count, tried))
 
 
-def places_on(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey, found: PickedOnes | None,
-              count: int) -> Passed | None:
-    """So many places on edges that were `found`; None: there are none. The other args as for `places_seen`."""
+def places_on(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey,
+              found: PickedOnes | None) -> Passed | None:
+    """Places on edges that were `found`; None: there are none. The other args as for `places_seen`."""
     if found is None:
         return None
     return stages.edge_passed(geometry, outline, eyes, found.lot, found.found, found.eye, seed, extent_of(geometry),
-                              numbers_to(count, found.eye))
+                              numbers_to(found.count, found.eye))
 
 
 def salted(view: View, salt: int) -> SampleKey:

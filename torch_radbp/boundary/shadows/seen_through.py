@@ -29,6 +29,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.geometry import geometry_of
+from torch_radbp.boundary.shadows import split
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.hidden_light import (
     EVEN,
@@ -49,6 +50,7 @@ from torch_radbp.boundary.shadows.seen_edges import (
     places_seen,
     salted,
 )
+from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.integrand import Integrand
@@ -67,19 +69,22 @@ def passes_straight(scene: SceneTensors) -> bool:
     return any(look.kind.straight for look in scene.layout.appearances)
 
 
-def cuts_of_view(call: RenderCall, number: int, casting: Casting, effort: float) -> CutsOfView | None:
+def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount = ALL) -> CutsOfView | None:
     """Places where lines to edges pass straight through surfaces that paths of a view meet, of which they are cuts; None:
-    there are none. Args as for `border.borders_in_view`."""
-    view, geometry = call.views[number], geometry_of(call.scene)
+    there are none. Args as for `hidden_light.cuts_of_view`."""
+    geometry, begun = geometry_of(call.scene), number_of_paths(call, call.views[number], amount.before)
     integrand = integrand_of(call, call.integrand, number)
     points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1),
-                        number_of_paths(call, view, effort))
+                        number_of_paths(call, call.views[number], amount.counted), begun=begun,
+                        tried=number_of_paths(call, call.views[number], amount.tried))
     if not len(points.depth):
         return None
+    call = split.with_numbers(call, SALT + begun) if begun else call
     at = vertex_at(call, geometry, number, points)
     one, corners = torch.ones_like(at.x), corners_of(geometry, points.hit)
     eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, (points.lobe,))
-    passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS, PLACES * len(points.depth))
+    passed = places_seen(call.stages, geometry, casting, eyes, salted(call.views[number], SALT), LOOKS,
+                         PLACES * len(points.depth), points.tried)
     if passed is None:
         return None
     hidden = integrand.caster.occluded(passed.back, passed.distance).nonzero().squeeze(1)

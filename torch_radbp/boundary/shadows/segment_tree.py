@@ -76,24 +76,24 @@ def segment_bounds(geometry: Geometry, segments: Segments, slots: Tensor, slot: 
     return rounded(bounds, geometry.triangles.vertices.p.x.dtype)
 
 
-def segment_found(geometry: Geometry, segments: Segments, tree: EdgeTree, eyes: Eyes, at: Descent, extent: Tensor) -> Found:
+def segment_found(geometry: Geometry, segments: Segments, slots: Tensor, eyes: Eyes, at: Descent, extent: Tensor) -> Found:
     """Segments below the last nodes of the tree, in proportion to the angles under which they are seen.
 
     Args:
         geometry: of the scene, detached.
         segments: (S,).
-        tree: over these.
+        slots: of the tree over these.
         eyes: look for them.
         at: (N,) at the last nodes.
         extent: () of the scene.
     """
-    own, first = rows(eyes, at.eye), (at.node - tree.leaves) * GROUP
+    own, first = rows(eyes, at.eye), at.node * GROUP
     angles = []
     for place in range(GROUP):
-        number = lookup(tree.slots, first + place)
+        number = lookup(slots, first + place)
         a, b = ends_of(geometry, rows(segments, number.clamp_min(0)))
         angles.append(torch.where(number >= 0, angle_of(a, b, own, extent), 0.0))
-    return found_among(tree, at, first, angles)
+    return found_among(slots, at, first, angles)
 
 
 def segment_passed(geometry: Geometry, segments: Segments, eyes: Eyes, lot: Lot, found: Found, eye: Tensor, seed: SampleKey,

@@ -3,14 +3,15 @@
 Samples are worth taking where they lower the noise of the whole. Of the first integral all are taken. Of each of the others
 a few tell how much noise there is. They are not used otherwise: were their numbers to decide how many others they are added
 to, large ones would count less. Sums of integrals that have variances V with as many samples each are the least noisy for
-their cost with samples in proportion to sqrt(V / c), c the time of a sample.
+their cost with samples in proportion to sqrt(V / c), c the time of a sample. Looking at all costs as much as many samples:
+those that are taken in any case are found together with those that tell the noise, and others only if they are worth it.
 
 Reference: Owen 2013, "Monte Carlo theory, methods and examples", section 8.4 (Neyman allocation).
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -19,8 +20,7 @@ from torch_radbp.call.render_call import RenderCall
 from torch_radbp.sampling.sampler import SampleKey, hash32
 
 TRIED = 1 / 16  # share of the samples that tell the noise
-LEAST = 1 / 8  # share of the samples that are taken where there is little of it,
-UNKNOWN, ENOUGH = 1 / 4, 8  # and where fewer than so many counted, of which the noise cannot be told
+LEAST = 1 / 4  # share of the samples that are taken in any case
 COST = 3.0  # times as long as a sample of the first integral one of the others takes
 WORTH = 1 << 16  # paths of an image from which on it is worth trying
 SALT = 0x5851F42D  # tells the random numbers of what is tried from others
@@ -32,6 +32,17 @@ class Sampled(Protocol):
     def independent(self) -> Tensor:
         """(3, N) what changes in the image where all edges move outwards by a step that is the same for all integrals, in
         parts of which none depends on another: the variance of their sum is the sum of their squares."""
+
+
+class Amount(NamedTuple):
+    """How many of its samples an integral takes, as shares of the most."""
+
+    counted: float = 1.0
+    tried: float = 0.0  # beside these, by random numbers of their own: they only tell the noise
+    before: float = 0.0  # how many counted ones there are already
+
+
+ALL = Amount()
 
 
 def trying(call: RenderCall) -> RenderCall:
@@ -72,8 +83,4 @@ def effort(first: float, tried: Sampled | None) -> float:
         first: variance of the first integral, with all of its samples.
         tried: the other, with a share of `TRIED`; None: nothing of it counts.
     """
-    if not first > 0.0:
-        return 1.0
-    amounts = torch.zeros(3, 0) if tried is None else tried.independent()
-    least = UNKNOWN if amounts.shape[1] < ENOUGH else LEAST
-    return min(1.0, max(least, (TRIED * squares(amounts) / (COST * first))**0.5))
+    return min(1.0, max(LEAST, (TRIED * variance(tried) / (COST * first))**0.5)) if first > 0.0 else 1.0

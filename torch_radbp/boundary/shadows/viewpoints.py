@@ -21,16 +21,16 @@ from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Onward, put_rows
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.running_sum import running_sum
-from torch_radbp.sampling.sampler import LaneKey, SampleKey
+from torch_radbp.sampling.sampler import LaneKey, SampleKey, hash32
 from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.nearby import slides_from
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.record import joined, leaves_of, with_leaves
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, max_component, rows, where
 
-SALT = 0x5BE0CD19  # tells the random numbers of these paths from others
-MOST = 1 << 31  # paths that begin in one pixel: so many that each has points of its own
+SALT = 0x5BE0CD19  # tells the random numbers of these paths from others,
+OF_TRIED = 0x2F6E2B17  # and those of paths that are tried
 
 
 class Viewpoints(NamedTuple):
@@ -46,6 +46,17 @@ class Viewpoints(NamedTuple):
     beta: Vec3  # throughput before it, over the probability of this vertex
     key: LaneKey
     lobe: Lobe  # around a direction in which light is scattered
+    tried: Tensor | None  # (M,) bool: what it sees only tells how much noise there is; None: of none
+
+
+class Begun(NamedTuple):
+    """N paths that begin at cells of the film."""
+
+    pixel: Tensor  # as of `Viewpoints`
+    sample: Tensor
+    place: Vec2
+    area: Tensor  # (N,) float64, of the film, for which each stands
+    camera: CameraSample
 
 
 class Picked(NamedTuple):
@@ -82,7 +93,7 @@ class Reached(NamedTuple):
 
 
 def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, following: bool = False,
-               density: Tensor | None = None, begun: int = 0) -> Viewpoints:
+               density: Tensor | None = None, begun: int = 0, tried: int = 0) -> Viewpoints:
     """One vertex each of so many camera paths, picked in proportion to their throughput; of those that have one.
 
     Args:
@@ -92,30 +103,41 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, 
         following: vertices whose scattered directions carry derivatives are meant; else those after which points are glued.
         density: (cells,) float64, by which the paths are spread over the cells of the film; None: evenly.
         begun: how many others have begun before, with random numbers of their own.
+        tried: of how many paths more the vertices only tell how much noise there is, likewise; they come first.
     """
-    view, grid, device = call.views[number], call.views[number].grid, call.scene.device
-    cells = grid.columns * grid.rows
-    sample = torch.arange(begun, begun + count, dtype=torch.int32, device=device)
-    key = salted(view, SALT)
-    jitter = numbers(key, sample, SALT, torch.float64)
-    cell, area = cells_begun(sample - begun + jitter, count, cells, density)
-    row = torch.div(cell, grid.columns, rounding_mode="floor")
-    column, pixel = cell - row * grid.columns, view.window.numbers(cell - row * grid.columns, row)
-    camera = call.stages.sample_camera(view.camera, view.order(MOST), pixel, sample, key, call.scene.layout.traces_cones)
-    place = Vec2(column - view.window.columns.before + camera.place.x.double(),
-                 row - view.window.rows.before + camera.place.y.double())
-    picked = picked_vertices(integrand, started(call, camera), key, following)
+    key = salted(call.views[number], SALT)
+    paths = paths_begun(call, number, key, count, density, begun)
+    if tried:
+        paths = joined([paths_begun(call, number, salted(call.views[number], OF_TRIED), tried, density, begun), paths])
+    pixel, sample, place, area, camera = paths
+    chosen = key._replace(seed=hash32(key.seed ^ begun)) if begun else key
+    picked = picked_vertices(integrand, started(call, camera), chosen, following)
     beta = picked.beta * (area.to(picked.total.dtype) * picked.total / picked.promise.clamp_min(TINY))
     if camera.weight is not None:
         beta = beta * camera.weight
     found = Viewpoints(pixel, sample, place, picked.depth.long(), picked.ray, picked.hit, picked.slides, beta, camera.key,
-                       lobe_around(picked.onwards, picked.density))
+                       lobe_around(picked.onwards, picked.density),
+                       torch.arange(len(sample), device=sample.device) < tried if tried else None)
     found = rows(found, (found.depth >= 0).nonzero().squeeze(1))
     if call.scene.triangles.plain is None:
         return found
     geometry = geometry_of(call.scene)
     near = slides_from(corners_of(geometry, found.hit), found.hit.t.double(), is_plain(geometry, found.hit))
     return found._replace(slides=found.slides | (near & (found.depth > 0)))
+
+
+def paths_begun(call: RenderCall, number: int, key: SampleKey, count: int, density: Tensor | None, begun: int) -> Begun:
+    """Paths that are spread over the film; args as for `viewpoints`, `key`: of random numbers."""
+    view, grid = call.views[number], call.views[number].grid
+    sample = torch.arange(begun, begun + count, dtype=torch.int32, device=call.scene.device)
+    jitter = numbers(key, sample, SALT, torch.float64)
+    cell, area = cells_begun(sample - begun + jitter, count, grid.columns * grid.rows, density)
+    row = torch.div(cell, grid.columns, rounding_mode="floor")
+    column, pixel = cell - row * grid.columns, view.window.numbers(cell - row * grid.columns, row)
+    camera = call.stages.sample_camera(view.camera, view.order(MOST), pixel, sample, key, call.scene.layout.traces_cones)
+    place = Vec2(column - view.window.columns.before + camera.place.x.double(),
+                 row - view.window.rows.before + camera.place.y.double())
+    return Begun(pixel, sample, place, area.expand(count), camera)
 
 
 def cells_begun(along: Tensor, count: int, cells: int, density: Tensor | None) -> tuple[Tensor, Tensor]:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.places import Lot, lot_of
-from torch_radbp.boundary.shadows.edge_tree import LEVELS, Descent, EdgeTree, drawn, numbers_to, rounded
+from torch_radbp.boundary.places import NEIGHBOURS, Lot, lot_of
+from torch_radbp.boundary.shadows.edge_tree import Descent, EdgeTree, drawn, numbers_to, rounded
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.path.integrand import Stages
 from torch_radbp.sampling.running_sum import running_sum
@@ -19,18 +20,23 @@ from torch_radbp.tensors.vec import rows
 
 # Steps of a sequence that fills a square evenly, in units of 2^-32: the powers of the inverse of the root of x^3 = x + 1.
 STEPS = 0xC13FA9A9 - (1 << 32), 0x91E10DA5 - (1 << 32)
+FIRST = 1 << 30  # more than there are edges
+SALT = 0x6A09E667  # tells the random numbers of eyes that are tried from others
 
 
-def ways_down(stages: Stages, tree: EdgeTree, eyes: Eyes, seed: SampleKey, each: int, extent: Tensor) -> Descent:
+def ways_down(stages: Stages, tree: EdgeTree, eyes: Eyes, seed: SampleKey, each: int, extent: Tensor,
+              tried: Tensor | None = None) -> Descent:
     """Ways down the tree to the last nodes; args as for `seen_edges.places_seen`, and `extent`: () of the scene."""
     way = numbers_to(each * len(eyes.w), tree.slots)
-    eye = torch.div(way, each, rounding_mode="floor")
-    u = fine_unit(eye * STEPS[0] + hash32(seed.seed)) + (way - eye * each)  # as many in each part of the edges
-    at = Descent(eye, torch.ones_like(way), u / each, torch.ones_like(u))
-    whole, part = divmod(int(tree.leaves).bit_length() - 1, LEVELS)
-    seen_from, wide = (rounded(part, tree.nodes.bend.dtype) for part in (eyes, extent))
-    for levels in [part] * (part > 0) + [LEVELS] * whole:
-        at = stages.descended(tree.nodes, seen_from, wide, at, levels)
+    eye, shift = torch.div(way, each, rounding_mode="floor"), hash32(seed.seed)
+    if tried is not None:
+        shift = torch.where(rows(tried, eye), hash32(seed.seed ^ SALT), shift)
+    u = fine_unit(eye * STEPS[0] + shift) + (way - eye * each)  # as many in each part of the edges
+    at, above = Descent(eye, torch.zeros_like(way), u / each, torch.ones_like(u)), 1
+    dtype = tree.levels[0].bend.dtype if tree.levels else extent.dtype
+    seen_from, wide = rounded(eyes, dtype), extent.to(dtype)
+    for nodes in tree.levels:
+        at, above = stages.descended(nodes, seen_from, wide, at, len(nodes.bend) // above), len(nodes.bend)
     return at
 
 
@@ -40,15 +46,47 @@ class PickedOnes(NamedTuple):
     found: Found
     eye: Tensor  # (K,) int32, that sees each
     lot: Lot
+    count: int  # of the places
 
 
-def picked_ones(found: Found, eye: Tensor, each: int, count: int) -> PickedOnes | None:
-    """What ways have found, so many from each eye, in order, for so many places; None: nothing."""
-    order = found.edge.argsort(stable=True)  # places on an edge are well spread along it
-    found, eye = rows((found._replace(times=found.times / each), eye), order)
+def picked_ones(found: Found, eye: Tensor, each: int, count: int, tried: Tensor | None = None) -> PickedOnes | None:
+    """What ways have found, so many from each eye, in order, for so many places; None: nothing.
+
+    Args:
+        tried: as for `seen_edges.places_seen`.
+    """
+    own = None if tried is None else rows(tried, eye)
+    order = found.edge if own is None else torch.where(own, found.edge - FIRST, found.edge)
+    order = order.argsort(stable=True)  # places on an edge are well spread along it
+    found, eye, own = rows((found._replace(times=found.times / each), eye, own), order)
     weight = found.times * found.angle
+    if own is not None:
+        weight, count = weights_apart(weight, own, count, float(tried.double().mean()))
     total = running_sum(weight)
-    return PickedOnes(found, eye, lot_of(weight, count, total)) if len(total) and float(total[-1]) > 0.0 else None
+    if not len(total) or not float(total[-1]) > 0.0:
+        return None
+    return PickedOnes(found, eye, lot_of(weight, count, total), count)
+
+
+def weights_apart(weight: Tensor, tried: Tensor, count: int, share: float) -> tuple[Tensor, int]:
+    """Weights by which what is tried and the rest are picked each by places of their own, as many as the weights sum up to,
+    which neither share a step of the sum nor a sequence of random numbers; and how many places there are then.
+
+    Args:
+        weight: (N,) as it is.
+        tried: (N,) bool; these come first.
+        count: of the places, at most.
+        share: of these that is for what is tried.
+    """
+    places, scaled = 0, torch.zeros_like(weight)
+    for among, most in ((tried, count * share), (~tried, count * (1.0 - share))):
+        own = torch.where(among, weight, 0.0)
+        total, wanted = float(own.sum()), min(math.ceil(most), int(torch.count_nonzero(own)))
+        if among is tried:
+            wanted = -(-wanted // NEIGHBOURS) * NEIGHBOURS
+        if total > 0.0:
+            scaled, places = scaled + own * (wanted / total), places + wanted
+    return scaled, places
 
 
 class Found(NamedTuple):
@@ -59,7 +97,7 @@ class Found(NamedTuple):
     angle: Tensor  # (N,) float64, under which it is seen
 
 
-def found_among(tree: EdgeTree, at: Descent, first: Tensor, angles: Sequence[Tensor]) -> Found:
+def found_among(slots: Tensor, at: Descent, first: Tensor, angles: Sequence[Tensor]) -> Found:
     """What ways down have found below the last nodes, of `GROUP` slots each, from `first` on, with these angles."""
     place, share, _ = drawn(angles, at.u)
     angle = torch.zeros_like(share)
@@ -68,4 +106,4 @@ def found_among(tree: EdgeTree, at: Descent, first: Tensor, angles: Sequence[Ten
     chance = at.chance * share
     exists = chance > 0.0
     times = torch.where(exists, 1.0 / torch.where(exists, chance, 1.0), 0.0)
-    return Found(torch.where(exists, lookup(tree.slots, first + place), -1), times, angle)
+    return Found(torch.where(exists, lookup(slots, first + place), -1), times, angle)
