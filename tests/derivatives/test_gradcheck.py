@@ -22,7 +22,7 @@ from torch_radbp.scene.pack import pack
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 SETTINGS = {"spp": 4, "max_depth": 4, "rr_depth": 100}
-SEED = 5
+SEED = 6
 FEW = 3  # entries of a parameter that are all checked
 PROJECTIONS = 2  # random sums of all pixels, of which the derivative is taken
 STEP, ABSOLUTE, RELATIVE = 1e-6, 1e-8, 1e-6

@@ -125,13 +125,13 @@ def test_gradients_of_several_sensors_add_up(sampling):
     cameras = [n for n in names if n.startswith(("subject_left", "subject_right"))]
     assert len(cameras) == 8
     sensors = [1, 2]
-    image, together = gradients_of(scene, names, sampling=sampling, sensors=sensors)
+    image, together = gradients_of(scene, names, sampling=sampling, sensors=sensors, seed=4)
     w = cotangent(image)
     parts = []
     for place, sensor in enumerate(sensors):
         alone = build("dielectric", subject_left=camera(2, 30), subject_right=camera(2, 50))
         wanted = [alone.get_parameter(n).requires_grad_() for n in names]
-        found = rb.Renderer(alone, sampling=sampling, **SETTINGS)(seed=3, sensors=[sensor])
+        found = rb.Renderer(alone, sampling=sampling, **SETTINGS)(seed=4, sensors=[sensor])
         assert relative_error(found.detach(), image[place:place + 1]) < 1e-14
         gradients = torch.autograd.grad(found, wanted, w[place:place + 1], allow_unused=True)
         parts.append([torch.zeros_like(p) if g is None else g for p, g in zip(wanted, gradients)])

@@ -102,7 +102,7 @@ def test_images_are_those_of_mitsubas_particle_tracer():
 
     theirs = mi.load_dict(scene(lambda matrix: pose(matrix)) | {"integrator": {"type": "ptracer", "max_depth": 3}})
     theirs = np.stack([np.array(mi.render(theirs, spp=1500, seed=seed)) for seed in range(8)])
-    ours = rb.Renderer(rb.load_dict(scene(lambda matrix: matrix)), spp=64, max_depth=3)
+    ours = rb.Renderer(rb.load_dict(scene(lambda matrix: matrix)), spp=256, max_depth=3)
     ours = np.stack([ours(seed=seed)[0].permute(1, 2, 0).numpy() for seed in range(8)])
     mean, other = ours.mean(0), theirs.mean(0)
     error = np.sqrt((ours.var(0, ddof=1) + theirs.var(0, ddof=1)) / 8)

@@ -179,8 +179,8 @@ def test_a_stage_that_cannot_be_compiled_runs_eagerly_and_says_so_once():
 
 
 def test_plain_autograd_records_an_eager_rendering():
-    results = [image_and_gradients(cornell(torch.float64, 4), NAMES, compile=compile, adjoint=rb.TapeAdjoint(), seed=8, **SETTINGS)
-               for compile in (False, True)]
+    results = [image_and_gradients(cornell(torch.float64, 4), NAMES, compile=compile, adjoint=rb.TapeAdjoint(), seed=8,
+                                   **SETTINGS) for compile in (False, True)]
     (expected, gradients), (image, found) = results
     assert_informative(expected, list(gradients))
     assert torch.equal(image, expected) and all(torch.equal(a, b) for a, b in zip(found, gradients))

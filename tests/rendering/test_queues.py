@@ -108,7 +108,8 @@ def met(monkeypatch) -> list[tuple[tuple[str, int], ...]]:
     return found
 
 
-def image_and_gradients(renderer: rb.Renderer, wanted: list[torch.Tensor], seed: int = 4) -> tuple[torch.Tensor, list[torch.Tensor]]:
+def image_and_gradients(renderer: rb.Renderer, wanted: list[torch.Tensor],
+                        seed: int = 4) -> tuple[torch.Tensor, list[torch.Tensor]]:
     """An image, and the gradients of some parameters."""
     image = renderer(seed=seed)
     gradients = torch.autograd.grad(image, wanted, cotangent(image.detach()), materialize_grads=True)

@@ -14,7 +14,7 @@ from tests.scenes import diffuse, load, rectangle, rgb, sensor
 from tests.texture.networks import LAMP, mlp, textured
 
 SKY = {"type": "constant", "radiance": rgb(0.6, 0.9, 1.4)}
-SETTINGS = {"spp": 1, "max_depth": 3, "compile": False, "seed": 1}
+SETTINGS = {"spp": 1, "max_depth": 3, "compile": False, "seed": 2}
 
 
 def scene(**bsdf) -> rb.Scene:

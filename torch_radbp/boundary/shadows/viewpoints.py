@@ -30,6 +30,7 @@ from torch_radbp.tensors.record import joined, leaves_of, with_leaves
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, max_component, rows, where
 
 SALT = 0x5BE0CD19  # tells the random numbers of these paths from others,
+MOST = 1 << 31  # paths that begin in one pixel: so many that each has points of its own
 OF_TRIED = 0x2F6E2B17  # and those of paths that are tried
 
 
