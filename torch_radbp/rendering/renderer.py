@@ -346,7 +346,7 @@ class Renderer(nn.Module):
             device, workers, self.adjoint if differentiating else None, record_bytes, fused))
         scene = pack(self.scene, cache, self.light_choice, aovs, [name for name, sensor in named.items() if sensor in seen])
         caster = self.caster_of(scene)
-        views = [view_of(shot, seeds, scene, cache) for shot in shots]
+        views = [view_of(shot, seeds, spp, scene, cache) for shot in shots]
         if aovs:
             self.cache_for_aovs = cache.close()
         else:
