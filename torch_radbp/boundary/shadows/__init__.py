@@ -41,7 +41,7 @@ from torch_radbp.boundary.shadows.segment_tree import SegmentTree, segment_tree
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.tensors.differentiated import any_differentiated, detached
 
-BYTES_OF_EDGE = 250  # nodes of the tree, and what they are made of
+BYTES_OF_EDGE = 272  # nodes of the tree, and what they are made of
 BYTES_OF_WAY = 120  # down the tree: where it is, and what it has found
 BYTES_OF_TRIED = 20, 240  # an edge that is tried from a light sample: in fused loops, in plain torch
 BYTES_OF_PLACE = 1200  # where it lies, what it is made of, and how it moves, while it is found
@@ -76,9 +76,10 @@ def bytes_of_shadows(call: RenderCall) -> int:
     samples = max(FEWEST, min(border.MOST, paths // border.share_of(call.scene)))
     tried = BYTES_OF_TRIED[not hasattr(call.stages.edge_tried, "into")]
     ways = max(samples * border.LOOKS * GROUP * tried, vertices * hidden_light.LOOKS * BYTES_OF_WAY)
-    places = max(samples, vertices * hidden_light.PLACES if glues(call) else 0)
-    if glues(call) and paths > hidden_light.SHARE * hidden_light.MOST:  # those of a round, beside those that others have kept
-        places += vertices * hidden_light.PLACES
+    looked_for = vertices * hidden_light.PLACES * glues(call)
+    places = max(samples, looked_for)
+    if paths > hidden_light.SHARE * hidden_light.MOST:  # those of a round, beside those that others have kept
+        places += looked_for
     places += seen_through.passes_straight(call.scene) * vertices * hidden_light.PLACES
     if not glues(call) or call.integrand.settings.following:
         places += vertices * followed_light.PLACES * followed_light.TIMES_AS_LARGE
