@@ -268,7 +268,7 @@ def test_pixels_at_the_same_place_of_blocks_fill_every_elementary_interval(low_d
 
 @pytest.mark.parametrize("block", [1, 8])
 def test_noise_of_an_image_and_of_a_derivative_in_blocks_have_no_frequencies_in_common(low_discrepancy, block):
-    """The variance of sums of products, over that of independent pixels, known to 4%; if both were in one order, they had."""
+    """The variance of sums of products, over that of independent pixels, known to 4%; both in one order have some."""
     sums = []
     for seed in range(1500):
         image, derivative = (draw(of_film(1, 2 * seed + k, block=own), 0, 0) - 0.5 for k, own in ((0, 1), (1, block)))
