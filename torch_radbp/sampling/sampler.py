@@ -1,4 +1,5 @@
-"""Counter-based random numbers: a pure function of (seed, sensor, pixel, sample, depth, dimension).
+"""Counter-based random numbers: a pure function of (seed, sensor, pixel, sample, depth, dimension), and of how many samples
+a pixel has.
 
 Nothing is stored or restored for a replay, and results do not depend on chunk size, schedule or order of execution. All
 arithmetic is in int32, which wraps in torch on every device. float32 and float64 renderings use the same 24 random bits, so
@@ -8,7 +9,8 @@ The samples of a film are points of low discrepancy. At every bounce, four dimen
 sequence, in an order that depends on the bounce, moved by a random shift that depends on bounce and dimension. Pixels take
 them along a curve that passes through all of a square of 2^k x 2^k pixels before it leaves it, all samples of a pixel at
 once: so the samples of a pixel are spread evenly, and those of its surroundings fill the gaps. What sums over pixels, as
-gradients of what many of them see and images that are filtered or looked at from afar, is less noisy for it.
+gradients of what many of them see and images that are filtered or looked at from afar, is less noisy for it. Of samples
+that are the derivative's alone neighbours are blocks of pixels: `call.view.view_of` says why.
 
 The first two dimensions are those of Sobol': every 2^k samples leave no elementary interval of area 2^-k empty. The other
 two form a lattice. Each number by itself, and all numbers of a path together, are distributed as if they were independent,
