@@ -59,12 +59,13 @@ class Shot(NamedTuple):
     window: Window  # of its film
 
 
-def view_of(shot: Shot, seeds: tuple[int, int], spp: int, scene: SceneTensors, cache: PackCache) -> View:
+def view_of(shot: Shot, seeds: tuple[int, int], own: bool, spp: int, scene: SceneTensors, cache: PackCache) -> View:
     """What a shot shows in a call with these seeds, forwards and backwards, and so many samples of a pixel.
 
     The gradient of a squared error sums products of the noise of the image and that of the derivative over pixels. If both
     were found in the same high frequencies, that sum would be noisier than that of independent pixels. So a derivative's own
-    samples are as good as independent within `BLOCK` x `BLOCK` pixels, and fill gaps from block to block.
+    samples are as good as independent within `BLOCK` x `BLOCK` pixels, and fill gaps from block to block. `own`: it has such;
+    else it has those that an image of its seed has.
     """
     sensor, sampler = shot.sensor, shot.sensor.sampler
     reach = cache.inventory(sensor).reach((sensor,))
@@ -75,7 +76,7 @@ def view_of(shot: Shot, seeds: tuple[int, int], spp: int, scene: SceneTensors, c
     if shot.window != sensor.film.window():
         camera = camera._replace(film=sensor.film.tensors(camera.film.size_x, shot.window))
     width, device = shot.window.numbered, scene.device
-    orders = tuple(film_order(width, spp, device, block) for block in (1, 1 if seeds[0] == seeds[1] else BLOCK))
+    orders = tuple(film_order(width, spp, device, block) for block in (1, BLOCK if own else 1))
     return View(sensor, camera, shot.window, keys, orders, reaches)
 
 
