@@ -231,12 +231,12 @@ def test_products_over_depths_keep_their_mean_and_are_not_noisier():
 SIDE = 32  # pixels of a film
 
 
-def of_film(samples, seed=0, side=SIDE, width=100, corner=0):
+def of_film(samples, seed=0, side=SIDE, width=100, corner=0, block=1):
     """The keys of the lanes of the square of pixels at a corner of a film of 100 columns, (side, side, samples)."""
     across = torch.arange(side, dtype=torch.int32) + corner
     pixel = (across[:, None] * width + across)[:, :, None].expand(-1, -1, samples).flatten()
     sample = torch.arange(samples, dtype=torch.int32).repeat(side * side)
-    order = film_order(width, samples, pixel.device)
+    order = film_order(width, samples, pixel.device, block)
     return film_lane_key(order, pixel, sample, sample_key(seed, 0, LOW_DISCREPANCY, pixel.device))
 
 
@@ -255,11 +255,34 @@ def test_squares_of_pixels_fill_every_elementary_interval(low_discrepancy, sampl
             assert points == 1 or cell.sort(1).values.eq(torch.arange(points)).all() == low_discrepancy
 
 
+@pytest.mark.parametrize("block", [2, 8])
+def test_pixels_at_the_same_place_of_blocks_fill_every_elementary_interval(low_discrepancy, block):
+    u, v = (draw(of_film(4, block=block), 1, k).reshape(SIDE // block, block, SIDE // block, block, 4) for k in (0, 1))
+    points = (SIDE // block) ** 2 * 4
+    squares = [x.permute(1, 3, 0, 2, 4).reshape(-1, points) for x in (u, v)]
+    bits = points.bit_length() - 1
+    for across in range(bits + 1):
+        cell = (squares[0] * 2**across).long() * 2**(bits - across) + (squares[1] * 2**(bits - across)).long()
+        assert cell.sort(1).values.eq(torch.arange(points)).all() == low_discrepancy
+
+
+@pytest.mark.parametrize("block", [1, 8])
+def test_noise_of_an_image_and_of_a_derivative_in_blocks_have_no_frequencies_in_common(low_discrepancy, block):
+    """The variance of sums of products, over that of independent pixels, known to 4%; both in one order have some."""
+    sums = []
+    for seed in range(1500):
+        image, derivative = (draw(of_film(1, 2 * seed + k, block=own), 0, 0) - 0.5 for k, own in ((0, 1), (1, block)))
+        sums.append(float((image * derivative).sum()) * 12 / SIDE)
+    noise = float(np.mean(np.square(sums)))
+    assert (noise > 1.12) == (low_discrepancy and block == 1) and noise > 0.86
+
+
+@pytest.mark.parametrize("block", [1, 8])
 @pytest.mark.parametrize("samples", [1, 3, 5, 16, 4096, 70_000])
-def test_no_two_samples_of_a_film_share_their_numbers(samples):
+def test_no_two_samples_of_a_film_share_their_numbers(samples, block):
     """Also beside each other at the corners of blocks, for numbers of samples that are none of 2^k."""
     for corner in (0, 40):
-        key = of_film(samples, side=2 if samples > 5 else SIDE, corner=corner)
+        key = of_film(samples, side=2 if samples > 5 else SIDE, corner=corner, block=block)
         camera = bounce_key(key, depth_counter(-1, key.point.device))
         assert len(set(zip(*(part.tolist() for part in camera)))) == len(key.point)
 

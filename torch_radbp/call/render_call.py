@@ -65,7 +65,8 @@ class RenderCall(NamedTuple):
 
     def of_derivative(self) -> RenderCall:
         """The call whose image has the samples of the derivative."""
-        return self._replace(views=[view._replace(sample_keys=view.sample_keys[1:] * 2) for view in self.views])
+        return self._replace(views=[view._replace(sample_keys=view.sample_keys[1:] * 2, orders=view.orders[1:] * 2)
+                                    for view in self.views])
 
 
 def started(call: RenderCall, sample: CameraSample) -> PathState:
@@ -87,7 +88,7 @@ def samples_of_chunks(call: RenderCall, wavefront: Wavefront, which: int) -> lis
     """As `camera_samples`, chunk by chunk."""
     def of_chunk(chunk: Chunk) -> CameraSample:
         view = call.views[chunk.sensor]
-        return call.stages.sample_camera(view.camera, view.order(call.spp), *numbers_of(call, chunk),
+        return call.stages.sample_camera(view.camera, view.orders[which], *numbers_of(call, chunk),
                                          view.sample_keys[which], call.scene.layout.traces_cones)
 
     return [of_chunk(chunk) for chunk in wavefront.chunks]
@@ -97,7 +98,7 @@ def film_places(call: RenderCall, wavefront: Wavefront, which: int) -> Vec2:
     """Where in their pixels a wavefront's lanes lie, (N,) in [0, 1). `which` as for `start_paths`."""
     def of_chunk(chunk: Chunk) -> Vec2:
         view = call.views[chunk.sensor]
-        return call.stages.film_place(view.camera.film.size_x, view.order(call.spp), *numbers_of(call, chunk),
+        return call.stages.film_place(view.camera.film.size_x, view.orders[which], *numbers_of(call, chunk),
                                       view.sample_keys[which])
 
     return joined([of_chunk(chunk) for chunk in wavefront.chunks])
@@ -126,7 +127,7 @@ def pilot_paths(call: RenderCall, lanes: int) -> PathState:
     pixel = torch.linspace(0, grid.columns * grid.rows - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
     sample = torch.arange(lanes, dtype=torch.int32, device=device)
     number = view.window.numbers(pixel % grid.columns, torch.div(pixel, grid.columns, rounding_mode="floor"))
-    return started(call, call.stages.sample_camera(view.camera, view.order(lanes), number, sample, view.sample_keys[0],
+    return started(call, call.stages.sample_camera(view.camera, view.orders[0], number, sample, view.sample_keys[0],
                                                    call.scene.layout.traces_cones))
 
 

@@ -9,7 +9,7 @@ import torch
 from torch_radbp.film.develop import Grid
 from torch_radbp.film.window import Window
 from torch_radbp.plugin import Sensor
-from torch_radbp.sampling.sampler import FilmOrder, SampleKey, film_order, sample_key
+from torch_radbp.sampling.sampler import APART, FilmOrder, SampleKey, film_order, sample_key
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
@@ -17,6 +17,7 @@ from torch_radbp.shape.placement import Instances
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.vec import Vec3
 
+BLOCK = 8  # pixels
 OF_NO_SENSOR = -1  # the index of a sensor that is none of the scene's
 
 
@@ -27,6 +28,7 @@ class View(NamedTuple):
     camera: Camera  # attached
     window: Window  # of its film
     sample_keys: tuple[SampleKey, SampleKey]  # of the forward pass, and of the backward pass
+    orders: tuple[FilmOrder, FilmOrder]  # in which pixels take points of a sequence, likewise
     clips: bool  # whether something lies beyond the far plane
 
     @property
@@ -38,9 +40,10 @@ class View(NamedTuple):
     def height(self) -> int:
         return self.window.rows.size
 
-    def order(self, samples: int) -> FilmOrder:
-        """In which order the film's pixels, with so many samples each, take points of a sequence; see `Window`."""
-        return film_order(self.window.numbered, samples, self.camera.film.size_x.device)
+    @property
+    def apart(self) -> FilmOrder:
+        """The order of paths that begin anywhere: a sequence for each pixel."""
+        return film_order(self.window.numbered, APART, self.camera.film.size_x.device)
 
     @property
     def grid(self) -> Grid:
@@ -56,8 +59,14 @@ class Shot(NamedTuple):
     window: Window  # of its film
 
 
-def view_of(shot: Shot, seeds: tuple[int, int], scene: SceneTensors, cache: PackCache) -> View:
-    """What a shot shows in a call with these seeds, forwards and backwards."""
+def view_of(shot: Shot, seeds: tuple[int, int], own: bool, spp: int, scene: SceneTensors, cache: PackCache) -> View:
+    """What a shot shows in a call with these seeds, forwards and backwards, and so many samples of a pixel.
+
+    The gradient of a squared error sums products of the noise of the image and that of the derivative over pixels. If both
+    were found in the same high frequencies, that sum would be noisier than that of independent pixels. So a derivative's own
+    samples are as good as independent within `BLOCK` x `BLOCK` pixels, and fill gaps from block to block. `own`: it has such;
+    else it has those that an image of its seed has.
+    """
     sensor, sampler = shot.sensor, shot.sensor.sampler
     reach = cache.inventory(sensor).reach((sensor,))
     camera = cache.part(("camera", id(sensor)), camera_of, sensor, reach, sensor)
@@ -66,7 +75,9 @@ def view_of(shot: Shot, seeds: tuple[int, int], scene: SceneTensors, cache: Pack
                          scene.triangles.casting_instances, camera)
     if shot.window != sensor.film.window():
         camera = camera._replace(film=sensor.film.tensors(camera.film.size_x, shot.window))
-    return View(sensor, camera, shot.window, keys, reaches)
+    width, device = shot.window.numbered, scene.device
+    orders = tuple(film_order(width, spp, device, block) for block in (1, BLOCK if own else 1))
+    return View(sensor, camera, shot.window, keys, orders, reaches)
 
 
 def camera_of(cache: PackCache, sensor: Sensor) -> Camera:

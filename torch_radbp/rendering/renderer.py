@@ -36,6 +36,7 @@ from torch_radbp.rendering.quantities import images_of_quantities
 from torch_radbp.rendering.radiance import radiance_outside
 from torch_radbp.rendering.settings import (
     INTERIOR,
+    OF_DERIVATIVE,
     PRIMARY,
     SHADOW,
     TERMS,
@@ -346,7 +347,7 @@ class Renderer(nn.Module):
             device, workers, self.adjoint if differentiating else None, record_bytes, fused))
         scene = pack(self.scene, cache, self.light_choice, aovs, [name for name, sensor in named.items() if sensor in seen])
         caster = self.caster_of(scene)
-        views = [view_of(shot, seeds, scene, cache) for shot in shots]
+        views = [view_of(shot, seeds, seeds[0] ^ OF_DERIVATIVE == seeds[1], spp, scene, cache) for shot in shots]
         if aovs:
             self.cache_for_aovs = cache.close()
         else:

@@ -9,7 +9,8 @@ The samples of a film are points of low discrepancy. At every bounce, four dimen
 sequence, in an order that depends on the bounce, moved by a random shift that depends on bounce and dimension. Pixels take
 them along a curve that passes through all of a square of 2^k x 2^k pixels before it leaves it, all samples of a pixel at
 once: so the samples of a pixel are spread evenly, and those of its surroundings fill the gaps. What sums over pixels, as
-gradients of what many of them see and images that are filtered or looked at from afar, is less noisy for it.
+gradients of what many of them see and images that are filtered or looked at from afar, is less noisy for it. Of samples
+that are the derivative's alone neighbours are blocks of pixels: `call.view.view_of` says why.
 
 The first two dimensions are those of Sobol': every 2^k samples leave no elementary interval of area 2^-k empty. The other
 two form a lattice. Each number by itself, and all numbers of a path together, are distributed as if they were independent,
@@ -37,6 +38,7 @@ SCRAMBLERS = (0x21F0AAAD, -0x2CA5D269)  # of `hash32`
 LATTICE = (182667, 469891)  # of the third and fourth dimension
 HALVES = ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF), (16, 0x0000FFFF))  # distance and lower one
 SPREAD = ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555))
+APART = 1 << 31  # samples of a pixel with which each has a sequence of its own
 DIMENSIONS_PER_BOUNCE = len(MULTIPLIERS)
 
 
@@ -52,7 +54,8 @@ class FilmOrder(NamedTuple):
 
     width: Tensor  # columns by which pixels are numbered
     bits: Tensor  # of the number of a sample in its pixel
-    side: Tensor  # base-2 logarithm of the side of a block, in pixels, in which no point comes twice
+    side: Tensor  # base-2 logarithm of the side of a square, in pixels, in which no point comes twice
+    inner: Tensor  # bits of the number of a pixel in its block, whose pixels are far from each other in the sequence
 
 
 class LaneKey(NamedTuple):
@@ -104,19 +107,28 @@ def sample_key(seed: int, sensor: int, low_discrepancy: bool, device: torch.devi
 
 
 @functools.lru_cache(maxsize=64)
-def film_order(width: int, samples: int, device: torch.device) -> FilmOrder:
-    """The order of a film whose pixels are numbered by `width` columns and have so many samples each."""
+def film_order(width: int, samples: int, device: torch.device, block: int = 1) -> FilmOrder:
+    """The order of a film.
+
+    Args:
+        width: columns by which pixels are numbered.
+        samples: of a pixel.
+        device: of the tensors.
+        block: a power of two. Pixels of a block of so many columns and rows are as good as independent of each other; those
+            at the same place in neighbouring blocks take points that follow each other.
+    """
     bits = max(0, samples - 1).bit_length()
+    side = min(15, 16 - (bits + 1) // 2)  # so that no number of a pixel is negative
     with torch.inference_mode(False):  # they are kept, for renderings that are differentiated
         return FilmOrder(*(torch.full((), value, dtype=torch.int32, device=device)
-                           for value in (width, bits, 16 - (bits + 1) // 2)))
+                           for value in (width, bits, side, min(2 * (block.bit_length() - 1), 2 * side))))
 
 
 def film_lane_key(order: FilmOrder, pixel: Tensor, sample: Tensor, key: SampleKey) -> LaneKey:
     """The key of each lane's random numbers.
 
-    The pixels of a block follow each other along a curve of Morton, so that those of every aligned square of 2^k x 2^k
-    pixels take points that follow each other.
+    Blocks of pixels follow each other along a curve of Morton, so that those of every aligned square of 2^k x 2^k blocks
+    take points that follow each other.
 
     Args:
         order: of the film.
@@ -125,10 +137,12 @@ def film_lane_key(order: FilmOrder, pixel: Tensor, sample: Tensor, key: SampleKe
     """
     row = torch.div(pixel, order.width, rounding_mode="floor")
     column = pixel - row * order.width
-    block = (row >> order.side << 16) + (column >> order.side)
+    square = (row >> order.side << 16) + (column >> order.side)
     inside = (1 << order.side) - 1
     along = spread_bits(column & inside) + (spread_bits(row & inside) << 1)
-    return lane_key(key, block, (along << order.bits) + sample)
+    in_block = along & ((1 << order.inner) - 1)
+    along = (along >> order.inner) + (in_block << (2 * order.side - order.inner))
+    return lane_key(key, square, (along << order.bits) + sample)
 
 
 def spread_bits(x: Tensor) -> Tensor:

@@ -30,7 +30,6 @@ from torch_radbp.tensors.record import joined, leaves_of, with_leaves
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, max_component, rows, where
 
 SALT = 0x5BE0CD19  # tells the random numbers of these paths from others,
-MOST = 1 << 31  # paths that begin in one pixel: so many that each has points of its own
 OF_TRIED = 0x2F6E2B17  # and those of paths that are tried
 
 
@@ -135,7 +134,7 @@ def paths_begun(call: RenderCall, number: int, key: SampleKey, count: int, densi
     cell, area = cells_begun(sample - begun + jitter, count, grid.columns * grid.rows, density)
     row = torch.div(cell, grid.columns, rounding_mode="floor")
     column, pixel = cell - row * grid.columns, view.window.numbers(cell - row * grid.columns, row)
-    camera = call.stages.sample_camera(view.camera, view.order(MOST), pixel, sample, key, call.scene.layout.traces_cones)
+    camera = call.stages.sample_camera(view.camera, view.apart, pixel, sample, key, call.scene.layout.traces_cones)
     place = Vec2(column - view.window.columns.before + camera.place.x.double(),
                  row - view.window.rows.before + camera.place.y.double())
     return Begun(pixel, sample, place, area.expand(count), camera)
@@ -240,7 +239,7 @@ def arriving(call: RenderCall, number: int, points: Viewpoints, all_of_them: boo
     view, cones = call.views[number], call.scene.layout.traces_cones
 
     def begun(chosen: Viewpoints) -> CameraSample:
-        return sample_camera(view.camera, view.order(MOST), chosen.pixel, chosen.sample, salted(view, SALT), cones)
+        return sample_camera(view.camera, view.apart, chosen.pixel, chosen.sample, salted(view, SALT), cones)
 
     first, ray = points.depth == 0, points.ray
     if any_differentiated(view.camera):
