@@ -110,7 +110,7 @@ def test_forward_is_the_transpose_of_backward_on_a_material(kind):
              and is_read(build(), name)]
     if not names:
         pytest.skip("no parameter of this material has a derivative")
-    assert_transposed(build, names, **SETTINGS | {"spp": 8})
+    assert_transposed(build, names, **SETTINGS | {"spp": 16})
 
 
 def image_of(renderer, **values):

@@ -99,12 +99,17 @@ def test_the_image_and_gradients_of_the_cornell_box(caster):
         assert relative_error(gradient, wanted) < 2e-3, name
 
 
+# Rounding decides by which of two pixels some curves in mirrors and glass are found: `test_terms` has those.
+TERMS = {"materials": ("interior", "shadow")}
+
+
 @pytest.mark.parametrize("sampling", ["hybrid", "attached"])
 @pytest.mark.parametrize("name", EVERYTHING)
 def test_every_plugin_and_parameter_in_double_precision(name, sampling):
     """By the same rays, of `brute`."""
     names = [name for name, _ in build_everything(name).named_parameters()]
-    settings = {"spp": 2, "max_depth": 4, "rr_depth": 2, "sampling": sampling, "caster": "brute"}
+    settings = {"spp": 2, "max_depth": 4, "rr_depth": 2, "sampling": sampling, "caster": "brute",
+                "terms": TERMS.get(name, rb.Renderer(build_everything(name)).terms)}
     (expected, gradients), (image, found) = (
         image_and_gradients(build_everything(name), names, device, **settings) for device in ("cpu", "cuda"))
     assert expected.dtype == torch.float64 and expected.isfinite().all() and expected.any()

@@ -12,7 +12,7 @@ from torch_radbp.formats.mesh import read_mesh
 from torch_radbp.formats.ply_attributes import attributes_in
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
-SETTINGS = {"spp": 2, "max_depth": 4, "rr_depth": 2}
+SETTINGS = {"spp": 4, "max_depth": 4, "rr_depth": 2}
 TOLERANCE = 1e-10
 
 
