@@ -64,8 +64,8 @@ def view_of(shot: Shot, seeds: tuple[int, int], own: bool, spp: int, scene: Scen
 
     The gradient of a squared error sums products of the noise of the image and that of the derivative over pixels. If both
     were found in the same high frequencies, that sum would be noisier than that of independent pixels. So a derivative's own
-    samples are as good as independent within `BLOCK` x `BLOCK` pixels, and fill gaps from block to block. `own`: it has such;
-    else it has those that an image of its seed has.
+    samples are as good as independent within `BLOCK` x `BLOCK` pixels, and fill gaps from block to block. `own`: it has
+    such; else it has those that an image of its seed has.
     """
     sensor, sampler = shot.sensor, shot.sensor.sampler
     reach = cache.inventory(sensor).reach((sensor,))
