@@ -52,11 +52,11 @@ show(before=before, target=target, derivative=derivative)
 
 # %%
 green.requires_grad_()
-renderer = rb.Renderer(scene, spp=8, max_depth=5)
+renderer = rb.Renderer(scene, spp=16, max_depth=5)
 optimizer = torch.optim.Adam([green], lr=0.05)
-schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 60)  # small steps at the end average the noise out
+schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 100)  # small steps at the end average the noise out
 losses = []
-for step in range(60):
+for step in range(100):
     optimizer.zero_grad()
     loss = (renderer(seed=step)[0] - target).square().mean()
     loss.backward()
