@@ -55,7 +55,7 @@ def recover(scene, name, rotation, translation, steps, lr):
     pose = scene.get_parameter(name)
     truth = pose.detach().clone()
     with torch.no_grad():
-        target = rb.render(scene, spp=256, seed=1)
+        target = rb.render(scene, spp=1024, seed=1)
         pose.copy_(moved(truth, torch.tensor([rotation, translation])))
         before = rb.render(scene, spp=64)[0]
     start, motion = pose.detach().clone(), torch.zeros(2, 3, requires_grad=True)
@@ -76,7 +76,7 @@ def recover(scene, name, rotation, translation, steps, lr):
     return torch.rad2deg(((turn.trace() - 1) / 2).clamp(-1, 1).arccos()).item(), (pose - truth)[:3, 3].norm().item()
 
 
-angle, distance = recover(scene, "block.to_world", [0.1, -0.1, 0.3], [0.15, -0.12, 0.15], steps=120, lr=0.02)
+angle, distance = recover(scene, "block.to_world", [0.1, -0.1, 0.3], [0.15, -0.12, 0.15], steps=200, lr=0.02)
 print(f"the block: off by {angle:.2f} degrees and {distance:.4f}")
 
 # %% [markdown]

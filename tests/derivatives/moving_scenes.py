@@ -251,7 +251,7 @@ SCENES = {
     "distances turned": MovingScene(scene(hills=relief(), **POINT), "hills.to_world", rigid(TWIST), 0.005),
     # By less than what changes the pattern of triangles, which the derivative does not see: it is 0.2% of the slope.
     "distances": MovingScene(scene(hills=relief(), **POINT), "hills.grid", wave(size=0.3), 0.001),
-    "field of view": MovingScene(scene(sensor=camera(rfilter="box"), **FLOOR, **POINT), "sensor.x_fov", constant(1), 0.5),
+    "field of view": MovingScene(scene(sensor=camera(rfilter="box"), **FLOOR, **POINT), "sensor.x_fov", constant(1), 0.25),
     # Silhouettes and creases in view. Light comes from all around, or from behind the camera, so that no shadow moves.
     "outline of a cube": MovingScene(scene(solid=SOLID, **SKY), "solid.to_world", rigid(TWIST), 0.01),
     "outline of a cube, camera": MovingScene(scene(solid=SOLID, **SKY), "sensor.to_world", rigid(TWIST, (0.5, -0.4, 2.6)),

@@ -15,9 +15,9 @@ BATCHES = 8
 # The bias that a batch of so many samples shows.
 SHOWN = {
     (0.05, 512): ("checkerboard", "texels, repeat", "texels, mirror", "a lamp in squares", "ball in a floor, floor",
-                  "walls that cross", "instance in a floor", "squares slide", "texels slide", "sheets of a mesh, camera",
-                  "ribbon through itself"),
-    (0.05, 1024): ("checkerboard, camera", "texels, clamp", "roughness in squares"),
+                  "walls that cross", "texels slide", "sheets of a mesh, camera", "ribbon through itself"),
+    (0.05, 1024): ("texels, clamp", "roughness in squares", "squares slide"),
+    (0.05, 2048): ("checkerboard, camera", "instance in a floor"),
     (0.1, 512): ("sheets of a mesh", "checkerboard, field of view", "ball in a floor, camera"),
     (0.1, 1024): ("cut out", "holes slide"),
     (0.2, 512): ("ball in a floor", "ball in a floor, floor, seen by a wall", "lamp in a ceiling, lamp"),
