@@ -114,6 +114,13 @@ SHEETS = joined((placed(SQUARE[0], rotate((0.2, 1, 0.1), 4)), SQUARE[1]),
 CUBES = joined(*((placed(CUBE[0], translate((0.1, 0.5, 0.4)), rotate(axis, 50), scale((0.4, 0.25, 0.3))), CUBE[1])
                  for axis in ((1, 0.7, 0.4), (0.3, -0.6, 1))))
 
+# The planes of their sides do not meet the part of the wall that is in view: where one does, the sides that lie in it are seen
+# askance, and the variance of the derivative there is infinite, be it only like a logarithm.
+TO_THE_WALL = (-0.1, 1.1, 0.8)
+CORNERS_FIRST = joined(*((placed(
+    CUBE[0], translate((0.1, 0.5, 0.4)), rotate(TO_THE_WALL, spin), rotate((-1, -3, 4), 40.4), scale(size)), CUBE[1])
+    for spin, size in ((10, (0.3, 0.25, 0.28)), (55, (0.26, 0.3, 0.24)))))
+
 
 def second(motion: Callable[[torch.Tensor], torch.Tensor]) -> Callable[[torch.Tensor], torch.Tensor]:
     """Tangents of vertex positions (V, 3): the last half moves as such a pose does, the others stay."""
@@ -139,9 +146,9 @@ SUNK_LAMP = {"floor": floor(diffuse(0.8, 0.4, 0.2)), "ceiling": CEILING, "lamp":
     "type": "cube", "to_world": translate(ABOVE) @ rotate((1, 0.7, 0.4), 15) @ scale((0.2, 0.15, 0.3))}}
 
 
-def seen_by_a_wall(name: str, direction, **objects: Any) -> MovingScene:
+def seen_by_a_wall(name: str, direction, step: float = FINE, **objects: Any) -> MovingScene:
     """A scene in which light comes to the view by way of the wall alone."""
-    return MovingScene(scene(**BELOW, **objects), name, direction, FINE, 3, ("hybrid",))
+    return MovingScene(scene(**BELOW, **objects), name, direction, step, 3, ("hybrid",))
 
 
 IN_A_MIRROR = {"sensor": sensor(SIZE, (0.3, 0.6, 2.2), (0.2, 2.2, 1.33), 18, rfilter="box"), "mirror": {
@@ -180,8 +187,9 @@ INNER_JUMPS = {
     "ribbon through itself": MovingScene(scene(sensor=VIEWED, ribbon=ribbon(), lamp=POINT), "ribbon.vertex_positions",
                                          wave(size=0.3), FINE),
     "ball in a floor, floor, seen by a wall": seen_by_a_wall("floor.to_world", PUSH, **DIPPED),
-    "cubes of a mesh, seen by a wall": seen_by_a_wall("cubes.vertex_positions", second(rigid(TWIST, (0.1, 0.5, 0.4))),
-                                                      cubes=CUBES),
+    "ball in a floor, the wall that sees it": seen_by_a_wall("wall.to_world", rigid(TWIST, (0.5, 3.6, 1.2)), **DIPPED),
+    "cubes of a mesh, seen by a wall": seen_by_a_wall("cubes.vertex_positions", second(rigid(TWIST, (1.1, 0.5, -0.4))),
+                                                      6 * FINE, cubes=CORNERS_FIRST),
     "cubes of a mesh, in a mirror": MovingScene(
         scene(**IN_A_MIRROR, cubes=CUBES, lamp=POINT, floor=floor(diffuse(0.2))), "cubes.vertex_positions",
         second(rigid(TWIST, (0.1, 0.5, 0.4))), FINE, 3, ("hybrid",)),

@@ -17,11 +17,11 @@ SHOWN = {
     (0.05, 512): ("checkerboard", "texels, repeat", "texels, mirror", "a lamp in squares", "ball in a floor, floor",
                   "walls that cross", "texels slide", "sheets of a mesh, camera", "ribbon through itself"),
     (0.05, 1024): ("texels, clamp", "roughness in squares", "squares slide"),
-    (0.05, 2048): ("checkerboard, camera", "instance in a floor"),
+    (0.05, 2048): ("checkerboard, camera", "instance in a floor", "ball in a floor, the wall that sees it"),
     (0.1, 512): ("sheets of a mesh", "checkerboard, field of view", "ball in a floor, camera"),
     (0.1, 1024): ("cut out", "holes slide"),
     (0.2, 512): ("ball in a floor", "ball in a floor, floor, seen by a wall", "lamp in a ceiling, lamp"),
-    (0.2, 1024): ("cubes of a mesh, seen by a wall",),
+    (0.2, 2048): ("cubes of a mesh, seen by a wall",),
     (0.3, 1024): ("cubes of a mesh, in a mirror", "lamp in a ceiling, ceiling", "lamp in a ceiling, by way of a wall"),
 }
 ROWS = [Row(name, bias, spp) for (bias, spp), names in SHOWN.items() for name in names]

@@ -7,6 +7,7 @@ is continuous unless they are silhouettes.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from itertools import accumulate
 from typing import NamedTuple
@@ -193,13 +194,14 @@ class Outlines:
         return known.outline
 
     def crossing(self, rendering: Rendering, call: RenderCall, seed: int) -> Segments | None:
-        """Where bodies of which one moves pass through each other, or through themselves; None: nowhere. Args as for
-        `of_views`."""
+        """Where bodies pass through each other, or through themselves, of which one moves or has points that may slide; None:
+        nowhere. Args as for `of_views`."""
         moving = moving_in(rendering)
-        if not any(moving.shapes) and not any(moving.instances):
+        if not any(moving.shapes) and not any(moving.instances) and not any(rendering.camera_movers):
             return None
-        meshes = self.of_bodies(call.still_scene, rendering.sizes, moving)
-        return joined_segments(self.passing.segments(rendering, call, moving, meshes, seed))
+        wanted = moving._replace(shapes=tuple(map(operator.or_, moving.shapes, rendering.plain)))
+        meshes = self.of_bodies(call.still_scene, rendering.sizes, wanted)
+        return joined_segments(self.passing.segments(rendering, call, wanted, meshes, seed))
 
     def of_bodies(self, scene: SceneTensors, counts: Sequence[int], moving: Moving) -> list[MeshOfBodies]:
         """The edges of all that moves, each once; args as for `of`."""

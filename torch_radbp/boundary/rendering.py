@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import torch
@@ -160,6 +161,19 @@ class Rendering:
         members = Counter(id(instances[0].shapegroup) for instances in self.scene.shown_by if instances)
         return [shape.may_cross_itself or bool(instances) and members[id(instances[0].shapegroup)] > 1
                 for shape, instances in zip(self.shapes, self.scene.shown_by)]
+
+    @cached_property
+    def plain(self) -> tuple[bool, ...]:
+        """For each shape, whether points may slide over its triangles; see `scene.nearby`."""
+        plain, sizes = self.tensors.triangles.plain, self.sizes
+        if plain is None:
+            return (False,) * len(sizes)
+
+        def find() -> tuple[bool, ...]:
+            first = torch.tensor([0, *accumulate(sizes)][:-1], device=plain.device).clamp_max(len(plain) - 1)
+            return tuple(plain[first].tolist())
+
+        return self.known("plain", find)
 
     @cached_property
     def sliders(self) -> list[list[str]]:

@@ -11,7 +11,8 @@ that passes through it, changes by dh at a fixed place, the curve moves over it 
 
     dL = sum over both surfaces, integral of f |cos x| |cos z| / r^2  L(z, x)  s dh / |grad h| dl
 
-with s the sign of the level at x. Where both surfaces move together nothing changes, whatever x does. So it is for all
+with s the sign of the level at x. Points that are near x are not glued, but slide (`slid.py`): then dh is of the point that
+does. Where they are glued and both surfaces move together nothing changes, whatever x does. So it is for all
 light, that of a lamp which passes through something included: no light sample tells what of its own lamp is hidden. From
 lights without extent nothing is looked for: what they light ends at the curve, and what is seen from elsewhere ends there,
 too.
@@ -34,6 +35,7 @@ from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry
 from torch_radbp.boundary.shadows.hidden_light import EVEN, FirstVertex, light_beyond, number_of_paths
 from torch_radbp.boundary.shadows.seen_edges import BESIDE, Passed, corners_of, extent_of, salted, unhidden
 from torch_radbp.boundary.shadows.segment_tree import SegmentTree, ends_of, surfaces_of
+from torch_radbp.boundary.shadows.slid import what_slides
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, vertex_at, viewpoints
 from torch_radbp.boundary.shadows.ways_down import picked_ones, ways_down
 from torch_radbp.call.render_call import RenderCall, integrand_of
@@ -65,6 +67,7 @@ class CrossedOfView(NamedTuple):
 
     points: Viewpoints
     viewpoint: Tensor  # (K,) int32, which
+    start: Vec3  # where these are, world
     sheets: Sheets
     strength: Tensor  # (3, K) float64, what is gained where the level rises by one
 
@@ -72,7 +75,12 @@ class CrossedOfView(NamedTuple):
 def jumps_in_view(call: RenderCall, number: int, found: CrossedOfView) -> FilmJumps:
     """What such curves add to the derivative of view `number`; `call`: of which something moves."""
     geometry, sheets = attached_geometry(call.scene), found.sheets
-    p = interpolated(place_of(geometry, sheets.triangle, sheets.instance), *sheets.at)
+    dtype = found.points.hit.u.dtype
+    met = Hit(sheets.triangle, *sheets.at.map(lambda c: c.to(dtype)), torch.zeros_like(sheets.at.x, dtype=dtype),
+              sheets.instance)
+    near, ways = what_slides(call, number, geometry, rows(found.points, found.viewpoint), found.start, met, sheets.at)
+    at = (place.index_add(0, near, way) for place, way in zip(sheets.at, ways))
+    p = interpolated(place_of(geometry, sheets.triangle, sheets.instance), *at)
     level = height_above(place_of(geometry, sheets.through, sheets.shown_by), p)
     return FilmJumps(rows(found.points.place, found.viewpoint), found.strength * (level - primal(level)))
 
@@ -115,7 +123,7 @@ def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree) -> Cros
     kept = ((light != 0) & torch.isfinite(light)).any(0).nonzero().squeeze(1)
     if not len(kept):
         return None
-    return CrossedOfView(points, passed.eye[kept], rows(sheets, kept), light[:, kept])
+    return CrossedOfView(points, passed.eye[kept], rows(at, passed.eye[kept]), rows(sheets, kept), light[:, kept])
 
 
 def hit_beside(sheets: Sheets, dtype: torch.dtype) -> Hit:

@@ -29,8 +29,7 @@ from torch_radbp.sampling.sampler import SampleKey, fine_unit, hash32
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import rows
 
-FEWEST = 8  # eyes from which each edge is tried
-ENOUGH = 32  # eyes from which on it pays to try some first
+FEWEST = 32  # eyes from which each edge is tried: of less, those few tell nothing that are to tell which edges are worth it
 FIRST = 1 / 8  # share of what is tried by which one tells which edges are silhouettes,
 SEEN, CLOSE, OTHER = 3 / 8, 3 / 8, 1 / 8  # and shares of these, of their neighbours, and of all others
 SALT = 0x3C9A5B71  # tells the random numbers of the first from others
@@ -70,7 +69,7 @@ def edges_tried(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes
         return Found(edge, torch.full_like(angle, count / each), angle), eye
 
     edges, ways = numbers_to(len(outline.crease), eyes.w), each * len(outline.crease)
-    if each == len(eyes.w) or each < ENOUGH:
+    if each == len(eyes.w):
         return found_from(edges, each, seed)
     pilot, _ = found_from(edges, int(each * FIRST), seed._replace(seed=hash32(seed.seed ^ SALT)))
     seen = torch.zeros_like(edges, dtype=torch.bool)

@@ -32,15 +32,25 @@ def less_what_slides(call: RenderCall, number: int, geometry: Geometry, points: 
         met: (N,) the triangles on which the places lie.
         seen: (N,) the places, attached.
     """
+    near, ways = what_slides(call, number, geometry, points, start, met, seen.map(primal))
+    return Vec2(*(place.index_add(0, near, -way) for place, way in zip(seen, ways)))
+
+
+def what_slides(call: RenderCall, number: int, geometry: Geometry, points: Viewpoints, start: Vec3, met: Hit,
+                place: Vec2) -> tuple[Tensor, Vec2]:
+    """Which points slide over their triangles, (K,) int64 of N, and what their barycentric coordinates change by; attached.
+
+    Args:
+        call, number, geometry, points, start, met: as for `less_what_slides`.
+        place: (N,) the points, barycentric coordinates, detached.
+    """
     if geometry.triangles.plain is None:
-        return seen
-    share, d = share_of_slide(geometry_of(detached(call.scene)), points.hit, start, met, seen.map(primal))
+        return torch.zeros_like(points.hit.prim[:0], dtype=torch.int64), place.map(lambda c: c[:0])
+    share, d = share_of_slide(geometry_of(detached(call.scene)), points.hit, start, met, place)
     near = (share > 0.0).nonzero().squeeze(1)
-    if not len(near):
-        return seen
     points, met, share, d = rows((points, met, share, d), near)
     fixed = crossed_at(corners_of(geometry, met), Ray(vertex_at(call, geometry, number, points), d))
-    return Vec2(*(place.index_add(0, near, share * (primal(way) - way)) for place, way in zip(seen, fixed)))
+    return near, fixed.map(lambda way: share * (way - primal(way)))
 
 
 def share_of_slide(geometry: Geometry, standing: Hit, start: Vec3, met: Hit, place: Vec2) -> tuple[Tensor, Vec3]:
