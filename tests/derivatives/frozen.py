@@ -76,10 +76,14 @@ class Decisions:
         return held.view_as(held)
 
     def proposal(self, scene: SceneTensors) -> SceneTensors:
-        """`proposal_of`, held: all of it, or only the tables from which lights are chosen."""
+        """`proposal_of`, held: all of it, or only the tables from which lights are chosen, without the areas that densities
+        on a chosen one are the inverse of."""
         if not self.choices:
             return self.all_held(scene)
-        return detached(scene)._replace(lights=self.all_held(scene.lights))
+        lights, now = self.all_held(scene.lights), detached(scene)
+        tables = (held._replace(inverse_area=own.inverse_area) if hasattr(own, "inverse_area") else held
+                  for held, own in zip(lights.tables, now.lights.tables))
+        return now._replace(lights=lights._replace(tables=tuple(tables)))
 
     def all_held(self, record):
         """Every tensor of a record held, also of one without derivatives."""

@@ -69,13 +69,14 @@ def test_forward_is_the_transpose_of_backward(name, sampling):
                 for parameter in names}
     derivative = rb.jvp(scene, tangents, seed=8, sampling=sampling, **SETTINGS | {"spp": SPP[name]})
     assert torch.isfinite(derivative).all() and derivative.abs().max() > 0
+    seen = torch.zeros(len(names), dtype=torch.bool)
     for w in (torch.ones_like(derivative), derivative, cotangent(derivative)):
         _, gradients = gradients_of(lambda: build_everything(name), names, seed=8, spp=SPP[name], sampling=sampling,
                                     adj_image=w)
         terms = torch.stack([(tangents[parameter] * gradient).sum() for parameter, gradient in zip(names, gradients)])
         assert abs(terms.sum() - (w * derivative).sum()) < TRANSPOSED * terms.abs().sum()
-        # A term that one of the two leaves out is seen.
-        assert (terms.abs() > 100 * TRANSPOSED * terms.abs().sum()).all()
+        seen |= terms.abs() > 100 * TRANSPOSED * terms.abs().sum()
+    assert seen.all()  # a term that one of the two leaves out
 
 
 def test_hybrid_is_detached_but_where_a_mirror_or_glass_is():

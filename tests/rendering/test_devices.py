@@ -75,6 +75,7 @@ OF_FEW_EDGES = {"edge_tried"}  # few beside the samples
 NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},
           "lamps": {"places", *OF_TWO_SIDES, *OF_JUMPS, *OF_MIRRORS, *OF_FEW_EDGES},
           "shapes": {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS, *OF_FEW_EDGES},
+          "textures": {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_FEW_EDGES},
           "networks": {"ending", "shines", "sheets_seen", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS, *OF_FEW_EDGES},
           "shining networks": {"shines", "cut_course", "scattered", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_SEGMENTS,
                                *OF_CROSSINGS, *OF_MIRRORS, *OF_FEW_EDGES}}

@@ -106,6 +106,7 @@ class Outlines:
         self.shown: dict[Moving, Shown] = {}
         self.faces: dict[Moving, tuple[tuple, Faces | None]] = {}  # with what they depend on
         self.order: tuple[tuple[Tensor, ...], EdgeSlots] | None = None
+        self.sizes: tuple[int, int] | None = None  # triangles of everything, and its edges, when these were found last
         self.passing = Passing()
 
     def of_views(self, rendering: Rendering, call: RenderCall, seed: int) -> list[Jumps]:
@@ -147,6 +148,10 @@ class Outlines:
             remember(self.faces, moving, (key, faces))
         return faces
 
+    def edges_expected(self, triangles: int) -> int:
+        """How many edges everything has, of so many triangles: as many as last time, or at most."""
+        return self.sizes[1] if self.sizes is not None and self.sizes[0] == triangles else 3 * triangles
+
     def of_everything(self, rendering: Rendering, call: RenderCall, seed: int) -> Outline | None:
         """The edges of all shapes; None: there are none. Args as for `of_views`."""
         everything = Moving(*((True,) * len(part) for part in (rendering.movers, rendering.moving_instances)))
@@ -154,6 +159,7 @@ class Outlines:
         found = self.of(call.still_scene, sizes, everything, generator)
         if found is None:
             return None
+        self.sizes = len(call.still_scene.triangles.material), len(found.crease)
         shape = torch.repeat_interleave(torch.tensor(sizes, device=found.crease.device)).int()
         body = rows(shape, torch.div(found.edges.corner[0], 3, rounding_mode="floor"))
         body = body if found.instance is None else body + found.instance * len(sizes)

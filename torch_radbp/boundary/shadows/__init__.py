@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import geometry_of
-from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.outline import Outline, outlines_of
 from torch_radbp.boundary.places import FEWEST, taken_by
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.boundary.shadows import (
@@ -41,7 +41,7 @@ from torch_radbp.boundary.shadows.segment_tree import SegmentTree, segment_tree
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.tensors.differentiated import any_differentiated, detached
 
-BYTES_OF_EDGE = 272  # nodes of the tree, and what they are made of
+BYTES_OF_EDGE = 300, 900  # nodes of the tree, and what they are made of: in fused loops, in plain torch
 BYTES_OF_WAY = 120  # down the tree: where it is, and what it has found
 BYTES_OF_TRIED = 20, 240  # an edge that is tried from a light sample: in fused loops, in plain torch
 BYTES_OF_PLACE = 1200  # where it lies, what it is made of, and how it moves, while it is found
@@ -71,10 +71,10 @@ def slides_over_edges(call: RenderCall) -> bool:
 def bytes_of_shadows(call: RenderCall) -> int:
     """The most that places on borders of shadows may take of memory."""
     paths = call.spp * max(view.width * view.height for view in call.views)
-    edges = 3 * len(call.scene.triangles.material)  # at most, but for instances
+    edges = outlines_of(call.module).edges_expected(len(call.scene.triangles.material))
     vertices = max(hidden_light.FEWEST_PATHS, min(hidden_light.MOST, paths // hidden_light.SHARE))
     samples = max(FEWEST, min(border.MOST, paths // border.share_of(call.scene)))
-    tried = BYTES_OF_TRIED[not hasattr(call.stages.edge_tried, "into")]
+    of_edge, tried = (sizes[not hasattr(call.stages.edge_tried, "into")] for sizes in (BYTES_OF_EDGE, BYTES_OF_TRIED))
     ways = max(samples * border.LOOKS * GROUP * tried, vertices * hidden_light.LOOKS * BYTES_OF_WAY)
     looked_for = vertices * hidden_light.PLACES * glues(call)
     places = max(samples, looked_for)
@@ -86,7 +86,7 @@ def bytes_of_shadows(call: RenderCall) -> int:
     places += bool(pictures.lines_of_pictures(call)) * samples
     kept = places + int(2 * crossed_surfaces.PLACES * crossed_surfaces.PATHS * vertices)  # fewer than others while found
     of_places = places * BYTES_OF_PLACE + kept * BYTES_OF_JUMP * len(call.views)
-    return edges * BYTES_OF_EDGE + ways + taken_by(call.stages, of_places)
+    return edges * of_edge + ways + taken_by(call.stages, of_places)
 
 
 def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) -> Tensor:
