@@ -114,8 +114,8 @@ SHEETS = joined((placed(SQUARE[0], rotate((0.2, 1, 0.1), 4)), SQUARE[1]),
 CUBES = joined(*((placed(CUBE[0], translate((0.1, 0.5, 0.4)), rotate(axis, 50), scale((0.4, 0.25, 0.3))), CUBE[1])
                  for axis in ((1, 0.7, 0.4), (0.3, -0.6, 1))))
 
-# The planes of their sides do not meet the part of the wall that is in view: where one does, the sides that lie in it are seen
-# askance, and the variance of the derivative there is infinite, be it only like a logarithm.
+# The planes of their sides do not meet the part of the wall that is in view: where one does, sides are seen askance, and
+# the variance of the derivative there is infinite, be it only like a logarithm.
 TO_THE_WALL = (-0.1, 1.1, 0.8)
 CORNERS_FIRST = joined(*((placed(
     CUBE[0], translate((0.1, 0.5, 0.4)), rotate(TO_THE_WALL, spin), rotate((-1, -3, 4), 40.4), scale(size)), CUBE[1])

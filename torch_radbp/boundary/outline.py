@@ -200,8 +200,10 @@ class Outlines:
         return known.outline
 
     def crossing(self, rendering: Rendering, call: RenderCall, seed: int) -> Segments | None:
-        """Where bodies pass through each other, or through themselves, of which one moves or has points that may slide; None:
-        nowhere. Args as for `of_views`."""
+        """Where bodies pass through each other, or through themselves, of which one moves or has points that may slide.
+
+        None: nowhere. Args as for `of_views`.
+        """
         moving = moving_in(rendering)
         if not any(moving.shapes) and not any(moving.instances) and not any(rendering.camera_movers):
             return None
