@@ -14,6 +14,8 @@ from torch_radbp.jit.elementary_double import FORMULAS
 from torch_radbp.jit.order import chosen, partition, put
 from torch_radbp.jit.scatter import Sums, copies, scatter_add
 from torch_radbp.jit.structure import replaced
+from torch_radbp.scene import geometry
+from torch_radbp.shape import cylinder, disk, sphere
 from torch_radbp.tensors.record import leaves_of
 
 pytestmark = [pytest.mark.gpu, pytest.mark.filterwarnings("error:.*runs eagerly:RuntimeWarning",
@@ -99,12 +101,22 @@ def test_the_image_and_gradients_of_the_cornell_box(caster):
         assert relative_error(gradient, wanted) < 2e-3, name
 
 
+@pytest.fixture
+def coarse(monkeypatch):
+    """Curved shapes of few triangles, of which `brute` tries every one."""
+    for module, constant, number in ((sphere, "SEGMENTS", 16), (sphere, "RINGS", 8), (geometry, "TRIANGLES", 2 * 16 * 7),
+                                     (disk, "SECTORS", 16), (cylinder, "SECTORS", 16)):
+        assert getattr(module, constant) > number
+        monkeypatch.setattr(module, constant, number)
+
+
 # Rounding decides by which of two pixels some curves in mirrors and glass are found: `test_terms` has those.
 TERMS = {"materials": ("interior", "shadow")}
 
 
 @pytest.mark.parametrize("sampling", ["hybrid", "attached"])
 @pytest.mark.parametrize("name", EVERYTHING)
+@pytest.mark.usefixtures("coarse")
 def test_every_plugin_and_parameter_in_double_precision(name, sampling):
     """By the same rays, of `brute`."""
     names = [name for name, _ in build_everything(name).named_parameters()]

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.film.filter import Kernel
-from torch_radbp.film.splat import PIECE, TOGETHER, Block, offset_sums
+from torch_radbp.film.splat import PIECE, PIECE_ELSEWHERE, TOGETHER, Block, offset_sums
 from torch_radbp.film.window import Window
 from torch_radbp.tensors.vec import Vec2
 
@@ -51,7 +51,8 @@ def row_sums(stage: Callable, grid: Grid, values: tuple[Tensor, ...], block: Blo
         block: of the samples.
     """
     (place, samples, spp), rows = block, len(block.place.x) // (block.samples * grid.columns)
-    most = max(1, PIECE * min(samples, TOGETHER) // (samples * grid.columns))
+    piece = PIECE if place.x.is_cpu else PIECE_ELSEWHERE
+    most = max(1, piece * min(samples, TOGETHER) // (samples * grid.columns))
     pieces = []
     for first in range(0, rows, most):
         lanes = slice(first * grid.columns * samples, (first + most) * grid.columns * samples)

@@ -19,7 +19,9 @@ from torch_radbp.tensors.vec import Vec2, gather
 
 TOGETHER = 8  # samples of a pixel that a lane adds up; compiled, for it takes the more operations the more there are
 MOST_VALUES = 4  # that are added up at once: of many, code takes long to compile
-PIECE = 1 << 14  # pixels whose sums are made at once, less where they have many samples
+# Pixels whose sums are made at once, less where they have many samples: what a cache of the processor holds; and elsewhere,
+# where it takes longer to ask for sums than to make them.
+PIECE, PIECE_ELSEWHERE = 1 << 14, 1 << 18
 
 
 class Block(NamedTuple):
