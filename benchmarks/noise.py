@@ -4,13 +4,16 @@ This renderer and Mitsuba (``prb`` in ``llvm_ad_rgb``) take turns within one pro
 new samples, on the scenes of `versus_mitsuba` with the filter of your choice. Image and derivative have samples of their own
 on both sides, as is the default. Printed are ours over Mitsuba's: the variance of the image, mean over pixels; of the
 gradient of each parameter, sum over its entries; the time of a pass forward and backward, median; and *equal noise*, which
-is variance times time: what an answer of a given noise costs. ``--busy 4`` lets four other processes compute meanwhile.
+is variance times time: what an answer of a given noise costs. Of the worst parameter the standard error of the ratio is
+told, too: where passes are few, a single one that met something rare may hold most of the variance of them all. ``--busy 4``
+lets four other processes compute meanwhile.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import statistics
 import subprocess
 import sys
@@ -34,18 +37,25 @@ class Spread:
     """The variance of arrays that come one after the other. Reference: Welford 1962."""
 
     def __init__(self) -> None:
-        self.count, self.mean, self.squares = 0, 0.0, 0.0
+        self.count, self.mean = 0, 0.0
+        self.squares: list[float] = []  # by how much each adds to the sum of squares, mean over entries
 
     def add(self, value: np.ndarray) -> None:
         self.count += 1
         off = value.astype(np.float64) - self.mean
         self.mean = self.mean + off / self.count
-        self.squares = self.squares + off * (value - self.mean)
+        self.squares.append(float(np.mean(off * (value - self.mean))))
 
     @property
     def variance(self) -> float:
         """The mean over entries."""
-        return float(np.mean(self.squares)) / (self.count - 1)
+        return sum(self.squares) / (self.count - 1)
+
+    @property
+    def doubt(self) -> float:
+        """The standard error of the variance, relative to it, as if each array added as much in the mean."""
+        mean = statistics.fmean(self.squares[1:])
+        return statistics.stdev(self.squares[1:]) / max(mean, 1e-300) / (self.count - 1) ** 0.5
 
 
 def measure(options: argparse.Namespace) -> dict:
@@ -70,15 +80,19 @@ def measure(options: argparse.Namespace) -> dict:
                     spreads[name].setdefault(what, Spread()).add(value)
     ours, theirs = (spreads[name] for name in ("ours", "theirs"))
     variances = {what: ours[what].variance / max(theirs[what].variance, 1e-300) for what in ours}
-    return {"variances": variances, "time": statistics.median(times["ours"]) / statistics.median(times["theirs"])}
+    doubts = {what: math.hypot(ours[what].doubt, theirs[what].doubt) for what in ours}
+    return {"variances": variances, "doubts": doubts,
+            "time": statistics.median(times["ours"]) / statistics.median(times["theirs"])}
 
 
 def row(name: str, resolution: int, spp: int, found: dict) -> str:
     variances, time = dict(found["variances"]), found["time"]
     image = variances.pop(PIXELS)
     worst = max(variances, key=variances.get)
+    ratio, doubt = variances[worst], found["doubts"][worst]
     return (f"| {name} | {resolution} x {resolution}, {spp} | {image:.2f} | {statistics.median(variances.values()):.2f} | "
-            f"{variances[worst]:.2f} `{worst}` | {time:.2f} | {image * time:.2f} | {variances[worst] * time:.2f} |")
+            f"{ratio:.2f} +- {ratio * doubt:.2f} `{worst}` | {time:.2f} | {image * time:.2f} | "
+            f"{ratio * time:.2f} +- {ratio * doubt * time:.2f} |")
 
 
 def main() -> None:

@@ -85,6 +85,8 @@ def quiet(name: str, sensors: int) -> rb.Scene:
 def still_scene(example: Example, sensors: int) -> MovingScene:
     """A quiet scene in which a parameter moves in a direction in which nothing cancels."""
     largest = float(build(example.scene).get_parameter(example.parameter).detach().abs().max())
+    if example.parameter.endswith("eta"):  # of an index counts what it is above 1
+        largest /= 2
     return MovingScene(lambda: quiet(example.scene, sensors), example.parameter,
                        lambda value: checked_direction(example.parameter, value, "random"),
                        RELATIVE_STEP * (largest or 1.0) / STEEPEST, MAX_DEPTH, ("hybrid",))
