@@ -73,7 +73,8 @@ class MitsubaTangents(Mitsuba):
         self.parameters.update()
         image = mi.render(self.scene, self.parameters, integrator=self.integrator, spp=self.spp, seed=seed)
         dr.forward(step)
-        dr.eval(dr.grad(image))
+        self.tangent_image = dr.grad(image)
+        dr.eval(self.tangent_image)
         dr.sync_thread()
         self.parameters[name] = value
 
