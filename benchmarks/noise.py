@@ -1,12 +1,13 @@
 """Noise beside Mitsuba's, and noise together with time: ``python -m benchmarks.noise`` (needs mitsuba==3.9.1 and LLVM).
 
-This renderer and Mitsuba (``prb`` in ``llvm_ad_rgb``) take turns within one process, forward and backward, each round with
-new samples, on the scenes of `versus_mitsuba` with the filter of your choice. Image and derivative have samples of their own
-on both sides, as is the default. Printed are ours over Mitsuba's: the variance of the image, mean over pixels; of the
-gradient of each parameter, sum over its entries; the time of a pass forward and backward, median; and *equal noise*, which
-is variance times time: what an answer of a given noise costs. Of the worst parameter the standard error of the ratio is
-told, too: where passes are few, a single one that met something rare may hold most of the variance of them all. ``--busy 4``
-lets four other processes compute meanwhile.
+This renderer and Mitsuba (``prb`` in ``llvm_ad_rgb``) take turns within one process, forward and backward, on the scenes of
+`versus_mitsuba` with the filter of your choice. Each turn has two passes, with samples of their own, of which the second is
+timed: in a loop nobody else has used the caches just before. Image and derivative have samples of their own on both sides,
+as is the default. Printed are ours over Mitsuba's: the variance of the image, mean over pixels; of the gradient of each
+parameter, sum over its entries; the time of a pass forward and backward, median; and *equal noise*, which is variance times
+parameter, sum over its entries; the time of a pass forward and backward, median; and *equal noise*, variance times
+are few, one that met something rare may hold most of the variance of them all. ``--busy 4`` lets four processes compute
+meanwhile.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from benchmarks.scenes.description import with_filter, without_samplers
 
 SCENE, OWN = "scene", "own"  # whose samplers
 FILTERS = ("box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos")
-PIXELS, WARM_UP = "image", 2
+PIXELS, WARM_UP = "image", 1
 
 
 class Spread:
@@ -70,12 +71,15 @@ def measure(options: argparse.Namespace) -> dict:
         peers = {"ours": Ours(scene, compiled=True), "theirs": Mitsuba(scene)}
     spreads: dict[str, dict[str, Spread]] = {name: {} for name in peers}
     times: dict[str, list[float]] = {name: [] for name in peers}
-    for seed in track(range(-WARM_UP, options.rounds), f"{options.only}, {resolution} x {resolution}, {spp}",
+    for turn in track(range(-WARM_UP, (options.rounds + 1) // 2), f"{options.only}, {resolution} x {resolution}, {spp}",
                       transient=True):
         for name, peer in peers.items():
-            took = peer.run(seed + WARM_UP).both
-            if seed >= 0:
-                times[name].append(took)
+            for second in (0, 1):
+                took = peer.run(2 * (turn + WARM_UP) + second).both
+                if turn < 0:
+                    continue
+                if second:
+                    times[name].append(took)
                 for what, value in ({PIXELS: peer.pixels()} | peer.gradients_found()).items():
                     spreads[name].setdefault(what, Spread()).add(value)
     ours, theirs = (spreads[name] for name in ("ours", "theirs"))
@@ -103,7 +107,7 @@ def main() -> None:
     parser.add_argument("--filter", choices=FILTERS, default="gaussian", help="what both reconstruct the image with")
     parser.add_argument("--sampler", choices=(SCENE, OWN), default=SCENE,
                         help="scene: independent samples, as the scenes say; own: what each renderer takes if none is named")
-    parser.add_argument("--rounds", type=int, default=16)
+    parser.add_argument("--rounds", type=int, default=16, help="passes of each, two in a turn")
     parser.add_argument("--busy", type=int, default=0, help="how many processes compute beside")
     parser.add_argument("--only", choices=ALL, help=argparse.SUPPRESS)
     options = parser.parse_args()
