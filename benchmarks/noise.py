@@ -5,9 +5,9 @@ This renderer and Mitsuba (``prb`` in ``llvm_ad_rgb``) take turns within one pro
 timed: in a loop nobody else has used the caches just before. Image and derivative have samples of their own on both sides,
 as is the default. Printed are ours over Mitsuba's: the variance of the image, mean over pixels; of the gradient of each
 parameter, sum over its entries; the time of a pass forward and backward, median; and *equal noise*, which is variance
-times time: what an answer of a given noise costs. Of the worst parameter the standard error of the ratio is told: where passes
-are few, one that met something rare may hold most of the variance of them all. ``--busy 4`` lets four processes compute
-meanwhile.
+times time: what an answer of a given noise costs. Of the worst parameter the standard error of the ratio is told: where
+passes are few, one that met something rare may hold most of the variance of them all. ``--busy 4`` lets four processes
+compute meanwhile.
 """
 
 from __future__ import annotations
