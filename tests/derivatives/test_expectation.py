@@ -15,7 +15,8 @@ pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 
 SPECULAR = [name for name in SCENES if name.startswith(("lens", "mirror", "pane"))]
 BATCHES = 8
-MORE_BATCHES = {"field of view": 16, "outline of a cube, camera": 16}  # of which 8 happen to be too much alike
+# Of which 8 happen to be too much alike.
+MORE_BATCHES = {"field of view": 16, "outline of a cube, camera": 16, "outline of a ball": 16}
 SPP = 16  # of a batch, where `NOISY` does not ask for more; chosen by `python -m benchmarks.derivatives`
 NOISY = {
     "plane under a sky": 32, "plane turned under an envmap": 64, "metal turned under an envmap": 64,
