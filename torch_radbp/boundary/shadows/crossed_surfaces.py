@@ -75,9 +75,7 @@ class CrossedOfView(NamedTuple):
 def jumps_in_view(call: RenderCall, number: int, found: CrossedOfView) -> FilmJumps:
     """What such curves add to the derivative of view `number`; `call`: of which something moves."""
     geometry, sheets = attached_geometry(call.scene), found.sheets
-    dtype = found.points.hit.u.dtype
-    met = Hit(sheets.triangle, *sheets.at.map(lambda c: c.to(dtype)), torch.zeros_like(sheets.at.x, dtype=dtype),
-              sheets.instance)
+    met = hit_at(sheets, sheets.at, found.points.hit.u.dtype)
     near, ways = what_slides(call, number, geometry, rows(found.points, found.viewpoint), found.start, met, sheets.at)
     at = (place.index_add(0, near, way) for place, way in zip(sheets.at, ways))
     p = interpolated(place_of(geometry, sheets.triangle, sheets.instance), *at)
@@ -118,7 +116,7 @@ def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree) -> Cros
         return None
     sheets = joined(list(call.stages.sheets_seen(geometry, segments, at, passed, extent)))
     passed = joined([passed, passed])
-    hit = hit_beside(sheets, integrand.proposal.dtype)
+    hit = hit_at(sheets, sheets.beside, integrand.proposal.dtype)
     light = light_beyond(call, integrand, points, hit, passed, at, FirstVertex(True, True)) * sheets.growth
     kept = ((light != 0) & torch.isfinite(light)).any(0).nonzero().squeeze(1)
     if not len(kept):
@@ -126,9 +124,9 @@ def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree) -> Cros
     return CrossedOfView(points, passed.eye[kept], rows(at, passed.eye[kept]), rows(sheets, kept), light[:, kept])
 
 
-def hit_beside(sheets: Sheets, dtype: torch.dtype) -> Hit:
-    """What is hit of surfaces right beside where others pass through them, a distance of 0 away."""
-    u, v = (part.to(dtype) for part in sheets.beside)
+def hit_at(sheets: Sheets, place: Vec2, dtype: torch.dtype) -> Hit:
+    """What is hit of surfaces at some places, (N,) barycentric, a distance of 0 away."""
+    u, v = (part.to(dtype) for part in place)
     return Hit(sheets.triangle, u, v, torch.zeros_like(u), sheets.instance)
 
 
