@@ -1,8 +1,8 @@
-"""Where surfaces pass through each other: the segments along which triangles of two bodies meet.
+"""Where surfaces pass through each other, or touch: the segments along which triangles of two bodies meet.
 
 A body is a shape, or a shape of a group as one instance shows it. Of two bodies whose boxes overlap the triangles are looked
 at that reach into the box of the other, and of these the pairs whose boxes overlap along one axis, found by sorting. How a
-surface passes through itself is not looked at.
+surface passes through itself is not looked at. What touching edges mean is said in `contacts.py`.
 
 Reference: Moeller 1997, "A Fast Triangle-Triangle Intersection Test".
 """
@@ -63,19 +63,30 @@ class Bodies(NamedTuple):
     moves: Tensor  # (B,) bool, whether each moves: of two bodies that are looked at, one must
 
 
-def intersections(stages: Stages, geometry: Geometry, bodies: Bodies) -> Segments | None:
-    """The segments along which bodies meet; None: there are none. `geometry`: of the scene, detached."""
+class Met(NamedTuple):
+    """Where bodies meet; None: nowhere."""
+
+    segments: Segments | None  # along which they pass through each other
+    touching: Segments | None  # sides of triangles that lie on other triangles, of which each segment is a part
+
+
+def intersections(stages: Stages, geometry: Geometry, bodies: Bodies) -> Met:
+    """The segments along which bodies meet. `geometry`: of the scene, detached."""
     faces, sizes, moves = bodies
     boxes = stages.boxes_around(geometry, faces)
     around = boxes_of_bodies(boxes, sizes)
     pairs = meeting(around, moves)
     if not len(pairs.one):
-        return None
+        return Met(None, None)
     first = sizes.cumsum(0) - sizes
     reach = [reaching(boxes, around, first, sizes, own, other) for own, other in (pairs, pairs[::-1])]
-    found = [segments_between(geometry, faces, own) for own in candidates(boxes, *reach, len(pairs.one))]
-    found = [own for own in found if len(own.triangle)]
-    return joined(found) if found else None
+    segments, touching = [], []
+    for own in candidates(boxes, *reach, len(pairs.one)):
+        planes = planes_of(geometry, faces, own)
+        segments.append(segments_on(planes))
+        touching += [sides_on(planes), sides_on(planes.turned())]
+    return Met(*(joined(kept) if kept else None
+                 for kept in ([part for part in parts if len(part.triangle)] for parts in (segments, touching))))
 
 
 def boxes_of_bodies(boxes: Boxes, sizes: Tensor) -> Boxes:
@@ -157,15 +168,74 @@ def parts_of(counts: Tensor) -> list[int]:
     return torch.bincount(torch.div(counts.cumsum(0) - counts, MOST, rounding_mode="floor")).tolist()
 
 
-def segments_between(geometry: Geometry, faces: Faces, pairs: Pairs) -> Segments:
-    """The segments along which pairs of triangles meet, on the first of each."""
-    one, other = rows(faces, pairs.one), rows(faces, pairs.other)
-    corners = one.corners(geometry), other.corners(geometry)
+class Planes(NamedTuple):
+    """N pairs of triangles, and how each lies to the plane of the other."""
+
+    faces: tuple[Faces, Faces]
+    corners: tuple[Corners, Corners]
+    heights: tuple[Heights, Heights]  # of either triangle's corners above the other's plane
+
+    def turned(self) -> Planes:
+        """The same pairs, the second triangle first."""
+        return Planes(*(part[::-1] for part in self))
+
+
+class Heights(NamedTuple):
+    """How high the corners of N triangles lie above the planes of others."""
+
+    height: tuple[Tensor, Tensor, Tensor]  # (N,) of any unit
+    least: Tensor  # (N,) below which a corner lies in the plane, of the same unit
+    crosses: Tensor  # (N,) bool: some lie above, some below, by more than that
+
+
+def planes_of(geometry: Geometry, faces: Faces, pairs: Pairs) -> Planes:
+    """How the triangles of some pairs lie to each other."""
+    both = rows(faces, pairs.one), rows(faces, pairs.other)
+    corners = both[0].corners(geometry), both[1].corners(geometry)
     scale = TOUCHING * torch.stack([column.abs() for corner in corners[0] for column in corner]).amax(0)
-    heights = [heights_above(corners[way], corners[1 - way], scale) for way in (1, 0)]
-    meet = heights[0].crosses & heights[1].crosses
-    one, other, corners, heights = rows((one, other, corners, heights), meet.nonzero().squeeze(1))
-    ends = [crossings(*own.height) for own in heights]  # on the first triangle, on the second one
+    return Planes(both, corners, tuple(heights_above(corners[1 - way], corners[way], scale) for way in (0, 1)))
+
+
+def segments_between(geometry: Geometry, faces: Faces, pairs: Pairs) -> Segments:
+    """The segments along which pairs of triangles pass through each other, on the first of each."""
+    return segments_on(planes_of(geometry, faces, pairs))
+
+
+def segments_on(planes: Planes) -> Segments:
+    """The segments along which pairs of triangles pass through each other, on the first of each."""
+    meet = planes.heights[0].crosses & planes.heights[1].crosses
+    planes = rows(planes, meet.nonzero().squeeze(1))
+    return segments_along(planes, tuple(own.height for own in planes.heights))
+
+
+def sides_on(planes: Planes) -> Segments:
+    """The parts of sides of the first triangle of each pair that lie on the second one, while its third corner does not.
+
+    The second triangle reaches to both sides of the plane of the first one, or ends there.
+    """
+    (side, other) = planes.heights
+    on = [height.abs() <= side.least for height in side.height]
+    rests = (on[0].int() + on[1] + on[2] == 2) & (other.crosses | (
+        sum((height.abs() <= other.least).int() for height in other.height) == 2))
+    planes = rows(planes, rests.nonzero().squeeze(1))
+    heights = []
+    for own in planes.heights:
+        # Exactly 0 in the plane, and the corner that is alone above it.
+        level = [torch.where(height.abs() <= own.least, 0.0, height) for height in own.height]
+        below = ~own.crosses & (level[0] + level[1] + level[2] < 0.0)
+        heights.append(tuple(torch.where(below, -height, height) for height in level))
+    return segments_along(planes, tuple(heights))
+
+
+def segments_along(planes: Planes, heights: tuple[tuple[Tensor, Tensor, Tensor], ...]) -> Segments:
+    """The segments that both triangles of pairs have in common, on the first of each.
+
+    Args:
+        planes: (N,) the pairs.
+        heights: of the corners of either triangle above the plane of the other, (N,) each; the segment is where they are 0.
+    """
+    (one, other), corners, _ = planes
+    ends = [crossings(*own) for own in heights]  # on the first triangle, on the second one
     points = [[interpolated(own, end.x, end.y) for end in both] for own, both in zip(corners, ends)]
     along = points[0][1] - points[0][0]
     length = dot(along, along)
@@ -176,13 +246,6 @@ def segments_between(geometry: Geometry, faces: Faces, pairs: Pairs) -> Segments
     found = Segments(one.triangle, one.instance, a + run * enters, a + run * leaves, none, none, none,
                      other.triangle, other.instance, one.share)
     return rows(found, (enters < leaves).nonzero().squeeze(1))
-
-
-class Heights(NamedTuple):
-    """How high the corners of N triangles lie above the planes of others."""
-
-    height: tuple[Tensor, Tensor, Tensor]  # (N,) of any unit
-    crosses: Tensor  # (N,) bool: some lie above, some below, by more than `TOUCHING`
 
 
 def heights_above(plane: Corners, corners: Corners, least: Tensor) -> Heights:
@@ -197,4 +260,4 @@ def heights_above(plane: Corners, corners: Corners, least: Tensor) -> Heights:
     least = least * torch.sqrt(dot(normal, normal))
     height = tuple(height_above(plane, corner) for corner in corners)
     low, high = torch.minimum(torch.minimum(*height[:2]), height[2]), torch.maximum(torch.maximum(*height[:2]), height[2])
-    return Heights(height, (low < -least) & (high > least))
+    return Heights(height, least, (low < -least) & (high > least))

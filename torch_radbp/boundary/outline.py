@@ -8,7 +8,7 @@ is continuous unless they are silhouettes.
 from __future__ import annotations
 
 import operator
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import accumulate
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -16,6 +16,7 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.contacts import Resting, edges_left
 from torch_radbp.boundary.creases import FOLD, creases
 from torch_radbp.boundary.edge_order import EdgeSlots, slots_of
 from torch_radbp.boundary.edges import Edges, edges_of
@@ -36,7 +37,7 @@ from torch_radbp.scene.tensors import SceneTensors, TriangleTable
 from torch_radbp.shape.placement import Instances
 from torch_radbp.tensors.record import joined as joined_records
 from torch_radbp.tensors.record import mapped
-from torch_radbp.tensors.vec import rows
+from torch_radbp.tensors.vec import Vec2, rows
 from torch_radbp.texture.interleaved import interleaved
 
 
@@ -48,7 +49,13 @@ class Outline(NamedTuple):
     crease: Tensor  # (E,) int32, how much of a jump an edge may be that is no silhouette: `NONE`, `WHOLE`, `FOLD`, ...
     folds: bool  # some are `FOLD` or `TURNED`
     share: Tensor | None  # (E,) float64, probability with which an edge is among these; None: all are
+    kept: Vec2 | None = None  # (E,) float64, from which share of its length to which an edge counts; None: all of it
     slots: EdgeSlots | None = None  # of everything, see `edge_order.slots_of`
+
+
+def is_kept(kept: Vec2, along: Tensor) -> Tensor:
+    """True for shares of edges' lengths, (N,), in the parts of them that count, (N,)."""
+    return (along >= kept.x) & (along <= kept.y)
 
 
 class Jumps(NamedTuple):
@@ -124,14 +131,16 @@ class Outlines:
         everything = Moving(*((True,) * len(part) for part in own))
         wanted = [(everything,) * 3 if moving else (own, turning, sliding) for moving in rendering.camera_movers]
         sizes = rendering.sizes
-        lines = lines_of_textures(rendering)
+        lines, edges_of_shape = lines_of_textures(rendering), self.edges_of_shape(scene, sizes)
 
         def jumps(moves: Moving, turns: Moving, slides: Moving) -> Jumps:
-            outline = self.of(scene, sizes, moves, generator)
+            resting = self.passing.of_pairs(rendering, call, moves, edges_of_shape, seed).resting
+            outline = without(scene, self.of(scene, sizes, moves, generator), resting)
             faces = self.faces_of(scene, sizes, turns, generator)
             patterned = faces_of(scene, sizes, slides, generator) if any(lines) else None
             segments = [] if patterned is None else [texture_segments(scene, patterned, sizes, lines)]
-            segments += self.passing.segments(rendering, call, moves, self.of_bodies(scene, sizes, moves), seed)
+            segments += self.passing.segments(rendering, call, moves, self.of_bodies(scene, sizes, moves), edges_of_shape,
+                                              seed)
             return Jumps(outline, faces, joined_segments([part for part in segments if part is not None]))
 
         found = {three: jumps(*three) for three in dict.fromkeys(wanted)}
@@ -156,14 +165,18 @@ class Outlines:
         """The edges of all shapes; None: there are none. Args as for `of_views`."""
         everything = Moving(*((True,) * len(part) for part in (rendering.movers, rendering.moving_instances)))
         generator, sizes = torch.Generator("cpu").manual_seed(seed % (1 << 63)), rendering.sizes
-        found = self.of(call.still_scene, sizes, everything, generator)
+        scene = call.still_scene
+        found = self.of(scene, sizes, everything, generator)
         if found is None:
             return None
-        self.sizes = len(call.still_scene.triangles.material), len(found.crease)
+        if (passing := moving_or_sliding(rendering)) is not None:
+            found = without(scene, found, self.passing.of_pairs(
+                rendering, call, passing, self.edges_of_shape(scene, sizes), seed).resting)
+        self.sizes = len(scene.triangles.material), len(found.crease)
         shape = torch.repeat_interleave(torch.tensor(sizes, device=found.crease.device)).int()
         body = rows(shape, torch.div(found.edges.corner[0], 3, rounding_mode="floor"))
         body = body if found.instance is None else body + found.instance * len(sizes)
-        return found._replace(slots=self.order_of(call.still_scene, found, body))
+        return found._replace(slots=self.order_of(scene, found, body))
 
     def order_of(self, scene: SceneTensors, outline: Outline, body: Tensor) -> EdgeSlots:
         """The slots of all edges, found anew only if these have changed; `body`: (E,) whose they are."""
@@ -204,12 +217,15 @@ class Outlines:
 
         None: nowhere. Args as for `of_views`.
         """
-        moving = moving_in(rendering)
-        if not any(moving.shapes) and not any(moving.instances) and not any(rendering.camera_movers):
+        wanted, scene, sizes = moving_or_sliding(rendering), call.still_scene, rendering.sizes
+        if wanted is None:
             return None
-        wanted = moving._replace(shapes=tuple(map(operator.or_, moving.shapes, rendering.plain)))
-        meshes = self.of_bodies(call.still_scene, rendering.sizes, wanted)
-        return joined_segments(self.passing.segments(rendering, call, wanted, meshes, seed))
+        meshes, edges_of_shape = self.of_bodies(scene, sizes, wanted), self.edges_of_shape(scene, sizes)
+        return joined_segments(self.passing.segments(rendering, call, wanted, meshes, edges_of_shape, seed))
+
+    def edges_of_shape(self, scene: SceneTensors, counts: Sequence[int]) -> Callable[[int], Edges]:
+        """A function that gives the edges of one shape by its number; args as for `of`."""
+        return lambda number: self.mesh(scene.triangles, counts, (number,)).edges
 
     def of_bodies(self, scene: SceneTensors, counts: Sequence[int], moving: Moving) -> list[MeshOfBodies]:
         """The edges of all that moves, each once; args as for `of`."""
@@ -289,6 +305,22 @@ def of_group(instances: Instances, counts: Sequence[int], moving: Moving, group:
 def moving_in(rendering: Rendering) -> Moving:
     """What moves of itself, whatever cameras do."""
     return Moving(tuple(map(bool, rendering.movers)), rendering.moving_instances)
+
+
+def moving_or_sliding(rendering: Rendering) -> Moving | None:
+    """What moves, or has points that may slide if something moves; None: nothing moves."""
+    moving = moving_in(rendering)
+    if not any(moving.shapes) and not any(moving.instances) and not any(rendering.camera_movers):
+        return None
+    return moving._replace(shapes=tuple(map(operator.or_, moving.shapes, rendering.plain)))
+
+
+def without(scene: SceneTensors, outline: Outline | None, resting: Resting | None) -> Outline | None:
+    """An outline without the parts of edges that lie on other surfaces; None: there is none, or none are."""
+    left = None if outline is None or resting is None else edges_left(
+        geometry_of(scene), outline.edges, outline.instance, resting)
+    return outline if left is None else rows(outline._replace(folds=None), left[0])._replace(
+        folds=outline.folds, kept=left[1])
 
 
 def outlines_of(scene: Scene) -> Outlines:

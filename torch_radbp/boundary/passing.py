@@ -1,19 +1,29 @@
-"""Where bodies pass through each other, or through themselves, found anew only if something has moved."""
+"""Where bodies pass through each other or through themselves, or touch, found anew only if something has moved."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.contacts import Resting, contacts_of
+from torch_radbp.boundary.edges import Edges
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.intersections import Bodies, intersections
 from torch_radbp.boundary.moving import Moving, faces_of
 from torch_radbp.boundary.rendering import Rendering
-from torch_radbp.boundary.segments import Segments
-from torch_radbp.boundary.single_bodies import FoundOnce, Looked, MeshOfBodies, bodies_once, self_crossings, shown_by_all
+from torch_radbp.boundary.segments import Segments, joined
+from torch_radbp.boundary.single_bodies import (
+    FoundOnce,
+    Looked,
+    MeshOfBodies,
+    bodies_once,
+    self_crossings,
+    shape_ends,
+    shown_by_all,
+)
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.raycast.caster_cache import same
 from torch_radbp.scene.tensors import SceneTensors
@@ -29,7 +39,8 @@ class Known(NamedTuple):
     key: tuple  # of the bodies
     bodies: Bodies | None  # None: there are less than two
     place: tuple[Tensor, ...]  # of vertices and instances; (): not yet known
-    segments: Segments | None
+    segments: Segments | None  # where they touch, too
+    resting: Resting | None = None  # edges that lie on others
 
 
 class ShownByAll(NamedTuple):
@@ -49,7 +60,7 @@ class Passing:
         self.shown: dict[Moving, ShownByAll] = {}
 
     def segments(self, rendering: Rendering, call: RenderCall, moving: Moving, meshes: Sequence[MeshOfBodies],
-                 seed: int) -> list[Segments]:
+                 edges_of_shape: Callable[[int], Edges], seed: int) -> list[Segments]:
         """The segments of all that moves, each in parts that may be none.
 
         Args:
@@ -57,11 +68,11 @@ class Passing:
             call: of which something moves.
             moving: what does.
             meshes: of that.
+            edges_of_shape: the edges of one shape, by its number.
             seed: of the choice of instances and edges where there are too many.
         """
-        scene, generator = call.still_scene, torch.Generator("cpu").manual_seed(seed % (1 << 63))
-        found = (self.of_pairs(rendering, call, scene, moving, generator),
-                 self.of_single(rendering, call, scene, moving, meshes, seed))
+        found = (self.of_pairs(rendering, call, moving, edges_of_shape, seed).segments,
+                 self.of_single(rendering, call, call.still_scene, moving, meshes, seed))
         return [own for own in found if own is not None]
 
     def of_single(self, rendering: Rendering, call: RenderCall, scene: SceneTensors, moving: Moving,
@@ -83,22 +94,28 @@ class Passing:
             remember(self.shown, moving, ShownByAll(key, known.found, segments))
         return segments
 
-    def of_pairs(self, rendering: Rendering, call: RenderCall, scene: SceneTensors, moving: Moving,
-                 generator: torch.Generator) -> Segments | None:
-        """Those of two bodies each; args as for `segments`, and the scene of the call, detached."""
+    def of_pairs(self, rendering: Rendering, call: RenderCall, moving: Moving, edges_of_shape: Callable[[int], Edges],
+                 seed: int) -> Known:
+        """Where two bodies each pass through each other, or touch; args as for `segments`."""
+        scene, generator = call.still_scene, torch.Generator("cpu").manual_seed(seed % (1 << 63))
         instances, key = scene.triangles.instances, key_of(scene, rendering.sizes)
         known = self.known.get(moving)
         if known is None or known.key != key:
             known = Known(key, bodies_of(scene, rendering.sizes, moving, generator), (), None)
         if known.bodies is None:
             remember(self.known, moving, known)
-            return None
+            return known
         place = *scene.triangles.vertices.p, *(() if instances is None else leaves_of((instances.linear, instances.origin)))
         if not known.place or not all(map(same, known.place, place)):
-            known = known._replace(place=place, segments=intersections(call.stages, geometry_of(scene), known.bodies))
+            geometry = geometry_of(scene)
+            segments, touching = intersections(call.stages, geometry, known.bodies)
+            contacts = None if touching is None else contacts_of(
+                geometry, touching, shape_ends(scene, rendering.sizes), edges_of_shape)
+            parts = [part for part in (segments, contacts and contacts.segments) if part is not None]
+            known = known._replace(place=place, segments=joined(parts), resting=contacts and contacts.resting)
         if known.bodies.faces.share is None:  # otherwise some instances: others in the next call
             remember(self.known, moving, known)
-        return known.segments
+        return known
 
 
 def key_of(scene: SceneTensors, counts: Sequence[int]) -> tuple:

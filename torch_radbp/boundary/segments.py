@@ -8,6 +8,7 @@ of a texture. So these move with their triangle, and slide over it where the sur
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -47,6 +48,8 @@ class Segments(NamedTuple):
     through: Tensor  # (S,) int32, the triangle that passes through there; -1: none does, a texture jumps
     shown_by: Tensor | None  # (S,) int32, the instance that shows that
     share: Tensor | None  # (S,) float64, probability with which a segment is among these; None: all are
+    seen_from: Vec2 | None = None  # (S,) the side of the triangle, and of the one that passes through, from which each is
+    # seen, 1 or -1; 0, None: either
 
     def corners(self, geometry: Geometry) -> Corners:
         """The vertices of the triangles, world, float64."""
@@ -55,6 +58,8 @@ class Segments(NamedTuple):
 
 def joined(parts: list[Segments]) -> Segments | None:
     """All of several segments; None: there are none."""
+    if len(parts) > 1 and any(part.seen_from is not None for part in parts):
+        parts = [part if part.seen_from is not None else part._replace(seen_from=part.start * 0.0) for part in parts]
     if len(parts) > 1 and any(part.share is not None for part in parts):
         parts = [part if part.share is not None else part._replace(share=torch.ones_like(part.start.x)) for part in parts]
     return joined_records(parts) if parts else None
@@ -69,7 +74,10 @@ def segment_weight(geometry: Geometry, sight: Sight, segments: Segments) -> Tens
         segments: (S,).
     """
     corners = segments.corners(geometry)
-    return length_in_view(sight, *(interpolated(corners, end.x, end.y) for end in (segments.start, segments.end)))
+    length = length_in_view(sight, *(interpolated(corners, end.x, end.y) for end in (segments.start, segments.end)))
+    if segments.seen_from is None or sight.camera.kind.has_aperture:
+        return length
+    return torch.where(faces_viewer(geometry, segments, corners, lambda p: -sight.eye.towards(p)), length, 0.0)
 
 
 def segment_place(geometry: Geometry, sight: Sight, segments: Segments, lot: Lot, place: Tensor) -> Places:
@@ -95,6 +103,9 @@ def segment_place(geometry: Geometry, sight: Sight, segments: Segments, lot: Lot
     # The density over `along` is 1 / (times reach); the length of the segment on the film per `along` is in `swift`.
     scale = times * (leaves - enters)
     scale = scale if own.share is None else scale / own.share
+    if own.seen_from is not None:
+        seen = faces_viewer(geometry, own, corners, lambda p: camera.kind.towards(camera.lens, p, aperture))
+        scale = torch.where(seen, scale, 0.0)
     swift = (pace[0] * run.x + pace[1] * run.y) * scale
     normal = Vec2(-swift.y, swift.x)
     step = pace[0] * own.aside.x + pace[1] * own.aside.y
@@ -110,6 +121,24 @@ def segment_place(geometry: Geometry, sight: Sight, segments: Segments, lot: Lot
     return Places(kind, between, own.instance, at.x, at.y, p, film, normal, torch.ones_like(at.x), drift,
                   depth_of(camera, p, corners, aperture), *sides, own.through, own.shown_by, numbers.key, aperture,
                   counts_somewhere(camera, film), own.slope)
+
+
+def faces_viewer(geometry: Geometry, segments: Segments, corners: Corners, towards: Callable[[Vec3], Vec3]) -> Tensor:
+    """True for segments that are seen from where the viewer is, (N,) bool.
+
+    Args:
+        geometry: of the scene, detached.
+        segments: (N,).
+        corners: of their triangles.
+        towards: gives the directions from (N,) points to the viewer, of any length.
+    """
+    seen = None
+    planes = corners, place_of(geometry, segments.through, segments.shown_by)
+    for plane, side in zip(planes, segments.seen_from):
+        normal = cross(plane[1] - plane[0], plane[2] - plane[0])
+        here = (side == 0.0) | (side * dot(normal, towards(plane[0])) > 0.0)
+        seen = here if seen is None else seen & here
+    return seen
 
 
 def place_of(geometry: Geometry, triangle: Tensor, instance: Tensor | None) -> Corners:

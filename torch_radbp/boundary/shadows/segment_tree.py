@@ -14,7 +14,7 @@ from torch import Tensor
 from torch_radbp.boundary.edge_order import GROUP, slots_of
 from torch_radbp.boundary.geometry import Corners, Geometry
 from torch_radbp.boundary.places import Lot, picked
-from torch_radbp.boundary.segments import Segments, height_above, place_of
+from torch_radbp.boundary.segments import Segments, faces_viewer, height_above, place_of
 from torch_radbp.boundary.shadows.edge_tree import (
     STRAIGHT,
     Descent,
@@ -91,8 +91,11 @@ def segment_found(geometry: Geometry, segments: Segments, slots: Tensor, eyes: E
     angles = []
     for place in range(GROUP):
         number = lookup(slots, first + place)
-        a, b = ends_of(geometry, rows(segments, number.clamp_min(0)))
-        angles.append(torch.where(number >= 0, angle_of(a, b, own, extent), 0.0))
+        chosen = rows(segments, number.clamp_min(0))
+        exists, (a, b) = number >= 0, ends_of(geometry, chosen)
+        if chosen.seen_from is not None:
+            exists = exists & faces_viewer(geometry, chosen, chosen.corners(geometry), lambda p: own.place - p * own.w)
+        angles.append(torch.where(exists, angle_of(a, b, own, extent), 0.0))
     return found_among(slots, at, first, angles)
 
 

@@ -1,0 +1,174 @@
+"""Where bodies touch: edges of one that lie on the surface of another.
+
+A cube stands on a floor. Its lower edge is a silhouette for a camera and for a lamp at once: the border of the cube and that
+of its shadow are one line. If the cube rises, a strip of floor comes into view of which a part lies in the shade; if it
+sinks, its side meets the floor along a line that stays where it is. So the image has two one-sided derivatives, each linear
+in the velocities. The one returned is that of bodies that sink into each other: where an edge lies on another surface it is
+hidden, and neither a silhouette nor the border of a shadow; instead, the triangles at the edge pass through that surface
+along a segment, which moves as all segments do (`segments.py`). Where bodies slide along each other, both are equal.
+
+Of an edge at which two triangles meet, each passes through the surface on the side on which the other one does not lie, and
+is seen from there alone. Where the two lie on either side of the surface, the body passes through it there.
+
+Not counted are edges of sheets that lie right on edges of what they touch, and edges at which more than two triangles meet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.edges import Edges
+from torch_radbp.boundary.geometry import Geometry, in_world
+from torch_radbp.boundary.intersections import TOUCHING
+from torch_radbp.boundary.pierced import shape_of
+from torch_radbp.boundary.segments import Segments, height_above, place_of
+from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, rows
+
+AT_SIDE = 1e-6  # barycentric coordinate up to which a segment lies on a side of its triangle
+GAP = 1e-5  # share of an edge's length between parts that touch something, up to which they are one
+
+
+class Resting(NamedTuple):
+    """K parts of edges that lie on surfaces of other bodies."""
+
+    corner: Tensor  # (K,) int32, number of the corner opposite the edge in one of its triangles, among all
+    instance: Tensor | None  # (K,) int32 that shows it, as hits count; None: the scene has none
+    start: Vec3  # (K,) where the part begins, world, float64
+    end: Vec3
+
+
+class Contacts(NamedTuple):
+    """Where bodies touch."""
+
+    segments: Segments  # along which triangles at edges pass through what these lie on
+    resting: Resting
+
+
+def contacts_of(geometry: Geometry, touching: Segments, ends: Tensor, edges_of_shape: Callable[[int], Edges]) -> Contacts:
+    """The contacts among sides of triangles that lie on other triangles.
+
+    Args:
+        geometry: of the scene, detached.
+        touching: sides, and what they lie on.
+        ends: (S,) int64, how many triangles there are up to the end of each shape.
+        edges_of_shape: the edges of one shape, by its number.
+    """
+    corner, shape = 3 * touching.triangle + opposite_corner(touching), shape_of(ends, touching.triangle)
+    tip, count = torch.full_like(corner, -1), torch.zeros_like(corner)  # the other triangle's corner; triangles at the edge
+    for number in shape.unique().tolist():
+        own = (shape == number).nonzero().squeeze(1)
+        edges = edges_of_shape(number)
+        wanted, place = corner[own].unique(return_inverse=True)
+        for column, beyond in zip(edges.corner[:2], edges.opposite[1::-1]):
+            row, which = rows_at(column, wanted)
+            of_wanted = torch.zeros(2, len(wanted), dtype=corner.dtype, device=corner.device)
+            of_wanted[0, which], of_wanted[1, which] = edges.count[row], beyond[row]
+            fills = of_wanted[0][place] > 0
+            count[own[fills]], tip[own[fills]] = of_wanted[0][place][fills], of_wanted[1][place][fills]
+    mine, passed = (place_of(geometry, *surface) for surface in ((touching.triangle, touching.instance),
+                                                                 (touching.through, touching.shown_by)))
+    beyond, = in_world(geometry, (tip.clamp_min(0),), touching.instance)
+    closed = count == 2
+    above = side_of(passed, [rows_of_corner(mine, corner % 3)])
+    across, folds = (torch.where(closed, side_of(plane, [beyond]), 0.0) for plane in (passed, mine))
+    reach = side_of(mine, passed)
+    pierces = closed & (across * above < 0.0)
+    facing = torch.where(closed & ~pierces, -folds, 0.0)
+    counts = torch.where(closed, pierces | (folds != 0.0), count == 1)
+    counts = counts & torch.where(reach == 0.0, True, ~pierces & (facing == reach))
+    kept = counts.nonzero().squeeze(1)
+    segments, corner = rows((touching._replace(seen_from=Vec2(facing, above)), corner), kept)
+    start, end = (interpolated(rows(mine, kept), place.x, place.y) for place in (segments.start, segments.end))
+    return Contacts(segments, Resting(corner, segments.instance, start, end))
+
+
+def opposite_corner(segments: Segments) -> Tensor:
+    """(S,) int32, 0 to 2: the corner opposite the side of its triangle that each segment lies on."""
+    (u, v), (s, t) = segments.start, segments.end
+    first, second = (torch.maximum(*both) <= AT_SIDE for both in ((1.0 - u - v, 1.0 - s - t), (u, s)))
+    return torch.where(first, 0, torch.where(second, 1, 2)).to(torch.int32)
+
+
+def rows_of_corner(corners: tuple[Vec3, Vec3, Vec3], number: Tensor) -> Vec3:
+    """The corners of some numbers, (N,) int32, 0 to 2."""
+    return Vec3(*(torch.where(number == 0, a, torch.where(number == 1, b, c)) for a, b, c in zip(*corners)))
+
+
+def side_of(plane: tuple[Vec3, Vec3, Vec3], points: tuple[Vec3, ...] | list[Vec3]) -> Tensor:
+    """On which side of the planes of triangles points lie, (N,) float64: 1, -1, or 0 in the plane, or if on both."""
+    normal = cross(plane[1] - plane[0], plane[2] - plane[0])
+    scale = torch.stack([part.abs() for point in (*plane, *points) for part in point]).amax(0)
+    least = TOUCHING * scale * torch.sqrt(dot(normal, normal))
+    heights = torch.stack([height_above(plane, point) for point in points])
+    up, down = (heights > least).any(0), (heights < -least).any(0)
+    return up.double() - down.double()
+
+
+def rows_at(column: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
+    """Where entries of a column are among some numbers, (W,) ascending: (K,) int64 their rows, and (K,) which number."""
+    which = torch.searchsorted(wanted, column).clamp_max(len(wanted) - 1)
+    row = (wanted[which] == column).nonzero().squeeze(1)
+    return row, which[row]
+
+
+def uncovered(a: Vec3, b: Vec3, start: Vec3, end: Vec3, edge: Tensor) -> tuple[Tensor, Vec2]:
+    """The parts of edges that lie on nothing.
+
+    Args:
+        a, b: (K,) the ends of edges, world.
+        start, end: (K,) of parts that lie on something.
+        edge: (K,) int64, the number of the edge; it may come up several times.
+
+    Returns:
+        (P,) int64 the edge of each part, and from which share of its length to which it reaches, float64.
+    """
+    along = b - a
+    length = dot(along, along).clamp_min(TINY)
+    shares = torch.stack([dot(point - a, along) / length for point in (start, end)]).clamp(0.0, 1.0)
+    every = edge.unique()
+    # One after the other on a line, each edge with its ends as parts that cover nothing.
+    low = torch.cat([shares.amin(0) + 2.0 * edge, 2.0 * every, 2.0 * every + 1.0])
+    high = torch.cat([shares.amax(0) + 2.0 * edge, 2.0 * every, 2.0 * every + 1.0])
+    order = low.argsort(stable=True)
+    reached, begins = high[order].cummax(0).values[:-1], low[order][1:]
+    which = torch.div(begins, 2.0, rounding_mode="floor")
+    free = ((begins - reached > GAP) & (reached >= 2.0 * which)).nonzero().squeeze(1)
+    which, reached, begins = which[free], reached[free], begins[free]
+    return which.long(), Vec2(reached - 2.0 * which, begins - 2.0 * which)
+
+
+def edges_left(geometry: Geometry, edges: Edges, instance: Tensor | None, resting: Resting) -> tuple[Tensor, Vec2] | None:
+    """What is left of edges where parts of them lie on other surfaces; None: all.
+
+    Args:
+        geometry: of the scene, detached.
+        edges: E edges.
+        instance: (E,) int32 that shows each; None: the scene has none.
+        resting: the parts.
+
+    Returns:
+        (P,) int64, rows of the edges, of which some are missing and some come up several times, and from which share of its
+        length to which each counts, (P,) float64.
+    """
+    def key(corner: Tensor, shown_by: Tensor | None) -> Tensor:
+        return corner.long() if shown_by is None else corner.long() * (1 << 31) + shown_by
+
+    wanted, place = key(resting.corner, resting.instance).unique(return_inverse=True)
+    edge = torch.full_like(wanted, -1)
+    for column in edges.corner:
+        row, which = rows_at(key(column, instance), wanted)
+        edge[which] = row
+    edge = edge[place]
+    there = (edge >= 0).nonzero().squeeze(1)
+    if not len(there):
+        return None
+    edge, (_, _, start, end) = edge[there], rows(resting, there)
+    a, b = in_world(geometry, (rows(edges.a, edge), rows(edges.b, edge)), rows(instance, edge))
+    part, kept = uncovered(a, b, start, end, edge)
+    whole = torch.ones_like(edges.a, dtype=torch.bool).index_fill(0, edge, False).nonzero().squeeze(1)
+    ends = torch.zeros_like(whole, dtype=torch.float64), torch.ones_like(whole, dtype=torch.float64)
+    return torch.cat([whole, part]), Vec2(*(torch.cat(both) for both in zip(ends, kept)))
