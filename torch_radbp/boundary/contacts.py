@@ -8,9 +8,9 @@ hidden, and neither a silhouette nor the border of a shadow; instead, the triang
 along a segment, which moves as all segments do (`segments.py`). Where bodies slide along each other, both are equal.
 
 Of an edge at which two triangles meet, each passes through the surface on the side on which the other one does not lie, and
-is seen from there alone. Where the two lie on either side of the surface, the body passes through it there.
-
-Not counted are edges of sheets that lie right on edges of what they touch, and edges at which more than two triangles meet.
+is seen from there alone. Where the two lie on either side of the surface, the body passes through it there. Where an edge
+lies right on an edge of what it touches, that has to go on beyond; where it does not, as between bodies that are flush, both
+edges are as visible as any. Edges at which more than two triangles meet are left as they are, too.
 """
 
 from __future__ import annotations
@@ -24,10 +24,12 @@ from torch import Tensor
 from torch_radbp.boundary.edges import Edges
 from torch_radbp.boundary.geometry import Geometry, in_world
 from torch_radbp.boundary.intersections import TOUCHING
+from torch_radbp.boundary.junctions import OBLIQUE
 from torch_radbp.boundary.pierced import shape_of
 from torch_radbp.boundary.segments import Segments, height_above, place_of
 from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, rows
 
+SAME = 1e-5  # of the largest coordinate, up to which middles of parts of an edge are one
 AT_SIDE = 1e-6  # barycentric coordinate up to which a segment lies on a side of its triangle
 GAP = 1e-5  # share of an edge's length between parts that touch something, up to which they are one
 
@@ -79,11 +81,37 @@ def contacts_of(geometry: Geometry, touching: Segments, ends: Tensor, edges_of_s
     pierces = closed & (across * above < 0.0)
     facing = torch.where(closed & ~pierces, -folds, 0.0)
     counts = torch.where(closed, pierces | (folds != 0.0), count == 1)
-    counts = counts & torch.where(reach == 0.0, True, ~pierces & (facing == reach))
-    kept = counts.nonzero().squeeze(1)
-    segments, corner = rows((touching._replace(seen_from=Vec2(facing, above)), corner), kept)
-    start, end = (interpolated(rows(mine, kept), place.x, place.y) for place in (segments.start, segments.end))
-    return Contacts(segments, Resting(corner, segments.instance, start, end))
+    start, end = (interpolated(mine, place.x, place.y) for place in (touching.start, touching.end))
+    key = keys_of(corner, touching.instance)
+    wanted_side = torch.where(closed, facing, 1.0)
+    counts = counts & ((reach == 0.0) | (~pierces & (reach == wanted_side) & goes_on(key, start + end, reach)))
+    return Contacts(*rows((touching._replace(seen_from=Vec2(facing, above)),
+                           Resting(corner, touching.instance, start, end)), counts.nonzero().squeeze(1)))
+
+
+def keys_of(corner: Tensor, instance: Tensor | None) -> Tensor:
+    """(N,) int64 numbers that tell apart corners, (N,) int32, and what shows them."""
+    return corner.long() if instance is None else corner.long() * (1 << 31) + instance
+
+
+def goes_on(key: Tensor, place: Vec3, reach: Tensor) -> Tensor:
+    """True for parts of edges, (N,) bool, of which another part in the same place lies on a surface on the other side.
+
+    Args:
+        key: (N,) of the edges.
+        place: (N,) any point that moves with the parts' middles, world.
+        reach: (N,) on which side of the triangle at the edge the surface lies that the part lies on: 1, -1.
+    """
+    height = place.x * OBLIQUE[0] + place.y * OBLIQUE[1] + place.z * OBLIQUE[2]
+    order = height.argsort(stable=True)
+    order = order[key[order].argsort(stable=True)]
+    key, height, reach = key[order], height[order], reach[order]
+    near = SAME * height.abs().max() if len(height) else 0.0
+    pair = (key[1:] == key[:-1]) & (reach[1:] == -reach[:-1]) & (height[1:] - height[:-1] <= near)
+    both = torch.zeros_like(key, dtype=torch.bool)
+    both[order[1:]] |= pair
+    both[order[:-1]] |= pair
+    return both
 
 
 def opposite_corner(segments: Segments) -> Tensor:
@@ -154,13 +182,10 @@ def edges_left(geometry: Geometry, edges: Edges, instance: Tensor | None, restin
         (P,) int64, rows of the edges, of which some are missing and some come up several times, and from which share of its
         length to which each counts, (P,) float64.
     """
-    def key(corner: Tensor, shown_by: Tensor | None) -> Tensor:
-        return corner.long() if shown_by is None else corner.long() * (1 << 31) + shown_by
-
-    wanted, place = key(resting.corner, resting.instance).unique(return_inverse=True)
+    wanted, place = keys_of(resting.corner, resting.instance).unique(return_inverse=True)
     edge = torch.full_like(wanted, -1)
     for column in edges.corner:
-        row, which = rows_at(key(column, instance), wanted)
+        row, which = rows_at(keys_of(column, instance), wanted)
         edge[which] = row
     edge = edge[place]
     there = (edge >= 0).nonzero().squeeze(1)
