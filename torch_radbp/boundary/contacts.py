@@ -3,9 +3,11 @@
 A cube stands on a floor. Its lower edge is a silhouette for a camera and for a lamp at once: the border of the cube and that
 of its shadow are one line. If the cube rises, a strip of floor comes into view of which a part lies in the shade; if it
 sinks, its side meets the floor along a line that stays where it is. So the image has two one-sided derivatives, each linear
-in the velocities. The one returned is that of bodies that sink into each other: where an edge lies on another surface it is
-hidden, and neither a silhouette nor the border of a shadow; instead, the triangles at the edge pass through that surface
-along a segment, which moves as all segments do (`segments.py`). Where bodies slide along each other, both are equal.
+in the velocities, and the one returned is their mean: it lies between them whatever moves, and however pixels are weighted.
+By one half, bodies sink into each other: where an edge lies on another surface it is hidden, and the triangles at the edge
+pass through that surface along a segment, which moves as all segments do (`segments.py`). By the other half they part: the
+edge is a silhouette, and what its shadow does then is counted in `shadows/under_edges.py`. Where bodies slide along each
+other, both are equal.
 
 Of an edge at which two triangles meet, each passes through the surface on the side on which the other one does not lie, and
 is seen from there alone. Where the two lie on either side of the surface, the body passes through it there. Where an edge
@@ -27,6 +29,7 @@ from torch_radbp.boundary.intersections import TOUCHING
 from torch_radbp.boundary.junctions import OBLIQUE
 from torch_radbp.boundary.pierced import shape_of
 from torch_radbp.boundary.segments import Segments, height_above, place_of
+from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, rows
 
 SAME = 1e-5  # of the largest coordinate, up to which middles of parts of an edge are one
@@ -85,8 +88,16 @@ def contacts_of(geometry: Geometry, touching: Segments, ends: Tensor, edges_of_s
     key = keys_of(corner, touching.instance)
     wanted_side = torch.where(closed, facing, 1.0)
     counts = counts & ((reach == 0.0) | (~pierces & (reach == wanted_side) & goes_on(key, start + end, reach)))
-    return Contacts(*rows((touching._replace(seen_from=Vec2(facing, above)),
-                           Resting(corner, touching.instance, start, end)), counts.nonzero().squeeze(1)))
+    once = torch.ones_like(reach) if touching.share is None else touching.share
+    segments = touching._replace(seen_from=Vec2(facing, above), share=2.0 * once)  # each counts by half
+    return Contacts(*rows((segments, Resting(corner, touching.instance, start, end)), counts.nonzero().squeeze(1)))
+
+
+def contacts_among(segments: Segments) -> Segments | None:
+    """Those of some segments at which edges lie on surfaces; None: there are none."""
+    if segments.seen_from is None:
+        return None
+    return rows(segments, (segments.seen_from.y != 0.0).nonzero().squeeze(1))
 
 
 def keys_of(corner: Tensor, instance: Tensor | None) -> Tensor:
@@ -143,8 +154,20 @@ def rows_at(column: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
     return row, which[row]
 
 
-def uncovered(a: Vec3, b: Vec3, start: Vec3, end: Vec3, edge: Tensor) -> tuple[Tensor, Vec2]:
-    """The parts of edges that lie on nothing.
+class Parts(NamedTuple):
+    """P parts of edges."""
+
+    start: Tensor  # (P,) float64, shares of the edges' lengths
+    end: Tensor
+    rests: Tensor  # (P,) bool: it lies on the surface of another body
+
+    def weight(self, along: Tensor) -> Tensor:
+        """How much places in some shares of the edges' lengths count, (P,): where they lie on other surfaces by half."""
+        return torch.where((along >= self.start) & (along <= self.end), torch.where(self.rests, 0.5, 1.0), 0.0)
+
+
+def parts_of_edges(a: Vec3, b: Vec3, start: Vec3, end: Vec3, edge: Tensor) -> tuple[Tensor, Parts]:
+    """The parts of edges that lie on something, and those that lie on nothing.
 
     Args:
         a, b: (K,) the ends of edges, world.
@@ -152,7 +175,7 @@ def uncovered(a: Vec3, b: Vec3, start: Vec3, end: Vec3, edge: Tensor) -> tuple[T
         edge: (K,) int64, the number of the edge; it may come up several times.
 
     Returns:
-        (P,) int64 the edge of each part, and from which share of its length to which it reaches, float64.
+        (P,) int64 the edge of each part, and the parts.
     """
     along = b - a
     length = dot(along, along).clamp_min(TINY)
@@ -166,11 +189,19 @@ def uncovered(a: Vec3, b: Vec3, start: Vec3, end: Vec3, edge: Tensor) -> tuple[T
     which = torch.div(begins, 2.0, rounding_mode="floor")
     free = ((begins - reached > GAP) & (reached >= 2.0 * which)).nonzero().squeeze(1)
     which, reached, begins = which[free], reached[free], begins[free]
-    return which.long(), Vec2(reached - 2.0 * which, begins - 2.0 * which)
+    # What lies on something begins where what lies on nothing ends, or the edge does.
+    points = torch.cat([2.0 * every, 2.0 * every + 1.0, reached, begins]).sort().values
+    covers = points[1:] - points[:-1] > GAP
+    covers &= torch.div(points[1:], 2.0, rounding_mode="floor") == torch.div(points[:-1], 2.0, rounding_mode="floor")
+    low, high = points[:-1][covers], points[1:][covers]
+    of_part = torch.div(low, 2.0, rounding_mode="floor")
+    rests = ~torch.isin(low, reached)
+    return of_part.long(), Parts(low - 2.0 * of_part, high - 2.0 * of_part, rests)
 
 
-def edges_left(geometry: Geometry, edges: Edges, instance: Tensor | None, resting: Resting) -> tuple[Tensor, Vec2] | None:
-    """What is left of edges where parts of them lie on other surfaces; None: all.
+def edges_in_parts(geometry: Geometry, edges: Edges, instance: Tensor | None,
+                   resting: Resting) -> tuple[Tensor, Parts] | None:
+    """Edges, of which some are in parts, since a part of them lies on other surfaces; None: none are.
 
     Args:
         geometry: of the scene, detached.
@@ -179,8 +210,7 @@ def edges_left(geometry: Geometry, edges: Edges, instance: Tensor | None, restin
         resting: the parts.
 
     Returns:
-        (P,) int64, rows of the edges, of which some are missing and some come up several times, and from which share of its
-        length to which each counts, (P,) float64.
+        (P,) int64, rows of the edges, of which some come up several times, and the part that is meant of each.
     """
     wanted, place = keys_of(resting.corner, resting.instance).unique(return_inverse=True)
     edge = torch.full_like(wanted, -1)
@@ -193,7 +223,7 @@ def edges_left(geometry: Geometry, edges: Edges, instance: Tensor | None, restin
         return None
     edge, (_, _, start, end) = edge[there], rows(resting, there)
     a, b = in_world(geometry, (rows(edges.a, edge), rows(edges.b, edge)), rows(instance, edge))
-    part, kept = uncovered(a, b, start, end, edge)
+    part, parts = parts_of_edges(a, b, start, end, edge)
     whole = torch.ones_like(edges.a, dtype=torch.bool).index_fill(0, edge, False).nonzero().squeeze(1)
-    ends = torch.zeros_like(whole, dtype=torch.float64), torch.ones_like(whole, dtype=torch.float64)
-    return torch.cat([whole, part]), Vec2(*(torch.cat(both) for both in zip(ends, kept)))
+    none = torch.zeros_like(whole, dtype=torch.float64)
+    return torch.cat([whole, part]), joined([Parts(none, none + 1.0, none > 0.0), parts])

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.creases import FOLD, SHADED, TURNED, WHOLE
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, point_at, vertex_normals
-from torch_radbp.boundary.outline import Outline, is_kept
+from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import (
     CREASE,
     SILHOUETTE,
@@ -101,6 +101,7 @@ def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, pla
     # The density over `along` is 1 / (times reach); the length of the edge on the film per `along` is in `pace`.
     scale = times * reach
     scale = scale if outline.share is None else scale / rows(outline.share, edge)
+    scale = scale if outline.parts is None else scale * rows(outline.parts, edge).weight(along)
     if aperture is None:
         silhouette = is_silhouette(a, b, opposite, sight.eye.towards(a))
     else:
@@ -116,10 +117,9 @@ def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, pla
     behind, ahead = in_order(sheets, silhouette, edges.count <= 2)
     depth = torch.maximum(depth_of(camera, p, [a, b], aperture), torch.maximum(*(sheet.depth for sheet in sheets)))
     kind = torch.where(silhouette, SILHOUETTE, CREASE).to(torch.int32)
-    counts = counts_somewhere(camera, at)
-    counts = counts if outline.kept is None else counts & is_kept(rows(outline.kept, edge), along)
     return Places(kind, Between(edges.a, edges.b, edges.b), instance, along, nothing, p, at, normal, side, nothing, depth,
-                  behind, ahead, torch.full_like(kind, -1), instance, numbers.key, aperture, counts, Vec2(nothing, nothing))
+                  behind, ahead, torch.full_like(kind, -1), instance, numbers.key, aperture, counts_somewhere(camera, at),
+                  Vec2(nothing, nothing))
 
 
 class Sheet(NamedTuple):

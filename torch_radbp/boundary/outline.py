@@ -16,7 +16,7 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.contacts import Resting, edges_left
+from torch_radbp.boundary.contacts import Parts, Resting, edges_in_parts
 from torch_radbp.boundary.creases import FOLD, creases
 from torch_radbp.boundary.edge_order import EdgeSlots, slots_of
 from torch_radbp.boundary.edges import Edges, edges_of
@@ -37,7 +37,7 @@ from torch_radbp.scene.tensors import SceneTensors, TriangleTable
 from torch_radbp.shape.placement import Instances
 from torch_radbp.tensors.record import joined as joined_records
 from torch_radbp.tensors.record import mapped
-from torch_radbp.tensors.vec import Vec2, rows
+from torch_radbp.tensors.vec import rows
 from torch_radbp.texture.interleaved import interleaved
 
 
@@ -49,13 +49,8 @@ class Outline(NamedTuple):
     crease: Tensor  # (E,) int32, how much of a jump an edge may be that is no silhouette: `NONE`, `WHOLE`, `FOLD`, ...
     folds: bool  # some are `FOLD` or `TURNED`
     share: Tensor | None  # (E,) float64, probability with which an edge is among these; None: all are
-    kept: Vec2 | None = None  # (E,) float64, from which share of its length to which an edge counts; None: all of it
+    parts: Parts | None = None  # (E,) of the edges that are meant; None: these are whole, and lie on nothing
     slots: EdgeSlots | None = None  # of everything, see `edge_order.slots_of`
-
-
-def is_kept(kept: Vec2, along: Tensor) -> Tensor:
-    """True for shares of edges' lengths, (N,), in the parts of them that count, (N,)."""
-    return (along >= kept.x) & (along <= kept.y)
 
 
 class Jumps(NamedTuple):
@@ -135,7 +130,7 @@ class Outlines:
 
         def jumps(moves: Moving, turns: Moving, slides: Moving) -> Jumps:
             resting = self.passing.of_pairs(rendering, call, moves, edges_of_shape, seed).resting
-            outline = without(scene, self.of(scene, sizes, moves, generator), resting)
+            outline = in_parts(scene, self.of(scene, sizes, moves, generator), resting)
             faces = self.faces_of(scene, sizes, turns, generator)
             patterned = faces_of(scene, sizes, slides, generator) if any(lines) else None
             segments = [] if patterned is None else [texture_segments(scene, patterned, sizes, lines)]
@@ -170,7 +165,7 @@ class Outlines:
         if found is None:
             return None
         if (passing := moving_or_sliding(rendering)) is not None:
-            found = without(scene, found, self.passing.of_pairs(
+            found = in_parts(scene, found, self.passing.of_pairs(
                 rendering, call, passing, self.edges_of_shape(scene, sizes), seed).resting)
         self.sizes = len(scene.triangles.material), len(found.crease)
         shape = torch.repeat_interleave(torch.tensor(sizes, device=found.crease.device)).int()
@@ -315,12 +310,12 @@ def moving_or_sliding(rendering: Rendering) -> Moving | None:
     return moving._replace(shapes=tuple(map(operator.or_, moving.shapes, rendering.plain)))
 
 
-def without(scene: SceneTensors, outline: Outline | None, resting: Resting | None) -> Outline | None:
-    """An outline without the parts of edges that lie on other surfaces; None: there is none, or none are."""
-    left = None if outline is None or resting is None else edges_left(
+def in_parts(scene: SceneTensors, outline: Outline | None, resting: Resting | None) -> Outline | None:
+    """An outline whose edges are in parts where they lie on other surfaces; `resting`: None: none do."""
+    found = None if outline is None or resting is None else edges_in_parts(
         geometry_of(scene), outline.edges, outline.instance, resting)
-    return outline if left is None else rows(outline._replace(folds=None), left[0])._replace(
-        folds=outline.folds, kept=left[1])
+    return outline if found is None else rows(outline._replace(folds=None), found[0])._replace(
+        folds=outline.folds, parts=found[1])
 
 
 def outlines_of(scene: Scene) -> Outlines:

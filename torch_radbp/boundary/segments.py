@@ -47,7 +47,7 @@ class Segments(NamedTuple):
     slope: Vec2  # (S,) and with the surface coordinates
     through: Tensor  # (S,) int32, the triangle that passes through there; -1: none does, a texture jumps
     shown_by: Tensor | None  # (S,) int32, the instance that shows that
-    share: Tensor | None  # (S,) float64, probability with which a segment is among these; None: all are
+    share: Tensor | None  # (S,) float64, how often a segment is among these, in the mean; None: once
     seen_from: Vec2 | None = None  # (S,) the side of the triangle, and of the one that passes through, from which each is
     # seen, 1 or -1; 0, None: either
 

@@ -4,7 +4,8 @@ Four integrals are cut off at edges. Direct light on surfaces that the camera se
 light without extent on surfaces that paths meet later (`bounced.py`); all other light that vertices of paths receive
 (`hidden_light.py`); and what they receive through surfaces that let light pass straight (`seen_through.py`). In each, places
 are sampled on edges that are silhouettes, from a light or from a vertex of a path; what the border sweeps follows from the
-points that move. A fifth is cut off where surfaces pass through each other (`crossed_surfaces.py`).
+points that move. A fifth is cut off where surfaces pass through each other (`crossed_surfaces.py`), and a sixth where they
+touch (`under_edges.py`).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.contacts import contacts_among
 from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.outline import Outline, outlines_of
@@ -31,6 +33,7 @@ from torch_radbp.boundary.shadows import (
     pictures,
     seen_through,
     split,
+    under_edges,
 )
 from torch_radbp.boundary.shadows.edge_tree import edge_tree
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, image_of
@@ -106,7 +109,8 @@ def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) 
     with torch.no_grad():
         edges = Casting(casting, edge_tree(stages, geometry, casting))
         seen = crossing is not None and sees_curves(call, crossing)
-        parts = parts_of(call, segment_tree(stages, geometry, crossing) if seen else None)
+        parts = parts_of(call, segment_tree(stages, geometry, crossing) if seen else None,
+                         None if crossing is None else contacts_among(crossing))
     still, jumps = call.still(), []
     for number in range(len(call.views)):
         with torch.no_grad():
@@ -125,8 +129,14 @@ def sees_curves(call: RenderCall, crossing: Segments) -> bool:
     return glues(call) and (call.integrand.max_depth > 2 or crossed_surfaces.shines(call.scene, crossing))
 
 
-def parts_of(call: RenderCall, curves: SegmentTree | None) -> list[Part]:
-    """The integrals of a call that are cut off; `curves`: along which surfaces pass through each other; None: unseen."""
+def parts_of(call: RenderCall, curves: SegmentTree | None, contacts: Segments | None) -> list[Part]:
+    """The integrals of a call that are cut off.
+
+    Args:
+        call: of which something moves.
+        curves: along which surfaces pass through each other; None: unseen.
+        contacts: segments at edges that lie on surfaces; None: there are none.
+    """
     settings, deep = call.integrand.settings, call.integrand.max_depth > 2
     on_film = all(view.camera.kind.has_area for view in call.views)  # along a ray there is no border to be seen
     surfaces, around = aimed_at(call) if on_film else (False, False)
@@ -139,6 +149,9 @@ def parts_of(call: RenderCall, curves: SegmentTree | None) -> list[Part]:
     if on_film and settings.nee:
         parts += [Part(partial(pictures.borders_in_view, kind=kind, lines=lines), partial(pictures.jumps_in_view, kind=kind))
                   for kind, lines in pictures.lines_of_pictures(call).items()]
+    if on_film and settings.nee and contacts is not None:
+        parts.append(Part(lambda still, number, _: under_edges.strips_in_view(still, number, contacts),
+                          lambda attached, number, _, found: under_edges.jumps_in_view(attached, number, found)))
     if glues(call) and (deep or not (surfaces and around)):
         parts.append(Part(partial(hidden_light.cuts_of_view, first=first), hidden_light.jumps_in_view, is_split=True))
     if glues(call) and deep and seen_through.passes_straight(call.scene):

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.boundary.edge_order import GROUP, EdgeSlots
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
-from torch_radbp.boundary.outline import Outline, is_kept
+from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import NEIGHBOURS, Lot, picked
 from torch_radbp.boundary.shadows.edge_tree import Descent, EdgeTree, numbers_to
 from torch_radbp.boundary.shadows.eyes import Eyes, how_much_counts, how_much_lobes_count
@@ -127,10 +127,10 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, foun
     number, _, times = picked(lot, place, aim)
     (edge, repeated, _), eye = rows((found, eye), number)
     times, own = times * repeated, rows(eyes, eye)
-    edges, instance, share, kept = rows((outline.edges, outline.instance, outline.share, outline.kept), edge.clamp_min(0))
+    edges, instance, share, parts = rows((outline.edges, outline.instance, outline.share, outline.parts), edge.clamp_min(0))
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
     along, times, p = place_between(a, b, own, turn, times)
-    times = times if kept is None else torch.where(is_kept(kept, along), times, 0.0)
+    times = times if parts is None else times * parts.weight(along)
     sight = normalize(p * own.w - own.place)
     across = normalize(cross(b - a, sight))
     inside = [dot(tip - a, across) for tip in opposite[:2]]

@@ -1,0 +1,146 @@
+"""What light does in the strips that come into view where bodies part that touched: direct light, seen by the camera.
+
+An edge lies on a surface, and rises from it by h. In the plane across it let the camera lie in the direction (c_x, c_y) and
+a light sample in (l_x, l_y), y along the surface's normal and x away from the body. On the surface the camera sees past the
+edge down to x_c = -h c_x / c_y, and the border of the edge's shadow lies at x_l = -h l_x / l_y. Moved as a silhouette alone
+the edge uncovers what lies right before it, in light or not. Where x_l > x_c, what is missing is the strip between the two:
+
+    light that reaches the surface before the edge does not reach the strip    - L (x_l - x_c)
+    light from behind a sheet comes through below it                           + L (x_l - x_c)
+
+with L what the surface sends to the camera by this light sample. Both ends are places on the film that follow from what
+moves, as in `border.py`; the edge's own place is x_c. It counts by half: see `contacts.py`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.geometry import Geometry, geometry_of, positions
+from torch_radbp.boundary.places import FEWEST, Places, Sight, lot_of, on_film, sight_of
+from torch_radbp.boundary.primary import lanes
+from torch_radbp.boundary.segments import Segments, place_of
+from torch_radbp.boundary.shadows.border import MOST, SHARP_SHARE, camera_sample, seen_at, sees
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
+from torch_radbp.boundary.shadows.light_points import light_line, light_points
+from torch_radbp.boundary.shadows.seen_edges import BEFORE, BESIDE, FAR, crossed_at, extent_of
+from torch_radbp.call.render_call import RenderCall, integrand_of, started
+from torch_radbp.path.direct_light import LightDraw, light_sent_back
+from torch_radbp.path.event import Ends
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.sampling.running_sum import running_sum
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, normalize, rows, unit_normal
+
+
+class Strips(NamedTuple):
+    """K places on edges that lie on surfaces, each with a light sample; detached."""
+
+    places: Places  # on the triangles at the edges
+    draw: LightDraw
+    surface: Hit  # what the edges lie on, there
+    normal: Vec2  # to where x grows, on the film, as long as the piece of the edge that a place stands for
+    strength: Tensor  # (3, K) float64, what the strip has more, for each x_l - x_c
+
+
+def jumps_in_view(call: RenderCall, number: int, strips: Strips) -> FilmJumps:
+    """What such strips add to the derivative of view `number`; `call`: of which something moves."""
+    geometry, camera, places = attached_geometry(call.scene), call.views[number].camera, strips.places
+    p = places.at(geometry)
+    light_ends = on_film(camera, shadow_of(call.scene, geometry, strips, p), places.aperture)
+    sight_ends = on_film(camera, p, places.aperture)
+    amount = strips.strength * (swept(light_ends, strips.normal) - swept(sight_ends, strips.normal))
+    return FilmJumps(places.film, amount)
+
+
+def shadow_of(scene: SceneTensors, geometry: Geometry, strips: Strips, p: Vec3) -> Vec3:
+    """Where the light of samples that passes points p, (N,), meets the planes of what these lie on; (N,) world, attached."""
+    start, d, _ = light_line(scene, p, strips.draw)
+    corners = place_of(geometry, strips.surface.prim, strips.surface.instance)
+    return interpolated(corners, *crossed_at(corners, Ray(start, d)))
+
+
+def strips_in_view(call: RenderCall, number: int, contacts: Segments) -> Strips | None:
+    """Strips of surfaces that view `number` would see; None: there are none.
+
+    Args:
+        call: detached.
+        number: of the view.
+        contacts: segments along which triangles pass through what their edges lie on.
+    """
+    view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
+    sight = sight_of(view, ())
+    weight = call.stages.segment_weight(geometry, sight, contacts)
+    if not bool((weight > 0.0).any()):
+        return None
+    count = max(FEWEST, min(MOST, view.width * view.height * call.spp // SHARP_SHARE))
+    places = call.stages.segment_place(geometry, sight, contacts, lot_of(weight, count, running_sum(weight)),
+                                       lanes(count, weight))
+    draw = light_points(call.stages, scene, view, count).draw
+    counted = (places.counts & ((places.normal.x != 0.0) | (places.normal.y != 0.0))).nonzero().squeeze(1)
+    places, draw = rows((places, draw), counted)
+    integrand = integrand_of(call, call.integrand, number)
+    line = integrand.part(Ends.SURROUNDINGS).call(light_line, places.p, draw)
+    across = across_edge(geometry, sight, places, line[1] * -1.0)
+    film = beside(sight, places, across.outwards, extent_of(geometry))
+    sample = camera_sample(call, view, film, places.aperture, places.key)
+    corners = place_of(geometry, places.through, places.shown_by)
+    u, v = crossed_at(corners, Ray(places.p, across.upwards))
+    dtype = scene.dtype
+    surface = Hit(places.through, u.to(dtype), v.to(dtype), torch.zeros_like(u, dtype=dtype), places.shown_by)
+    kept = (across.counts & sees(integrand, sample.ray, surface, places.p)).nonzero().squeeze(1)
+    places, draw, sample, surface, across, line, film = rows((places, draw, sample, surface, across, line, film), kept)
+    kept = lit(call, places, across, line, extent_of(geometry)).nonzero().squeeze(1)
+    places, draw, sample, surface, across, film = rows((places, draw, sample, surface, across, film), kept)
+    if not len(kept):
+        return None
+    light = light_sent_back(integrand, started(call, sample), seen_at(surface, sample.ray, places.p), draw)
+    light = light if sample.weight is None else light * sample.weight
+    aside, normal = Vec2(film.x - places.film.x, film.y - places.film.y), places.normal
+    outwards = torch.sign(aside.x * normal.x + aside.y * normal.y)
+    strength = torch.stack(tuple(light)).double() * torch.where(across.through, 1.0, -1.0)
+    return Strips(places, draw, surface, normal * outwards, strength)
+
+
+class AcrossEdge(NamedTuple):
+    """The plane across edges at N places; detached."""
+
+    outwards: Vec3  # unit, along the surface, away from the body, on the side of the camera
+    upwards: Vec3  # unit normal of the surface
+    aside: Vec3  # unit, along the surface to the side from which light comes
+    counts: Tensor  # (N,) bool: the border of the shadow is seen beside the edge if it rises
+    through: Tensor  # (N,) bool: light comes from the other side of the triangle at the edge
+
+
+def across_edge(geometry: Geometry, sight: Sight, places: Places, to_light: Vec3) -> AcrossEdge:
+    """What lies across edges that rest on surfaces; `to_light`: (N,) from the places, of any length."""
+    corners = positions(geometry, places.between, places.instance)
+    passed = place_of(geometry, places.through, places.shown_by)
+    to_camera = sight.camera.kind.towards(sight.camera.lens, places.p, places.aperture)
+    plane, upwards = (unit_normal(own[1] - own[0], own[2] - own[0]) for own in (corners, passed))
+    along = normalize(cross(plane, upwards))
+    upwards = upwards * torch.sign(dot(upwards, to_camera))
+    outwards = cross(along, upwards)
+    outwards = outwards * torch.sign(dot(plane, to_camera) * dot(plane, outwards))
+    through = dot(plane, to_camera) * dot(plane, to_light) < 0.0
+    (c_x, c_y), (l_x, l_y) = ((dot(outwards, d), dot(upwards, d)) for d in (to_camera, to_light))
+    counts = (c_y > 0.0) & (l_y > 0.0) & (l_x * c_y < c_x * l_y)
+    return AcrossEdge(outwards, upwards, outwards * torch.where(through, -1.0, 1.0), counts, through)
+
+
+def beside(sight: Sight, places: Places, outwards: Vec3, extent: Tensor) -> Vec2:
+    """Points of the film right beside places, where the surface is seen."""
+    return on_film(sight.camera, places.p + outwards * (BESIDE * extent), places.aperture)
+
+
+def lit(call: RenderCall, places: Places, across: AcrossEdge, line: tuple[Vec3, Vec3, Tensor], extent: Tensor) -> Tensor:
+    """(N,) bool: nothing hides lights from places right beside the edges, on the side from which the light comes."""
+    start, d, parallel = line
+    length = torch.sqrt(dot(d, d)).clamp_min(TINY)
+    o = places.p + (across.aside + across.upwards) * (BESIDE * extent)
+    dtype = call.scene.dtype
+    ray = Ray(*(part.map(lambda c: c.to(dtype).contiguous()) for part in (o, d * (-1.0 / length))))
+    return ~call.integrand.caster.occluded(ray, torch.where(parallel, FAR, length * (1.0 - BEFORE)).to(dtype))
