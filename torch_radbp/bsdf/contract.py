@@ -108,8 +108,8 @@ class CheckedKind:
             raise TypeError(f"{self.where(method)}: {what} must be a tensor of one number for each lane, got a "
                             f"{type(found).__name__}")
         if found.shape not in (like.shape, ()):
-            raise ValueError(f"{self.where(method)}: {what} must have shape (N,) as the directions, {tuple(like.shape)}, got "
-                             f"{tuple(found.shape)}")
+            raise ValueError(f"{self.where(method)}: {what} must have shape (N,) as the directions, {tuple(like.shape)}, "
+                             f"got {tuple(found.shape)}")
         if (found.dtype, found.device) != (like.dtype, like.device) and found.shape != ():
             raise TypeError(f"{self.where(method)}: {what} must be {like.dtype} on {like.device} as the directions, got "
                             f"{found.dtype} on {found.device}")

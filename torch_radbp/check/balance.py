@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.contract import CheckedKind
-from torch_radbp.bsdf.kind import Kind
-from torch_radbp.check.lanes import choices, direction, directions, numbers, sampled, weight_of
+from torch_radbp.bsdf.kind import Kind, Values
+from torch_radbp.check.lanes import Numbers, choices, direction, directions, numbers, sampled, weight_of
 from torch_radbp.check.report import Finding
 from torch_radbp.check.scattering import SIGMAS, VIEWERS, Subject
 from torch_radbp.check.sphere import AZIMUTH
@@ -72,15 +72,19 @@ def delta_balance(subject: Subject, count: int, seed: int) -> Balance:
     wi = Vec3(wi.x, wi.y, wi.z.abs())
     values = subject.values(wi.z)
     choice, wo = sampled(kind, values, wi, random)
-    ideal, there = choice.is_delta(kind), kind.specular(values, wi, choice).stack().detach()
-    back, returns = torch.zeros_like(there), torch.zeros_like(ideal)
-    for other in choices(kind, values, wo, random):
-        w = kind.sample(values, wo, other, random.u, random.v) - wi
-        same = (dot(w, w) < BACK) & other.is_delta(kind) & (other.probability > 0)
-        back = torch.where(same[:, None], kind.specular(values, wo, other).stack().detach(), back)
-        returns |= same
-    own = ideal & (returns | (there > 0).any(1))
-    return compared(there[own], back[own], (wi.z * wo.z < 0)[own], True)
+    ideal = choice.is_delta(kind)
+    there, back = (ideal_weight(kind, values, *pair, random)[ideal] for pair in ((wi, wo), (wo, wi)))
+    return compared(there, back, (wi.z * wo.z < 0)[ideal], True)
+
+
+def ideal_weight(kind: CheckedKind | Kind, values: Values, wi: Vec3, wo: Vec3, random: Numbers) -> Tensor:
+    """(N, 3) the weight of all delta lobes that send from wi to wo."""
+    weight = torch.zeros(len(wi.z), 3, dtype=wi.z.dtype)
+    for choice in choices(kind, values, wi, random):
+        off = kind.sample(values, wi, choice, random.u, random.v) - wo
+        same = (dot(off, off) < BACK) & choice.is_delta(kind) & (choice.probability > 0)
+        weight = weight + kind.specular(values, wi, choice).stack().detach() * same[:, None]
+    return weight
 
 
 def balances(subject: Subject, count: int, seed: int) -> list[Balance]:

@@ -26,7 +26,7 @@ from torch_radbp.check.finite import (
 )
 from torch_radbp.check.lanes import directions, numbers, sampled, values_at
 from torch_radbp.check.report import Finding, PluginCheck, worst
-from torch_radbp.check.scattering import Subject, methods_off, scattering_findings
+from torch_radbp.check.scattering import LENGTH, Subject, methods_off, scattering_findings
 from torch_radbp.io.build import build_plugin
 from torch_radbp.plugin import BSDF, integer
 from torch_radbp.public_call import public_call
@@ -103,7 +103,7 @@ def statements(subject: Subject, seed: int) -> Finding:
         wrong.append("transmits is False, but eval is above 0 for directions on both sides")
     if kind.smooth and not kind.oriented:
         turned, turned_pdf = kind.eval_pdf(values, turn(wi), turn(wo))
-        if not all(torch.allclose(a, b, rtol=1e-6, atol=1e-9) for a, b in ((value.stack(), turned.stack()), (pdf, turned_pdf))):
+        if not all(torch.allclose(a, b, rtol=1e-6, atol=1e-9) for a, b in zip((*value, pdf), (*turned, turned_pdf))):
             wrong.append("oriented is False, but eval or pdf changes if both directions turn about the normal")
     leaves = [component for each in values for component in each]
     if leaves and any(component.requires_grad for component in sample):
@@ -131,7 +131,7 @@ def finite_everywhere(bsdf: BSDF) -> Finding:
             kind, wi = checked_kind(own), attached(viewers(torch.tensor(COSINE, dtype=dtype)))
             values = tuple(attached(value) for value in values_at(own, PLACE, wi.z))
             trouble = next(chain(troubles_of_evaluation(kind, values, wi),
-                                 troubles_of_samples(kind, values, wi, random_corners(kind))), None)
+                                 troubles_of_samples(kind, values, wi, random_corners(kind), LENGTH)), None)
             if trouble is not None:
                 return Finding("finite", False, f"{words}, in {str(dtype).removeprefix('torch.')}: {trouble}")
     return Finding("finite", True, f"values and derivatives, {len(COSINE)} cosines, {len(variants)} settings of parameters")

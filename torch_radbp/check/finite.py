@@ -95,8 +95,11 @@ def random_corners(kind: Kind | CheckedKind) -> list[tuple[float, float, float]]
 
 
 def troubles_of_samples(kind: Kind | CheckedKind, values: Values, wi: Vec3,
-                        corners: Sequence[tuple[float, float, float]]) -> Iterator[str]:
-    """What is not finite, or not of unit length, of samples and at sampled directions, for each wi with all `corners`."""
+                        corners: Sequence[tuple[float, float, float]], length_error: float = 0.0) -> Iterator[str]:
+    """What is not finite of samples and at sampled directions, for each wi with all `corners`.
+
+    Nor may squared lengths of samples be off one by more than `length_error`, and some rounding.
+    """
     lanes = Lanes.of(values, wi, [Numbers(*(torch.full_like(wi.z, number).detach() for number in corner))
                                   for corner in corners])
     values, wi, random = lanes.values, lanes.wi, lanes.other
@@ -117,7 +120,7 @@ def troubles_of_samples(kind: Kind | CheckedKind, values: Values, wi: Vec3,
         outputs["the weight of a sample"] = value / settled.clamp_min(1e-30) * (settled > 0).to(settled.dtype)
     yield from filter(None, (lanes.not_finite(name, output) for name, output in outputs.items()))
     length = wo.x**2 + wo.y**2 + wo.z**2
-    long = (length - 1).abs() > ROUNDINGS * torch.finfo(wi.z.dtype).eps
+    long = (length - 1).abs() > max(ROUNDINGS * torch.finfo(wi.z.dtype).eps, length_error)
     if bool(long.any()):
         yield f"a sample has a squared length of {length[long][0].item():.9g} at {lanes.at(long)}"
 

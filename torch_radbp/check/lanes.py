@@ -75,9 +75,9 @@ def choices(kind: Kind | CheckedKind, values: Values, wi: Vec3, random: Numbers,
 
 
 def weight_of(kind: Kind | CheckedKind, values: Values, wi: Vec3, found: Sampled) -> Vec3:
-    """What a path is multiplied by that goes on in a sampled direction: eval / pdf, or of delta lobes specular / probability.
+    """What a path that goes on in a sampled direction is multiplied by; 0 where the direction cannot be used.
 
-    Zero where the direction cannot be used.
+    That is eval / pdf, or of delta lobes specular / probability.
     """
     weight = Vec3.full(wi.z, 0.0)
     if kind.smooth:

@@ -45,7 +45,8 @@ def as_texture(owner: Plugin, name: str, value: Texture | nn.Module | Samples | 
     """The texture for the attribute `name` of a plugin, from a texture, a module, a spectrum, one number or three.
 
     Raises:
-        TypeError: if the value is of another type, or a module where only tables can stand; or the owner has no domain for it.
+        TypeError: if the value is of another type, or a module where only tables can stand; or if the owner's `domains`
+            lack it.
         ValueError: if a texel is not in the attribute's domain, or a spectrum cannot stand here.
     """
     if isinstance(value, (str, bytes, dict)):
@@ -54,8 +55,8 @@ def as_texture(owner: Plugin, name: str, value: Texture | nn.Module | Samples | 
         value = NeuralTexture(value)
     domain = owner.domains().get(name)
     if domain is None:
-        raise TypeError(f"domains() of {with_article(owner.type or type(owner).__name__)} must say which values {name!r} may "
-                        f"have, got {sorted(owner.domains())}: add {name!r} with a torch_radbp.plugin.domain.Domain")
+        raise TypeError(f"domains() of {with_article(owner.type or type(owner).__name__)} must say which values {name!r} "
+                        f"may have, got {sorted(owner.domains())}: add {name!r} with a torch_radbp.plugin.domain.Domain")
     if isinstance(value, Samples):
         value = value.check().colour(role_of(owner, domain))
     texture = value if isinstance(value, Texture) else RGB(value=value)
