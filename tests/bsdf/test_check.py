@@ -36,7 +36,7 @@ def test_every_bsdf_has_a_row(plugin):
 def test_a_new_bsdf_without_a_row_is_named():
     register("bsdf", "glitter")(type("Glitter", (BSDF,), {}))
     try:
-        with pytest.raises(AssertionError, match="the bsdf 'glitter' has no row: add one, .* to MATERIALS in tests/bsdf/lanes"):
+        with pytest.raises(AssertionError, match="the bsdf 'glitter' has no row: .* to MATERIALS in tests/bsdf/lanes.py"):
             check_has_row("glitter")
     finally:
         del REGISTRY["bsdf"]["glitter"]
