@@ -21,7 +21,7 @@ TEXTURES = {
 @pytest.mark.parametrize("name", [name for name, plugin in REGISTRY["texture"].items()
                                   if plugin.__module__.startswith("torch_radbp.")])
 def test_every_texture_of_the_package_agrees(name):
-    assert name in TEXTURES, f"the texture {name!r} has no row: add one to TEXTURES in tests/check/test_check_texture.py"
+    assert name in TEXTURES, f"the texture {name!r} has no row: add one to TEXTURES of this file"
     result = rb.check_texture({"type": name, **TEXTURES[name]}, low=0.0)
     assert result.agrees and {finding.check for finding in result.findings} == {"finite", "derivatives", "range"}, str(result)
 
