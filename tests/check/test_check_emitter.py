@@ -72,7 +72,8 @@ BROKEN = {
         "weighing": lambda self, proposal, d: torch.full_like(d.x, 1 / math.pi)}), {"weights", "light"}),
     "a derivative that is none": (Constant, aiming(Glow, lambda aim: aim._replace(
         radiance=aim.radiance * (1 + (aim.radiance.x * 0).sqrt()))), {"finite"}),
-    "a part of the density of a lamp": (Area, aiming(Panel, lambda aim: aim._replace(pdf=aim.pdf * 0.7)), {"weights", "light"}),
+    "a part of the density of a lamp": (Area, aiming(Panel, lambda aim: aim._replace(pdf=aim.pdf * 0.7)),
+                                        {"weights", "light"}),
     "a lamp that aims beside itself": (Area, aiming(Panel, lambda aim: aim._replace(
         d=Vec3(aim.d.y, aim.d.x, aim.d.z))), {"samples", "weights", "light"}),
 }
