@@ -136,6 +136,35 @@ BROKEN: dict[str, tuple[dict[str, Any], set[str]]] = {
 }
 
 
+def mirror(weight: Callable = lambda wi: 1.0, **changes) -> dict[str, Any]:
+    """A kind with one delta lobe, of a weight that is a function of wi."""
+    return {"delta": True, "smooth": False, "sample": lambda self, values, wi, choice, u, v: Vec3(-wi.x, -wi.y, wi.z),
+            "eval_pdf": lambda self, values, wi, wo, fixed_lobes=False: (Vec3.full(wo.z, 0.0), torch.zeros_like(wo.z)),
+            "specular": lambda self, values, wi, choice: values[0] * weight(wi), **changes}
+
+
+def aslant(self, values, wi, choice, u, v):
+    """Reflects at a normal that is turned, for viewers from above, and back with half of that."""
+    angle = 0.1 + 0.1 * wi.x
+    return Vec3(-(wi.x * angle.cos() + wi.y * angle.sin()), wi.x * angle.sin() - wi.y * angle.cos(), wi.z)
+
+
+BROKEN |= {
+    "a mirror that shines": (mirror(lambda wi: 1.1), {"energy"}),
+    "a mirror whose way back is another": (mirror(sample=aslant), {"reciprocity"}),
+    "a mirror that is chosen half the time": (mirror(choose=lambda self, values, wi, choice, u, v: LobeChoice(
+        torch.zeros_like(u), torch.full_like(u, 0.5))), {"lobes", "energy"}),
+    "a mirror that is never chosen": (mirror(choose=lambda self, values, wi, choice, u, v: LobeChoice(
+        torch.zeros_like(u), torch.zeros_like(u))), {"lobes", "energy", "finite"}),
+    "no numbers at all": (scattering(lambda values, wi, wo: wo.z * torch.nan, lambda values, wi, wo: wo.z * torch.nan),
+                          {"density", "weight", "reciprocity", "energy", "finite"}),
+    "samples that are no numbers": (sampling(lambda values, wi, u, v: lifted(u.sqrt(), v) * torch.nan),
+                                    {"density", "weight", "energy", "finite"}),
+    "a density without bound": (scattering(lambda *_: 1.0, lambda values, wi, wo: wo.z / 0.0),
+                                {"density", "samples", "weight", "finite"}),
+}
+
+
 def mirrored(w, v):
     """`w`, below the surface where v is above a half."""
     return Vec3(w.x, w.y, w.z * torch.where(v > 0.5, -1.0, 1.0))

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.check.broken import BROKEN, Felt, choosing, cosine, felt, scattering
+from tests.check.broken import BROKEN, Felt, choosing, cosine, felt, mirror, scattering
 from tests.scenes import load, rectangle, sensor
 from torch_radbp.bsdf.kind import LobeChoice
 from torch_radbp.plugin import REGISTRY, register
@@ -43,6 +43,12 @@ def test_half_of_the_density_is_rendered_without_a_word_but_found():
         figures = {finding.check: finding.figures for finding in rb.check_bsdf(description, **QUICK).findings}
     assert "pdf integrates to 0.5000, of the samples 1.0000 have one" in figures["density"]
     assert "samples reflect 1.0000 by eval / pdf, eval integrates to 0.5000" in figures["weight"]
+
+
+def test_a_right_mirror_agrees():
+    with felt(**mirror()) as description:
+        result = rb.check_bsdf(description, **QUICK)
+    assert result.agrees, str(result)
 
 
 @pytest.mark.parametrize("name, claim", [("light out of nothing", "conserves"),

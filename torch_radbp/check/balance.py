@@ -51,7 +51,7 @@ def compared(one_way: Tensor, other_way: Tensor, crossing: Tensor, root: bool) -
     quotient = float((forth * back).sum() / (forth * forth).sum()) if bool((forth > 0).any()) else 1.0
     expected = torch.where(crossing[:, None], quotient * one_way, one_way)
     size = torch.maximum(expected.abs(), other_way.abs())
-    there = size > SMALL * size.max() if size.numel() else size.bool()
+    there = ~(size <= SMALL * size.max()) if size.numel() else size.bool()  # what is not finite among them
     off = ((expected - other_way).abs() / size)[there]
     return Balance(float(off.max()) if len(off) else 0.0, quotient ** (0.5 if root else 1.0), int(there.any(1).sum()))
 
@@ -115,12 +115,12 @@ def energy(subjects: dict[str, Subject], found: list[Balance], claimed: bool, co
     """The finding on energy, of several variants of a material, by words for each."""
     crossing = [balance.squared_index for balance in found if balance.squared_index != 1.0]
     squared_index = crossing[0] if crossing else 1.0
-    excess, largest, words = -1.0, -1.0, []
+    excess, words = [], []
     for name, subject in subjects.items():
         shares = [power(subject, z, squared_index, count, seed) for z in VIEWERS.values()]
-        most = max(float(mean.max()) for mean, _ in shares)
-        words.append(f"{name} at most {most:.4f} of the light leaves")
-        largest = max(largest, most)
-        excess = max(excess, *(float(((mean - 1.0) / (LEEWAY + SIGMAS * error)).max()) for mean, error in shares))
+        means, errors = (torch.stack(parts) for parts in zip(*shares))
+        words.append(f"{name} at most {float(means.max()):.4f} of the light leaves")
+        excess += ((means - 1.0) / (LEEWAY + SIGMAS * errors)).flatten().tolist()
     figures = ", ".join(words)
-    return Finding("energy", excess <= 1.0 or not claimed, figures if claimed else f"not claimed; {figures}")
+    holds = all(each <= 1.0 for each in excess) or not claimed
+    return Finding("energy", holds, figures if claimed else f"not claimed; {figures}")

@@ -103,7 +103,8 @@ def statements(subject: Subject, seed: int) -> Finding:
         wrong.append("transmits is False, but eval is above 0 for directions on both sides")
     if kind.smooth and not kind.oriented:
         turned, turned_pdf = kind.eval_pdf(values, turn(wi), turn(wo))
-        if not all(torch.allclose(a, b, rtol=1e-6, atol=1e-9) for a, b in zip((*value, pdf), (*turned, turned_pdf))):
+        if not all(torch.allclose(a, b, rtol=1e-6, atol=1e-9, equal_nan=True)
+                   for a, b in zip((*value, pdf), (*turned, turned_pdf))):
             wrong.append("oriented is False, but eval or pdf changes if both directions turn about the normal")
     leaves = [component for each in values for component in each]
     if leaves and any(component.requires_grad for component in sample):

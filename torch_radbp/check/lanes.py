@@ -61,13 +61,10 @@ def sampled(kind: Kind | CheckedKind, values: Values, wi: Vec3, random: Numbers)
 def choices(kind: Kind | CheckedKind, values: Values, wi: Vec3, random: Numbers, most: int = 64) -> list[LobeChoice]:
     """Each choice that there is on some lane, with its probability there, which may be zero; in order of the number.
 
-    Raises:
-        ValueError: if the probabilities of the first `most` do not add up to 1.
+    `most`: after so many it ends, should the probabilities not add up to 1.
     """
     found, last = [], torch.zeros_like(random.choice)
-    while (open_ := last < 1 - 1e-9).any():
-        if len(found) == most:
-            raise ValueError(f"the probabilities of the first {most} lobes add up to {float(last.min()):.3g}, not to 1")
+    while (open_ := last < 1 - 1e-9).any() and len(found) < most:
         choice = kind.choose(values, wi, last + 1e-12, random.u, random.v)
         found.append(choice._replace(probability=torch.where(open_, choice.probability, 0.0)))
         last = last + found[-1].probability

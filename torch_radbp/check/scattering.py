@@ -82,11 +82,16 @@ def density_off(view: Viewed) -> tuple[float, str]:
 
 
 def fit(view: Viewed) -> float:
-    """The probability that samples of the density fall into the cells as these do, or worse; 1 if there are none."""
+    """The probability that samples of the density fall into the cells as these do, or worse; 1 if there are none.
+
+    0 if the density is not finite.
+    """
     half = len(view.keep) // 2  # those that have not made the cells
     own = view.keep[half:].nonzero()[:, 0] + half
     if not len(own):
         return 1.0
+    if not bool(torch.isfinite(view.density.value).all()):
+        return 0.0
     number = len(view.keep) - half
     return p_value(view.cells.counts(rows(view.wo, own)), number * view.density.value, 0, number * view.density.error)
 
