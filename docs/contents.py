@@ -44,8 +44,10 @@ GROUPS = {
     "priors": Group("Priors", "What is likely of maps and colours.", tuple(f"priors.{name}" for name in rb.priors.__all__)),
     "bake": Group("Baking", "What was found in a form that other programs read.",
                   tuple(f"bake.{name}" for name in rb.bake.__all__)),
-    "checks": Group("Checks", "Is this derivative right? See [the tutorial](../tutorials/10_checks_and_reports.md).", (
-        "check_gradient", "GradientCheck", "GradientCheck.figures")),
+    "checks": Group("Checks", "Is this derivative right? See [the tutorial](../tutorials/10_checks_and_reports.md). Does a "
+                    "plugin do what it says? See [another](../tutorials/09_own_material.md).", (
+        "check_gradient", "GradientCheck", "GradientCheck.figures", "check_bsdf", "check_emitter", "check_texture",
+        "PluginCheck")),
     "errors": Group("Errors and warnings", "What is raised and what is warned of, by class.", (
         "SceneError", "NonFiniteError", "SceneWarning", "GltfWarning", "SilhouetteWarning", "JumpWarning",
         "RepeatedNoiseWarning")),

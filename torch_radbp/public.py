@@ -8,6 +8,7 @@ number; what another minor number changes is in CHANGELOG.md.
     photographs            Photographs, Photograph, Exposure, LensFalloff, ToneCurve
     images                 Renderer, render, contact_sheet
     derivatives            MemoizedAdjoint, ReplayAdjoint, QuadraticAdjoint, TapeAdjoint, jvp, check_gradient, GradientCheck
+    plugins                check_bsdf, check_emitter, check_texture, PluginCheck
     errors and warnings    SceneError, NonFiniteError, SceneWarning, GltfWarning, SilhouetteWarning, JumpWarning,
                            RepeatedNoiseWarning
     torch_radbp.bake       bitmap, mesh
@@ -28,7 +29,7 @@ modules and names, and the bits of an image at a given seed.
 from torch_radbp.adjoint import AdjointStrategy, MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
 from torch_radbp.boundary import JumpWarning, SilhouetteWarning
 from torch_radbp.call.finite import NonFiniteError
-from torch_radbp.check import GradientCheck, check_gradient
+from torch_radbp.check import GradientCheck, PluginCheck, check_bsdf, check_emitter, check_gradient, check_texture
 from torch_radbp.formats.contact_sheet import contact_sheet
 from torch_radbp.formats.image import save_image
 from torch_radbp.io.asset import asset
@@ -48,9 +49,9 @@ from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.scene import Scene
 from torch_radbp.texture.neural import NeuralTexture
 
-__all__ = ["AdjointStrategy", "Exposure", "GltfWarning", "GradientCheck", "JumpWarning", "LensFalloff",
-           "MemoizedAdjoint", "NeuralTexture", "NonFiniteError", "Photograph", "Photographs", "QuadraticAdjoint",
-           "Renderer", "RepeatedNoiseWarning", "ReplayAdjoint", "Scene", "SceneError", "SceneWarning",
-           "SilhouetteWarning", "TapeAdjoint", "ToneCurve", "asset", "camera_from_opencv", "cameras_from_colmap",
-           "cameras_from_kornia", "cameras_from_nerf", "check_gradient", "contact_sheet", "jvp", "load", "load_dict",
-           "look_at", "render", "save", "save_image", "se3"]
+__all__ = ["AdjointStrategy", "Exposure", "GltfWarning", "GradientCheck", "JumpWarning", "LensFalloff", "MemoizedAdjoint",
+           "NeuralTexture", "NonFiniteError", "Photograph", "Photographs", "PluginCheck", "QuadraticAdjoint", "Renderer",
+           "RepeatedNoiseWarning", "ReplayAdjoint", "Scene", "SceneError", "SceneWarning", "SilhouetteWarning",
+           "TapeAdjoint", "ToneCurve", "asset", "camera_from_opencv", "cameras_from_colmap", "cameras_from_kornia",
+           "cameras_from_nerf", "check_bsdf", "check_emitter", "check_gradient", "check_texture", "contact_sheet", "jvp",
+           "load", "load_dict", "look_at", "render", "save", "save_image", "se3"]

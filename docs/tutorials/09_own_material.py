@@ -110,4 +110,18 @@ for step in range(60):
     (renderer(seed=step) - target).square().mean().backward()
     optimizer.step()
 print(f"the exponent is 1.3, found: {exponent.item():.3f}")
-assert check.agrees and abs(exponent.item() - 1.3) < 0.02
+
+# %% [markdown]
+# All of that would agree for a wrong material, too: if `eval_pdf` stated half of its density, images would be too bright,
+# and the derivatives right for images that are too bright. Only the material by itself tells. `check_bsdf` compares what it
+# says with what it does: whether its density integrates to one and its samples follow it, whether it is reciprocal and
+# keeps to the energy that arrives, and whether all is finite, at grazing angles and at the ends of `domains`, too.
+#
+# A model that is known to be otherwise says so in its kind, as `conserves = False` or `reciprocal = False`. This one would
+# have to say the former to be used with k < 1: its albedo is `r ci^(k - 1)`. (`check_emitter` and `check_texture` are for
+# plugins of these kinds.)
+
+# %%
+material, bright = rb.check_bsdf(scene.ball.bsdf), rb.check_bsdf({"type": "minnaert", "exponent": 0.6})
+print(material, f"with k = 0.6: {bright.failed}", sep="\n")
+assert check.agrees and abs(exponent.item() - 1.3) < 0.02 and material.agrees and bright.failed == ("energy",)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy as np
-import torch
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Kind, LobeChoice, Values
+from torch_radbp.bsdf.kind import Kind, Values
+from torch_radbp.check.lanes import Numbers, choices, direction, directions, numbers, sampled
 from torch_radbp.plugin import BSDF, REGISTRY
 from torch_radbp.tensors.vec import Vec3
+
+__all__ = ["Numbers", "choices", "direction", "directions", "numbers", "sampled"]  # and the materials below
 
 
 def material(description: dict) -> BSDF:
@@ -44,55 +43,6 @@ def as_dict(description: dict) -> dict:
 def values_of(bsdf: BSDF, like: Tensor) -> Values:
     """The values of a material of constant textures on every lane, attached to its parameters."""
     return tuple(Vec3.of(texture.texels().reshape(3).to(like).expand(len(like), 3)) for texture in bsdf.textures())
-
-
-class Numbers(NamedTuple):
-    """Random numbers of a lane."""
-
-    choice: Tensor
-    u: Tensor
-    v: Tensor
-
-
-def numbers(count: int, seed: int = 7, dtype=torch.float64) -> Numbers:
-    """Uniform in [0, 1), multiples of 2^-24 as in the tracer."""
-    generator = torch.Generator().manual_seed(seed)
-    return Numbers(*(torch.randint(2**24, (3, count), generator=generator).to(dtype) / 2**24).unbind())
-
-
-def directions(count: int, seed: int = 0, dtype=torch.float64) -> Vec3:
-    """Uniform on the sphere."""
-    d = np.random.default_rng(seed).normal(size=(count, 3))
-    return Vec3.of(torch.from_numpy(d / np.linalg.norm(d, axis=1, keepdims=True)).to(dtype))
-
-
-def direction(z: float, phi: float, count: int, dtype=torch.float64) -> Vec3:
-    """The same direction on every lane."""
-    r = np.sqrt(max(1.0 - z * z, 0.0))
-    return Vec3(*(torch.full((count,), float(c), dtype=dtype) for c in (r * np.cos(phi), r * np.sin(phi), z)))
-
-
-class Sampled(NamedTuple):
-    """What a vertex samples."""
-
-    choice: LobeChoice
-    wo: Vec3
-
-
-def sampled(kind: Kind, values: Values, wi: Vec3, random: Numbers) -> Sampled:
-    """Choice and direction."""
-    choice = kind.choose(values, wi, *random)
-    return Sampled(choice, kind.sample(values, wi, choice, random.u, random.v))
-
-
-def choices(kind: Kind, values: Values, wi: Vec3, random: Numbers) -> list[LobeChoice]:
-    """Each choice that there is on some lane, with its probability there, which may be zero; in order of the number."""
-    found, last = [], torch.zeros_like(random.choice)
-    while (open_ := last < 1 - 1e-9).any():
-        choice = kind.choose(values, wi, last + 1e-12, random.u, random.v)
-        found.append(choice._replace(probability=torch.where(open_, choice.probability, 0.0)))
-        last = last + found[-1].probability
-    return found
 
 
 # One material of every kind and option, none of them special.

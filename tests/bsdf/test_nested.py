@@ -8,8 +8,8 @@ import torch
 import torch_radbp as rb
 from tests.bsdf.lanes import MATERIALS, Numbers, direction, directions, material, numbers, sampled, values_of
 from tests.bsdf.test_both_orders import light
-from tests.bsdf.test_finite import assert_finite
 from tests.scenes import load, rectangle, rgb, sensor
+from torch_radbp.check.finite import Lanes
 from torch_radbp.tensors.vec import Vec3, where
 
 COUNT = 80_000
@@ -87,18 +87,19 @@ def test_values_and_derivatives_stay_finite(name, dtype):
     other = torch.tensor(COSINES, dtype=dtype).repeat(len(COSINES))
     wo = Vec3(-torch.sqrt(1 - other * other), torch.zeros_like(other), other).map(lambda c: c.clone().requires_grad_())
     for result in kind.eval_pdf(values, wi, wo):
-        assert_finite("evaluation", result, values, wi, wo)
+        assert not Lanes(values, wi, wo).not_finite("evaluation", result)
     for number in itertools.product((0.0, 0.019, 0.5, 1 - 2.0**-24), (0.0, 0.7), (0.3,)):
         random = Numbers(*(torch.full_like(z, x) for x in number))
         choice = kind.choose(values, wi, *random)
         assert (choice.probability > 0).all() and (choice.probability <= 1).all()
         wo = kind.sample(values, wi, choice, random.u, random.v)
         assert ((wo.x**2 + wo.y**2 + wo.z**2) - 1).abs().max() < 300 * torch.finfo(dtype).eps
-        assert_finite("sample", wo, values, wi)
+        lanes = Lanes(values, wi, random)
+        assert not lanes.not_finite("sample", wo)
         for result in kind.eval_pdf(values, wi, wo):
-            assert_finite("evaluation at the sample", result, values, wi)
+            assert not lanes.not_finite("evaluation at the sample", result)
         if kind.delta:
-            assert_finite("specular", kind.specular(values, wi, choice), values, wi)
+            assert not lanes.not_finite("specular", kind.specular(values, wi, choice))
 
 
 def test_a_normal_map_that_turns_nothing_changes_nothing():

@@ -21,58 +21,33 @@ from tests.bsdf.lanes import (
     sampled,
     values_of,
 )
-from tests.sampling.chi_square import SIGNIFICANCE, p_value
+from torch_radbp.check.chi_square import SIGNIFICANCE, p_value
+from torch_radbp.check.lanes import unit_length_error
+from torch_radbp.check.scattering import VIEWERS, Subject, fit, viewed
 from torch_radbp.tensors.vec import Vec3
 
 COUNT = 100_000
-CELLS = (16, 32)  # polar angle, azimuth
-ANGLES = {"normal": 1.0, "steep": 0.9, "oblique": 0.5, "grazing": 0.08, "behind": -0.6, "grazing behind": -0.1}
-# The cells' integrals are midpoint sums: the sharper the lobe, the more of them.
-FINE = 24
 
 
-def expected_on_sphere(kind, bsdf, z: float, phi: float, fine: int) -> np.ndarray:
-    """Expected samples per cell of the sphere: the density integrated by fine x fine midpoints a cell."""
-    polar = math.pi * (np.arange(CELLS[0] * fine) + 0.5) / (CELLS[0] * fine)
-    azimuth = 2 * math.pi * (np.arange(CELLS[1] * fine) + 0.5) / (CELLS[1] * fine)
-    polar, azimuth = (torch.from_numpy(a).reshape(-1) for a in np.meshgrid(polar, azimuth, indexing="ij"))
-    r = torch.sin(polar)
-    wo = Vec3(r * torch.cos(azimuth), r * torch.sin(azimuth), torch.cos(polar))
-    density = kind.pdf(values_of(bsdf, r), direction(z, phi, len(r)), wo).detach() * r
-    cell = 2 * math.pi**2 / (CELLS[0] * CELLS[1] * fine**2)
-    return COUNT * cell * density.reshape(CELLS[0], fine, CELLS[1], fine).sum((1, 3)).numpy()
+def subject_of(bsdf) -> Subject:
+    return Subject(bsdf.kind(), lambda like: values_of(bsdf, like))
 
 
-def histogram(wo: Vec3, keep: torch.Tensor) -> np.ndarray:
-    wo = Vec3(*(component[keep].double().numpy() for component in wo))
-    polar, azimuth = np.arctan2(np.hypot(wo.x, wo.y), wo.z), np.arctan2(wo.y, wo.x) % (2 * math.pi)
-    return np.histogram2d(polar, azimuth, CELLS, [(0, math.pi), (0, 2 * math.pi)])[0]
-
-
-def useful(kind, values, wi, wo):
-    """Samples that reach a lobe. Of the others, single scattering knows nothing: they end the path."""
-    return kind.pdf(values, wi, wo).detach() > 0
-
-
-@pytest.mark.parametrize("angle", ANGLES)
+@pytest.mark.parametrize("angle", VIEWERS)
 @pytest.mark.parametrize("name", SMOOTH)
 def test_directions_follow_their_density(name, angle):
-    bsdf, z = material(MATERIALS[name]), ANGLES[angle]
-    if z < 0 and not KINDS[name].transmits:
+    if VIEWERS[angle] < 0 and not KINDS[name].transmits:
         pytest.skip("black from behind")
-    kind, random, wi = bsdf.kind(), numbers(COUNT), direction(z, 0.7, COUNT)
-    values = values_of(bsdf, wi.z)
-    choice, wo = sampled(kind, values, wi, random)
-    torch.testing.assert_close(wo.x**2 + wo.y**2 + wo.z**2, torch.ones_like(wo.x), rtol=0, atol=1e-9)
-    keep = useful(kind, values, wi, wo) & ~choice.is_delta(kind)
-    expected = expected_on_sphere(kind, bsdf, z, 0.7, FINE)
-    if not keep.any():
-        assert expected.sum() == 0  # a mask that is black from behind, but for its holes
+    view = viewed(subject_of(material(MATERIALS[name])), angle, COUNT, 7)
+    assert unit_length_error(view.wo) < 1e-9
+    total = view.density.value.sum().item()
+    if not view.keep.any():
+        assert total == 0  # a mask that is black from behind, but for its holes
         return
     # The density adds up to what is not lost between microfacets, nor to delta lobes.
-    lost = 1 - keep.double().mean().item()
-    assert abs(expected.sum() / COUNT - (1 - lost)) < 5 * math.sqrt(lost * (1 - lost) / COUNT) + 2e-3
-    assert p_value(histogram(wo.map(torch.Tensor.detach), keep), expected, constraints=0) > SIGNIFICANCE
+    lost = 1 - view.keep.double().mean().item()
+    assert abs(total - (1 - lost)) < 5 * math.sqrt(lost * (1 - lost) / COUNT) + 2e-3
+    assert fit(view) > SIGNIFICANCE
 
 
 @pytest.mark.parametrize("name", ["metal beckmann", "glass ggx", "glass beckmann"])
@@ -82,9 +57,10 @@ def test_single_precision_follows_the_same_density(name):
     values = values_of(bsdf.float(), wi.z)
     _, wo = sampled(kind, values, wi, numbers(COUNT, dtype=torch.float32))
     assert wo.x.dtype == torch.float32
-    keep = useful(kind, values, wi, wo)
-    expected = expected_on_sphere(kind, bsdf.double(), 0.5, 0.7, FINE)
-    assert p_value(histogram(wo.map(torch.Tensor.detach), keep), expected, constraints=0) > SIGNIFICANCE
+    keep = kind.pdf(values, wi, wo).detach() > 0
+    wo = wo.map(lambda component: component.detach().double())
+    view = viewed(subject_of(bsdf.double()), "oblique", COUNT, 8)._replace(keep=keep, wo=wo)
+    assert fit(view) > SIGNIFICANCE
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
@@ -120,11 +96,9 @@ def test_sharp_lobes_follow_their_density(kind_type, distribution, alpha, dtype)
 
 
 def test_the_test_notices_a_wrong_roughness():
-    bsdf, wrong = (material({"type": "roughconductor", "alpha": alpha}) for alpha in (0.3, 0.31))
-    wi = direction(0.9, 0.7, COUNT)
-    _, wo = sampled(bsdf.kind(), values_of(bsdf, wi.z), wi, numbers(COUNT))
-    assert p_value(histogram(wo.map(torch.Tensor.detach), wo.z > 0), expected_on_sphere(wrong.kind(), wrong, 0.9, 0.7, FINE),
-                   constraints=0) < SIGNIFICANCE
+    view, wrong = (viewed(subject_of(material({"type": "roughconductor", "alpha": alpha})), "steep", COUNT, 7)
+                   for alpha in (0.3, 0.31))
+    assert fit(wrong._replace(wo=view.wo, keep=view.keep)) < SIGNIFICANCE < min(fit(view), fit(wrong))
 
 
 @pytest.mark.parametrize("name", MATERIALS)
@@ -170,15 +144,14 @@ def test_a_blend_chooses_by_its_weight_but_neither_part_never(weight):
 @pytest.mark.parametrize("name", MIXED)
 def test_delta_lobes_take_what_the_density_of_the_smooth_ones_leaves(name):
     bsdf, kind = material(MATERIALS[name]), KINDS[name]
-    for z in (0.9, 0.3):
-        wi = direction(z, 0.7, COUNT)
+    for where in ("steep", "oblique"):
+        wi = direction(VIEWERS[where], 0.7, COUNT)
         values = values_of(bsdf, wi.z)
-        choice, wo = sampled(kind, values, wi, numbers(COUNT))
+        choice, _ = sampled(kind, values, wi, numbers(COUNT))
         assert choice.delta.dtype == torch.bool and 0.01 < choice.delta.double().mean() < 0.99
         assert (kind.specular(values, wi, choice).stack()[choice.delta] > 0).all()
-        smooth = expected_on_sphere(kind, bsdf, z, 0.7, FINE).sum() / COUNT
-        reached = ~choice.delta & useful(kind, values, wi, wo)
-        assert abs(smooth - reached.double().mean()) < 5 * 0.5 / math.sqrt(COUNT)
+        view = viewed(subject_of(bsdf), where, COUNT, 7)
+        assert abs(view.density.value.sum() - view.keep.double().mean()) < 5 * 0.5 / math.sqrt(COUNT)
 
 
 @pytest.mark.parametrize("name", ROUGH)

@@ -11,8 +11,8 @@ import torch
 
 import torch_radbp as rb
 from tests.emitter.lights import FLOOR, detached, scene_of, sky_image, turned, uniform
-from tests.sampling.chi_square import SIGNIFICANCE, p_value
 from tests.scenes import load, sensor, texels
+from torch_radbp.check.chi_square import SIGNIFICANCE, p_value
 from torch_radbp.emitter.envmap import EnvmapKind, EnvmapTable, density, sample_direction
 from torch_radbp.emitter.latitude_longitude import latitude_longitude
 from torch_radbp.sampling.grid import grid_distribution

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.sampling.chi_square import SIGNIFICANCE, p_value
+from torch_radbp.check.chi_square import SIGNIFICANCE, p_value
 from torch_radbp.sampling import alias
 from torch_radbp.sampling.alias import alias_table
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.sampling.chi_square import SIGNIFICANCE, p_value
+from torch_radbp.check.chi_square import SIGNIFICANCE, p_value
 from torch_radbp.sampling.sampler import (
     DIMENSIONS_PER_BOUNCE,
     LaneKey,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.sampling.chi_square import SIGNIFICANCE, p_value
 from torch_radbp.bsdf.diffuse import DiffuseKind
+from torch_radbp.check.chi_square import SIGNIFICANCE, p_value
 from torch_radbp.sampling.warp import (
     UNIFORM_SPHERE_PDF,
     cosine_hemisphere_pdf,

@@ -48,6 +48,11 @@ assert_type(rb.jvp(scene, {"green.reflectance.value": torch.ones(3)}, spp=4), Te
 check = rb.check_gradient(scene, "green.reflectance.value", spp=64)
 assert_type(check, rb.GradientCheck)
 assert_type(check.agrees, bool)
+of_plugin = rb.check_bsdf({"type": "diffuse"}, samples=10_000)
+assert_type(of_plugin, rb.PluginCheck)
+assert_type(of_plugin.failed, tuple[str, ...])
+assert_type(rb.check_emitter({"type": "constant"}, samples=10_000), rb.PluginCheck)
+assert_type(rb.check_texture({"type": "rgb", "value": 0.5}, low=0.0, high=1.0), rb.PluginCheck)
 
 # What a loop is made of.
 image, target = renderer(seed=2), renderer(seed=3).detach()

@@ -69,6 +69,9 @@ class Kind(ABC):
     transmits: ClassVar[bool] = False  # light passes to the other side
     straight: ClassVar[bool] = False  # some of it in the direction in which it came, without scattering
     turns_normals: ClassVar[bool] = False  # surfaces look as if they had other normals
+    # What `check_bsdf` holds a kind to, and the kinds that it holds; False: the model is not so.
+    reciprocal: ClassVar[bool] = True  # f(wi, wo) / n_i^2 = f(wo, wi) / n_o^2 with the indices n of refraction on both sides
+    conserves: ClassVar[bool] = True  # no more power leaves than arrives
 
     @property
     def steering(self) -> tuple[int, ...]:

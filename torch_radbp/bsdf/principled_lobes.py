@@ -100,6 +100,7 @@ class PrincipledKind(FeaturedKind):
     rates: tuple[float, float, float]  # of sampling the diffuse base, the main boundary and the clearcoat
 
     always: ClassVar[int] = 3
+    conserves: ClassVar[bool] = False  # a white base reflects a little more than all: Burley 2012, section 5.3
 
     @property
     def transmits(self) -> bool:

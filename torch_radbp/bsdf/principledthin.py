@@ -60,6 +60,12 @@ class PrincipledThinKind(FeaturedKind):
 
     always: ClassVar[int] = 2
     transmits: ClassVar[bool] = True
+    conserves: ClassVar[bool] = False  # as of `PrincipledKind`
+
+    @property
+    def reciprocal(self) -> bool:
+        """False if it transmits by microfacets: it loses light that they see from their own side, not the same both ways."""
+        return not self.has("spec_trans")
 
     @property
     def ends(self) -> bool:

@@ -42,6 +42,7 @@ class TurnedKind(Kind):
     own: ClassVar[int]
 
     turns_normals: ClassVar[bool] = True
+    reciprocal: ClassVar[bool] = False  # light is weighted by the cosine to the turned normal
 
     @property
     def delta(self) -> bool:

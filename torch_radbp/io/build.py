@@ -53,6 +53,17 @@ def build_scene(description: dict[str, Any], base_dir: str | os.PathLike | None 
     return _Builder(description, Path(base_dir or ".")).scene()
 
 
+def build_plugin(description: dict[str, Any], category: str) -> Plugin:
+    """The object of one category that a dict describes, without a scene; its parameters have torch's default dtype.
+
+    Raises:
+        SceneError: as `build_scene`.
+    """
+    builder = _Builder({category: description}, Path("."))
+    builder.collect_ids((), builder.description)
+    return builder.plugin((category,), description, [category])
+
+
 class _Builder:
     def __init__(self, description: dict[str, Any], base_dir: Path):
         self.description = description

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.bsdf.contract import check_contract
 from torch_radbp.bsdf.kind import Kind
 from torch_radbp.bsdf.number import NumberOf
 from torch_radbp.bsdf.twosided import TwoSided
@@ -55,6 +56,8 @@ def material_tables(cache: PackCache, scene: Scene, bsdfs: tuple[BSDF, ...], dty
     two_sided = tuple(isinstance(bsdf, TwoSided) for bsdf in bsdfs)
     sides = one_sided(bsdfs)
     described = {id(bsdf): (bsdf.kind(), bsdf.textures()) for bsdf in sides}
+    for bsdf in {id(bsdf): bsdf for bsdf in sides}.values():
+        check_contract(bsdf, *described[id(bsdf)], dtype, device)
     kinds, textures = zip(*(described[id(bsdf)] for bsdf in sides)) if sides else ((), ())
     looks = [Appearance(kind, tuple(map(reader_of, own))) for kind, own in zip(kinds, textures)]
     appearances = tuple(dict.fromkeys(looks))

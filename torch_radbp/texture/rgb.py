@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.plugin import Plugin, Texture, finite, no_module, register
+from torch_radbp.plugin import Plugin, Texture, finite, no_module, register, with_article
 from torch_radbp.plugin.domain import Domain
 from torch_radbp.texture.colour import Colour
 from torch_radbp.texture.neural import NeuralTexture
@@ -45,14 +45,18 @@ def as_texture(owner: Plugin, name: str, value: Texture | nn.Module | Samples | 
     """The texture for the attribute `name` of a plugin, from a texture, a module, a spectrum, one number or three.
 
     Raises:
-        TypeError: if the value is of another type, or a module where only tables can stand.
+        TypeError: if the value is of another type, or a module where only tables can stand; or if the owner's `domains`
+            lack it.
         ValueError: if a texel is not in the attribute's domain, or a spectrum cannot stand here.
     """
     if isinstance(value, (str, bytes, dict)):
         raise TypeError(f"{name} must be a number, three numbers or a texture, got {value!r}")
     if isinstance(value, nn.Module) and not isinstance(value, Texture):
         value = NeuralTexture(value)
-    domain = owner.domains()[name]
+    domain = owner.domains().get(name)
+    if domain is None:
+        raise TypeError(f"domains() of {with_article(owner.type or type(owner).__name__)} must say which values {name!r} "
+                        f"may have, got {sorted(owner.domains())}: add {name!r} with a torch_radbp.plugin.domain.Domain")
     if isinstance(value, Samples):
         value = value.check().colour(role_of(owner, domain))
     texture = value if isinstance(value, Texture) else RGB(value=value)

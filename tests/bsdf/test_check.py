@@ -1,0 +1,54 @@
+"""Every BSDF of the package has a row in `lanes.py`, and is what `check_bsdf` wants of one."""
+
+import pytest
+
+from tests.bsdf.lanes import KINDS, MATERIALS, material
+from torch_radbp.check import check_bsdf
+from torch_radbp.check.balance import claims
+from torch_radbp.plugin import BSDF, REGISTRY, register
+
+QUICK = {"samples": 10_000}
+PLUGINS = [name for name, plugin in REGISTRY["bsdf"].items() if plugin.__module__.startswith("torch_radbp.")]
+# What the models are known for, see `test_energy.py`; of others it is checked.
+NOT_RECIPROCAL = {"film", "sheet with all", "bumps", "brushed bumps", "mirror with bumps", "glass with bumps", "hills",
+                  "glass with hills"}
+
+
+def types_in(description) -> set[str]:
+    """The types of a material and of those in it."""
+    if not isinstance(description, (dict, list)):
+        return set()
+    own, parts = ({description["type"]}, description.values()) if isinstance(description, dict) else (set(), description)
+    return own.union(*map(types_in, parts))
+
+
+def check_has_row(plugin: str) -> None:
+    assert plugin in types_in(list(MATERIALS.values())), (
+        f"the bsdf {plugin!r} has no row: add one, of numbers and colours none of which is special, to MATERIALS in "
+        f"tests/bsdf/lanes.py; the tests of this folder then examine it")
+
+
+@pytest.mark.parametrize("plugin", PLUGINS)
+def test_every_bsdf_has_a_row(plugin):
+    check_has_row(plugin)
+
+
+def test_a_new_bsdf_without_a_row_is_named():
+    register("bsdf", "glitter")(type("Glitter", (BSDF,), {}))
+    try:
+        with pytest.raises(AssertionError, match="the bsdf 'glitter' has no row: .* to MATERIALS in tests/bsdf/lanes.py"):
+            check_has_row("glitter")
+    finally:
+        del REGISTRY["bsdf"]["glitter"]
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_a_material_is_what_it_says(name):
+    result = check_bsdf(material(MATERIALS[name]), **QUICK)
+    assert result.agrees, str(result)
+
+
+def test_only_models_that_are_known_for_it_claim_less():
+    assert {name for name, kind in KINDS.items() if not claims(kind, "reciprocal")} == NOT_RECIPROCAL
+    burley = {name for name in MATERIALS if types_in(MATERIALS[name]) & {"principled", "principledthin"}}
+    assert {name for name, kind in KINDS.items() if not claims(kind, "conserves")} == burley

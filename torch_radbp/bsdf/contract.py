@@ -1,0 +1,178 @@
+"""The contract between a material and the tracer: what its methods take and return.
+
+`Kind` says it; `CheckedKind` holds a kind to it, call by call, and `check_contract` calls each function once on a few lanes.
+Errors name the plugin and the method, where Python's own would name neither.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torch_radbp.bsdf.kind import Kind, LobeChoice, Values
+from torch_radbp.plugin import BSDF, Texture
+from torch_radbp.tensors.vec import Vec3
+
+COSINES = (0.9, 0.4, -0.7)  # of the lanes on which functions are called; more than one, so that a Python `if` shows
+HALF = 0.5  # of all values there
+BRANCH = "Boolean value of Tensor"  # of torch's message about a Python `if`
+ADVICE = "; every lane is another path, and all are computed at once: use torch.where or a product, no Python `if`"
+
+
+class CheckedKind:
+    """A kind whose results are checked, called as the tracer calls it; other attributes are the kind's.
+
+    Args:
+        kind: of the material.
+        plugin: its name, for messages.
+
+    Raises:
+        TypeError: from each method, if that of the kind raises anything, or returns another type or dtype than it should;
+            from `eval_pdf`, `sample`, ... by name.
+        ValueError: if it returns tensors of another shape.
+    """
+
+    def __init__(self, kind: Kind, plugin: str):
+        self.kind, self.plugin = kind, plugin
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.kind, name)
+
+    def where(self, method: str) -> str:
+        """The method in words."""
+        return f"the bsdf {self.plugin!r}: {type(self.kind).__name__}.{method}"
+
+    def call(self, method: str, *arguments: Any) -> Any:
+        """What a method of the kind returns."""
+        try:
+            return getattr(self.kind, method)(*arguments)
+        except torch.OutOfMemoryError:
+            raise
+        except Exception as error:
+            advice = ADVICE if BRANCH in str(error) else ""
+            if isinstance(error, IndexError):
+                advice = f"; it is given as many values as `slots` says, {self.kind.slots}"
+            raise TypeError(f"{self.where(method)} raised {type(error).__name__}: {error}{advice}") from error
+
+    def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
+        found = self.call("eval_pdf", values, wi, wo, fixed_lobes)
+        if not (isinstance(found, tuple) and len(found) == 2):
+            got = f"{len(found)} results" if type(found) is tuple else f"a {type(found).__name__} alone"
+            raise TypeError(f"{self.where('eval_pdf')} must return two results, the BSDF times the cosine and the density "
+                            f"of `sample`, got {got}")
+        self.check_vector("eval_pdf", "the first result", found[0], wi.z)
+        self.check_lanes("eval_pdf", "the second result, the density,", found[1], wi.z)
+        return found
+
+    def eval(self, values: Values, wi: Vec3, wo: Vec3) -> Vec3:
+        return self.check_vector("eval", "the result", self.call("eval", values, wi, wo), wi.z)
+
+    def pdf(self, values: Values, wi: Vec3, wo: Vec3) -> Tensor:
+        return self.check_lanes("pdf", "the result", self.call("pdf", values, wi, wo), wi.z)
+
+    def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
+        return self.check_vector("sample", "the result", self.call("sample", values, wi, choice, u, v), wi.z)
+
+    def choose(self, values: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> LobeChoice:
+        found = self.call("choose", values, wi, choice if self.kind.discrete else None, u, v)
+        if not isinstance(found, LobeChoice):
+            raise TypeError(f"{self.where('choose')} must return a LobeChoice, got a {type(found).__name__}")
+        self.check_lanes("choose", "lobe", found.lobe, wi.z)
+        self.check_lanes("choose", "probability", found.probability, wi.z)
+        if found.delta is not None:
+            self.check_lanes("choose", "delta", found.delta, wi.z.bool())
+        if self.kind.delta and self.kind.smooth and found.delta is None:
+            raise TypeError(f"{self.where('choose')} must say in `delta` which lanes picked a delta lobe, got None: the "
+                            f"kind has both delta and smooth lobes")
+        return found
+
+    def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
+        return self.check_vector("specular", "the result", self.call("specular", values, wi, choice), wi.z)
+
+    def check_vector(self, method: str, what: str, found: Any, like: Tensor) -> Vec3:
+        """`found`, if it has three components of the shape and dtype of `like`."""
+        if not all(hasattr(found, component) for component in "xyz"):
+            raise TypeError(f"{self.where(method)}: {what} must be a Vec3, got a {type(found).__name__}"
+                            f"{f' of shape {tuple(found.shape)}' if isinstance(found, Tensor) else ''}")
+        for component in "xyz":
+            self.check_lanes(method, f"{component} of {what}", getattr(found, component), like)
+        return found
+
+    def check_lanes(self, method: str, what: str, found: Any, like: Tensor) -> Tensor:
+        """`found`, if it is a tensor of the shape and dtype of `like`; of shape () where all lanes have the same number."""
+        if not isinstance(found, Tensor):
+            raise TypeError(f"{self.where(method)}: {what} must be a tensor of one number for each lane, got a "
+                            f"{type(found).__name__}")
+        if found.shape not in (like.shape, ()):
+            raise ValueError(f"{self.where(method)}: {what} must have shape (N,) as the directions, {tuple(like.shape)}, "
+                             f"got {tuple(found.shape)}")
+        if (found.dtype, found.device) != (like.dtype, like.device) and found.shape != ():
+            raise TypeError(f"{self.where(method)}: {what} must be {like.dtype} on {like.device} as the directions, got "
+                            f"{found.dtype} on {found.device}")
+        return found
+
+
+def checked_kind(bsdf: BSDF) -> CheckedKind:
+    """The kind of a material, held to its contract; raises as `check_described`."""
+    kind = bsdf.kind()
+    check_described(bsdf, kind, bsdf.textures())
+    return CheckedKind(kind, name_of(bsdf))
+
+
+def check_described(bsdf: BSDF, kind: Any, textures: Any) -> None:
+    """Checks what a material says of itself: its `kind()` and its `textures()`.
+
+    Raises:
+        TypeError: if one is of another type.
+        ValueError: if the number of textures is not that of the kind's `slots`.
+    """
+    plugin = name_of(bsdf)
+    if not isinstance(kind, Kind):
+        raise TypeError(f"the bsdf {plugin!r}: kind() must return a Kind, got a {type(kind).__name__}")
+    try:
+        hash(kind)
+    except TypeError as error:
+        raise TypeError(f"the bsdf {plugin!r}: {type(kind).__name__} must be hashable, as a frozen dataclass of plain "
+                        f"values is: {error}") from error
+    wrong = [texture for texture in textures if not isinstance(texture, Texture)]
+    if wrong:
+        raise TypeError(f"the bsdf {plugin!r}: textures() must return textures, got a {type(wrong[0]).__name__}")
+    if len(textures) != kind.slots:
+        raise ValueError(f"the bsdf {plugin!r}: slots of {type(kind).__name__} must be the number of textures(), which is "
+                         f"{len(textures)}, got {kind.slots}")
+
+
+def name_of(bsdf: BSDF) -> str:
+    """The name under which a material is registered, else that of its class."""
+    return bsdf.type or type(bsdf).__name__
+
+
+def check_contract(bsdf: BSDF, kind: Kind, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> None:
+    """Calls each function of a material on a few lanes, once for each kind.
+
+    Args:
+        bsdf: the material.
+        kind, textures: as its methods have returned them.
+        dtype, device: of the scene.
+
+    Raises: as `check_described` and the methods of `CheckedKind`.
+    """
+    check_described(bsdf, kind, textures)
+    call_each(kind, name_of(bsdf), dtype, device)
+
+
+@lru_cache(maxsize=256)
+def call_each(kind: Kind, plugin: str, dtype: torch.dtype, device: torch.device) -> None:
+    """Calls the functions of a kind; raises as the methods of `CheckedKind`."""
+    with torch.no_grad():
+        checked, z = CheckedKind(kind, plugin), torch.tensor(COSINES, dtype=dtype, device=device)
+        half = torch.full_like(z, HALF)
+        wi, values = Vec3((1.0 - z * z).sqrt(), torch.zeros_like(z), z), (Vec3(half, half, half),) * kind.slots
+        choice = checked.choose(values, wi, half, half, half)
+        checked.eval_pdf(values, wi, checked.sample(values, wi, choice, half, half))
+        if kind.delta:
+            checked.specular(values, wi, choice)

@@ -1,0 +1,62 @@
+"""A plugin with its parameters at the ends of their ranges."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterator
+from typing import TypeVar
+
+import torch
+from torch import Tensor, nn
+
+from torch_radbp.plugin import Plugin
+from torch_radbp.plugin.domain import Domain
+from torch_radbp.scene.parameters import Held, held_in
+
+Made = TypeVar("Made", bound=Plugin)
+
+
+def standing_alone(plugin: Made) -> Made:
+    """A copy in float64 on the CPU that holds all of its parts, those too that a scene names elsewhere; nothing moves."""
+    alone = copy.deepcopy(plugin).requires_grad_(False)
+    for part in list(alone.modules()):
+        for name in list(part.shared) if isinstance(part, Plugin) else ():
+            part._modules[name] = standing_alone(part.shared.pop(name))
+    return alone.to("cpu", torch.float64)
+
+
+def ends_of(domains: list[Domain]) -> list[float]:
+    """The numbers at which the range of a parameter ends, of reflectances 1 as well."""
+    if any(domain.is_pose or domain.is_index for domain in domains):
+        return []
+    low = [domain.low for domain in domains if domain.low_is_in and domain.low > -math.inf]
+    high = [1.0 if domain.is_reflectance else domain.high for domain in domains
+            if domain.is_reflectance or (domain.high_is_in and domain.high < math.inf)]
+    return [*([max(low)] if low else []), *([min(high)] if high else [])]
+
+
+def parameters_of(plugin: Plugin) -> dict[str, tuple[Held, Tensor]]:
+    """Everything with a domain that can be set, by name, with its value."""
+    found = {name.removeprefix("."): held for name, held in held_in(plugin).items() if held.attribute is not None}
+    return {name: (held, held.value) for name, held in found.items() if isinstance(held.value, nn.Parameter)}
+
+
+def at_ends(plugin: Made) -> Iterator[tuple[str, Made]]:
+    """Copies of a plugin with one parameter at one of its ends, in words what."""
+    for name, (held, _) in parameters_of(plugin).items():
+        for end in ends_of(held.domains):
+            other = copy.deepcopy(plugin)
+            with torch.no_grad():
+                parameters_of(other)[name][1].fill_(end)
+            yield f"{name} = {end:g}", other
+
+
+def white(plugin: Made) -> Made:
+    """A copy all of whose reflectances are 1."""
+    other = copy.deepcopy(plugin)
+    with torch.no_grad():
+        for held, value in parameters_of(other).values():
+            if any(domain.is_reflectance for domain in held.domains):
+                value.fill_(1.0)
+    return other

@@ -1,0 +1,120 @@
+"""Materials on lanes of directions: what a path vertex does with them, outside of any scene."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.bsdf.contract import CheckedKind
+from torch_radbp.bsdf.kind import Kind, LobeChoice, Values
+from torch_radbp.plugin import BSDF, Texture
+from torch_radbp.tensors.vec import Vec2, Vec3, dot, normalize
+from torch_radbp.texture.bitmap import reader_of
+from torch_radbp.texture.reader import TexturePoint, TriangleEdges
+
+ATTRIBUTE = 0.5  # what attributes of meshes are, since there is no mesh
+FINE = -30.0  # logarithm of a footprint without extent
+
+
+class Numbers(NamedTuple):
+    """Random numbers of a lane."""
+
+    choice: Tensor
+    u: Tensor
+    v: Tensor
+
+
+def numbers(count: int, seed: int = 7, dtype: torch.dtype = torch.float64) -> Numbers:
+    """Uniform in [0, 1), multiples of 2^-24 as in the tracer."""
+    generator = torch.Generator().manual_seed(seed)
+    return Numbers(*(torch.randint(2**24, (3, count), generator=generator).to(dtype) / 2**24).unbind())
+
+
+def directions(count: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> Vec3:
+    """Uniform on the sphere."""
+    generator = torch.Generator().manual_seed(seed)
+    return normalize(Vec3.of(torch.randn(count, 3, generator=generator, dtype=torch.float64))).map(lambda c: c.to(dtype))
+
+
+def direction(z: float, phi: float, count: int, dtype: torch.dtype = torch.float64) -> Vec3:
+    """The same direction on every lane."""
+    r = math.sqrt(max(1.0 - z * z, 0.0))
+    return Vec3(*(torch.full((count,), float(c), dtype=dtype) for c in (r * math.cos(phi), r * math.sin(phi), z)))
+
+
+class Sampled(NamedTuple):
+    """What a vertex samples."""
+
+    choice: LobeChoice
+    wo: Vec3
+
+
+def sampled(kind: Kind | CheckedKind, values: Values, wi: Vec3, random: Numbers) -> Sampled:
+    """Choice and direction."""
+    choice = kind.choose(values, wi, *random)
+    return Sampled(choice, kind.sample(values, wi, choice, random.u, random.v))
+
+
+def choices(kind: Kind | CheckedKind, values: Values, wi: Vec3, random: Numbers, most: int = 64) -> list[LobeChoice]:
+    """Each choice that there is on some lane, with its probability there, which may be zero; in order of the number.
+
+    `most`: after so many it ends, should the probabilities not add up to 1.
+    """
+    found, last = [], torch.zeros_like(random.choice)
+    while (open_ := last < 1 - 1e-9).any() and len(found) < most:
+        choice = kind.choose(values, wi, last + 1e-12, random.u, random.v)
+        found.append(choice._replace(probability=torch.where(open_, choice.probability, 0.0)))
+        last = last + found[-1].probability
+    return found
+
+
+def weight_of(kind: Kind | CheckedKind, values: Values, wi: Vec3, found: Sampled) -> Vec3:
+    """What a path that goes on in a sampled direction is multiplied by; 0 where the direction cannot be used.
+
+    That is eval / pdf, or of delta lobes specular / probability.
+    """
+    weight = Vec3.full(wi.z, 0.0)
+    if kind.smooth:
+        value, pdf = kind.eval_pdf(values, wi, found.wo)
+        weight = value * torch.where(pdf > 0, 1.0 / torch.where(pdf > 0, pdf, 1.0), 0.0)
+    if kind.delta:
+        ideal = kind.specular(values, wi, found.choice) * (1.0 / found.choice.probability)
+        delta = found.choice.is_delta(kind)
+        weight = Vec3(*(torch.where(delta, a, b) for a, b in zip(ideal, weight)))
+    return weight
+
+
+def values_at(bsdf: BSDF, place: tuple[float, float, float], like: Tensor) -> Values:
+    """The values of a material at one place of a surface, on every lane; attached.
+
+    Args:
+        bsdf: its parameters have the dtype and the device of `like`.
+        place: surface coordinates u and v, and for textures of positions x, y and z.
+        like: (N,) gives the number of lanes.
+    """
+    return tuple(texture_at(texture, Vec3(*(torch.full_like(like, c) for c in place))) for texture in bsdf.textures())
+
+
+def texture_at(texture: Texture, p: Vec3) -> Vec3:
+    """The values of a texture on a plane, whose surface coordinates are x and y; attached to the place as well.
+
+    Attributes of meshes are 0.5 there.
+    """
+    reader, dtype, device = reader_of(texture), p.x.dtype, p.x.device
+    zero, one = torch.zeros_like(p.x), torch.ones_like(p.x)
+    uv, across, along = Vec2(p.x, p.y), Vec3(one, zero, zero), Vec3(zero, one, zero)
+    of_mesh = {name: Vec3.full(p.x, ATTRIBUTE) for name in reader.attributes}
+    level = {name: (Vec3.full(p.x, 0.0),) * 2 for name in reader.attributes}
+    point = TexturePoint(uv, of_mesh, TriangleEdges((across, along), (Vec2(one, zero), Vec2(zero, one)), level,
+                                                    (across, along)), torch.full_like(p.x, FINE))
+    if reader.outside:
+        return reader.value(Vec3.of(texture.function()(reader.place(p, uv).stack())), point)
+    return reader.read(reader.bank([texture], dtype, device), torch.zeros_like(p.x, dtype=torch.int32), point)
+
+
+def unit_length_error(w: Vec3) -> float:
+    """The largest deviation from one of squared lengths; 0 if there is no vector."""
+    return float((dot(w, w) - 1.0).abs().max()) if len(w.x) else 0.0

@@ -1,0 +1,59 @@
+"""`PluginCheck`: the outcome of a check of a plugin, and what each part of it has found."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+class Finding(NamedTuple):
+    """One thing that was checked."""
+
+    check: str  # its name, such as "density"
+    agrees: bool
+    figures: str  # what was measured, and what was expected where it does not agree
+
+
+@dataclass(frozen=True)
+class PluginCheck:
+    """What a plugin promises, each promise with the figures that were measured.
+
+    Attributes:
+        plugin: its name, such as "bsdf diffuse".
+        findings: one for each check, in order: its name (`check`), whether it `agrees`, and its `figures` in words.
+    """
+
+    plugin: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def agrees(self) -> bool:
+        """True if every check agrees."""
+        return not self.failed
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """The names of the checks that do not agree."""
+        return tuple(finding.check for finding in self.findings if not finding.agrees)
+
+    def __str__(self) -> str:
+        width = max(len(finding.check) for finding in self.findings)
+        rows = [f"  {finding.check:<{width}}  {'agrees' if finding.agrees else 'FAILS '}  {finding.figures}"
+                for finding in self.findings]
+        verdict = "agrees" if self.agrees else f"disagrees: {', '.join(self.failed)}"
+        return "\n".join([self.plugin, *rows, verdict])
+
+
+def worst(check: str, found: list[tuple[float, str]], agreed: str) -> Finding:
+    """The finding on a check that was made in several cases.
+
+    Args:
+        check: its name.
+        found: of each case how far it is off, in units of what is allowed, and the figures in words.
+        agreed: what to say if there was no case.
+    """
+    if not found:
+        return Finding(check, True, agreed)
+    excess, figures = max(found, key=lambda case: math.inf if math.isnan(case[0]) else case[0])
+    return Finding(check, excess <= 1.0, figures)
