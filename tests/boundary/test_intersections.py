@@ -40,14 +40,14 @@ def test_all_pairs_of_triangles_of_two_bodies_that_meet_are_found(most, monkeypa
     one, other = torch.triu_indices(120, 120, 1)
     wanted = (body[one] != body[other]) & (moves[body[one]] | moves[body[other]])
     expected = segments_between(geometry, faces, Pairs(one[wanted], other[wanted]))
-    found = intersections(EAGER, geometry, Bodies(faces, sizes, moves))
+    found, _ = intersections(EAGER, geometry, Bodies(faces, sizes, moves))
     pairs = [set(zip(own.triangle.tolist(), own.through.tolist())) for own in (found, expected)]
     assert pairs[0] == pairs[1] and len(found.triangle) == len(expected.triangle) > 30
 
 
 def test_segments_lie_on_both_triangles_and_end_at_an_edge_of_one():
     geometry, faces, sizes = triangles(60, 2)
-    found = intersections(EAGER, geometry, Bodies(faces, sizes, torch.tensor([True, True])))
+    found, _ = intersections(EAGER, geometry, Bodies(faces, sizes, torch.tensor([True, True])))
     p = geometry.triangles.vertices.p.stack().view(-1, 3, 3)
     ends_on_edges = torch.zeros(2, len(found.triangle), dtype=torch.bool)
     for place, end in enumerate((found.start, found.end)):

@@ -19,7 +19,7 @@ EACH = 64
 @pytest.mark.parametrize("stages", [EAGER, compiled()], ids=["eager", "compiled"])
 def test_what_is_found_adds_up_to_all_that_is_seen(stages):
     geometry, faces, sizes = triangles(120, 2)
-    segments = intersections(stages, geometry, Bodies(faces, sizes, torch.tensor([True, False])))
+    segments, _ = intersections(stages, geometry, Bodies(faces, sizes, torch.tensor([True, False])))
     eyes, extent = rows(eyes_around(), torch.arange(40)), extent_of(geometry)
     tree, count = segment_tree(stages, geometry, segments).tree, len(segments.triangle)
     ends = (end.map(lambda c: c.repeat(40)) for end in ends_of(geometry, segments))

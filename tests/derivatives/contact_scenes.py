@@ -107,7 +107,8 @@ def turning(*spin: float) -> Motion:
 
 
 MOTIONS: dict[str, Motion] = {"up": along(*UP), "aside": along(1.0, 0.0, 0.0), "to the camera": along(0.0, 0.0, 1.0),
-                              "up and aside": along(-0.6, 0.8, 0.3), "turning": turning(*UP), "tilting": turning(0.0, 0.0, 1.0)}
+                              "up and aside": along(-0.6, 0.8, 0.3), "turning": turning(*UP),
+                              "tilting": turning(0.0, 0.0, 1.0)}
 
 
 class Arrangement(NamedTuple):
@@ -123,6 +124,15 @@ class Arrangement(NamedTuple):
     @property
     def max_depth(self) -> int:
         return 3 if self.lamp in ("area", "sky") else 2
+
+    def tangent(self, value: Tensor) -> Tensor:
+        """The velocity of the moved parameter, (V, 3) positions or a (4, 4) matrix."""
+        motion = MOTIONS[self.motion]
+        if value.shape != (4, 4):
+            return motion(value)
+        origin = motion(value[:3, 3][None])
+        columns = [motion((value[:3, column] + value[:3, 3])[None]) - origin for column in range(3)]
+        return torch.cat([torch.cat([*columns, origin]).T, torch.zeros(1, 4)])
 
     def build(self, size: int = SIZE) -> rb.Scene:
         camera = {"type": "perspective", "fov": 40, "to_world": look_at((0.1, 3, 3), (0, 0, 0), (0, 1, 0)),

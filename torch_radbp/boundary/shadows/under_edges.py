@@ -23,7 +23,7 @@ from torch_radbp.boundary.geometry import Geometry, geometry_of, positions
 from torch_radbp.boundary.places import FEWEST, Places, Sight, lot_of, on_film, sight_of
 from torch_radbp.boundary.primary import lanes
 from torch_radbp.boundary.segments import Segments, place_of
-from torch_radbp.boundary.shadows.border import MOST, SHARP_SHARE, camera_sample, seen_at, sees
+from torch_radbp.boundary.shadows.border import MOST, SHARE, camera_sample, seen_at, sees
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
 from torch_radbp.boundary.shadows.light_points import light_line, light_points
 from torch_radbp.boundary.shadows.seen_edges import BEFORE, BESIDE, FAR, crossed_at, extent_of
@@ -76,7 +76,7 @@ def strips_in_view(call: RenderCall, number: int, contacts: Segments) -> Strips 
     weight = call.stages.segment_weight(geometry, sight, contacts)
     if not bool((weight > 0.0).any()):
         return None
-    count = max(FEWEST, min(MOST, view.width * view.height * call.spp // SHARP_SHARE))
+    count = max(FEWEST, min(MOST, view.width * view.height * call.spp // SHARE))
     places = call.stages.segment_place(geometry, sight, contacts, lot_of(weight, count, running_sum(weight)),
                                        lanes(count, weight))
     draw = light_points(call.stages, scene, view, count).draw
