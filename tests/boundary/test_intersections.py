@@ -60,15 +60,15 @@ def test_segments_lie_on_both_triangles_and_end_at_an_edge_of_one():
     assert len(found.triangle) > 10 and ends_on_edges.all()
 
 
-def test_bodies_that_touch_do_not_meet():
+def test_bodies_that_touch_do_not_pass_through_each_other():
     """A cube that stands on a floor, and two walls with a common edge."""
     scene = load(torch.float64, camera=parallel(), sky=DARK, floor=rectangle((0, 0, 0), 3, bsdf=diffuse(0.5)),
                  cube={"type": "cube", "to_world": translate((0, 0, 0.5)) @ scale((0.5, 0.5, 0.5)), "bsdf": diffuse(0.5)},
                  wall=rectangle((0, 3, 3), 3, (1, 0, 0), 90, bsdf=diffuse(0.5)))
     seen = []
-    original = module.segments_between
+    original = module.segments_on
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "segments_between", lambda *arguments: seen.append(original(*arguments)) or seen[-1])
+        patch.setattr(module, "segments_on", lambda *arguments: seen.append(original(*arguments)) or seen[-1])
         derivative(scene, "cube.to_world", along(0), spp=4)
     assert seen and all(len(found.triangle) == 0 for found in seen)
 

@@ -53,8 +53,9 @@ class Contacts(NamedTuple):
     resting: Resting
 
 
-def contacts_of(geometry: Geometry, touching: Segments, ends: Tensor, edges_of_shape: Callable[[int], Edges]) -> Contacts:
-    """The contacts among sides of triangles that lie on other triangles.
+def contacts_of(geometry: Geometry, touching: Segments, ends: Tensor,
+                edges_of_shape: Callable[[int], Edges]) -> Contacts | None:
+    """The contacts among sides of triangles that lie on other triangles; None: there are none.
 
     Args:
         geometry: of the scene, detached.
@@ -90,14 +91,15 @@ def contacts_of(geometry: Geometry, touching: Segments, ends: Tensor, edges_of_s
     counts = counts & ((reach == 0.0) | (~pierces & (reach == wanted_side) & goes_on(key, start + end, reach)))
     once = torch.ones_like(reach) if touching.share is None else touching.share
     segments = touching._replace(seen_from=Vec2(facing, above), share=2.0 * once)  # each counts by half
-    return Contacts(*rows((segments, Resting(corner, touching.instance, start, end)), counts.nonzero().squeeze(1)))
+    kept = counts.nonzero().squeeze(1)
+    return Contacts(*rows((segments, Resting(corner, touching.instance, start, end)), kept)) if len(kept) else None
 
 
 def contacts_among(segments: Segments) -> Segments | None:
     """Those of some segments at which edges lie on surfaces; None: there are none."""
     if segments.seen_from is None:
         return None
-    return rows(segments, (segments.seen_from.y != 0.0).nonzero().squeeze(1))
+    return rows(segments, (segments.seen_from.y != 0.0).nonzero().squeeze(1))  # of others it is 0
 
 
 def keys_of(corner: Tensor, instance: Tensor | None) -> Tensor:
