@@ -7,12 +7,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.geometry import Geometry
+from torch_radbp.boundary.geometry import Between, Geometry, largest_coordinate, positions
+from torch_radbp.boundary.intersections import TOUCHING
 from torch_radbp.boundary.places import CREASE, FAR, NEAR, RIM, SILHOUETTE, TEXTURE, Glued, Places, apart_at
 from torch_radbp.path.bounce import CameraSample
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import is_in_front
-from torch_radbp.tensors.vec import TINY, Ray, dot, rows
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, rows, unit_normal
 
 NEARER = 1e-3  # share of the distance to an edge by which a surface that hides it is nearer, and one behind it farther
 SAME = 1e-5  # the same of surfaces that are one at a rim
@@ -57,7 +59,9 @@ def in_sight(geometry: Geometry, places: Places, chosen: Tensor, sent: Sent, cou
     distances = [dot(places.p - ray.o, ray.d) for ray in rays]
     off = [missed(places, distance).clamp_min(1.0) for distance in distances]
     near = [(NEARER * times).clamp_max(MOST) for times in off]
-    shown = [past(hit, distance * (1.0 - share)) for hit, distance, share in zip(hits, distances, near)]
+    covered = [hides(geometry, ray, hit, places.p) for ray, hit in zip(rays, hits)]
+    shown = [past(hit, distance * (1.0 - share)) & ~hidden
+             for hit, distance, share, hidden in zip(hits, distances, near, covered)]
     here = [clear & ~past(hit, distance * (1.0 + share))
             for clear, hit, distance, share in zip(shown, hits, distances, near)]
     reach = [distance * (GRAZING * torch.sqrt(times)).clamp_max(MOST) + places.depth
@@ -73,7 +77,7 @@ def in_sight(geometry: Geometry, places: Places, chosen: Tensor, sent: Sent, cou
     turned = ends & ~seen & ((ahead & jumps_behind) | (~ahead & jumps_ahead))
     seen = seen | (goes_on(kind) & ((here[1] & here[2]) | own[0])) | (kind == NEAR)
     if RIM in kinds:
-        seen = seen | ((kind == RIM) & ~blurred & rim_in_sight(places, own, hits[0], distances[0]))
+        seen = seen | ((kind == RIM) & ~blurred & rim_in_sight(places, own, hits[0], distances[0]) & ~covered[0])
         behind, before = (is_in_front(geometry, ray, hit) for ray, hit in zip(rays[1:], hits[1:]))
         # Beyond a narrow band of the other side there is none: the silhouette has the whole jump.
         jumps = blurred & (kind == RIM) & turning[1] & turning[2] & (behind ^ before)
@@ -146,6 +150,23 @@ def is_one_of(places: Places, hit: Hit) -> Tensor:
     """(N,) bool: a triangle at the place was hit."""
     found = (hit.prim >= 0) & ((hit.prim == places.behind.prim) | (hit.prim == places.ahead.prim))
     return found if places.instance is None else found & (hit.instance == places.instance)
+
+
+def hides(geometry: Geometry, ray: Ray, hit: Hit, p: Vec3) -> Tensor:
+    """(N,) bool: the planes of the triangles that rays hit pass between their origins and points by more than rounding.
+
+    How far rays go tells no such thing, however close to the points they pass: by what they are off, they meet steep
+    surfaces sooner or later, the more the farther the viewer.
+
+    Args:
+        geometry: of the scene, detached.
+        ray, hit: (N,).
+        p: (N,) world, float64, right beside the rays.
+    """
+    corners = positions(geometry, Between(*lookup(geometry.triangles.corners, hit.prim.clamp_min(0))), hit.instance)
+    normal = unit_normal(corners[1] - corners[0], corners[2] - corners[0])
+    height, of_viewer = dot(normal, p - corners[0]), dot(normal, ray.o.map(torch.Tensor.double) - corners[0])
+    return (hit.prim >= 0) & (height * torch.sign(of_viewer) < -TOUCHING * largest_coordinate(p, *corners))
 
 
 def past(hit: Hit, distance: Tensor) -> Tensor:
