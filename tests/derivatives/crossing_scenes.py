@@ -79,16 +79,16 @@ class Crossing(NamedTuple):
         return rigid(self.motion, MIDDLE)
 
 
-def near_and_far(name: str, *arguments: Any) -> dict[str, Crossing]:
+def near_and_far(name: str, *arguments: Any, **more: Any) -> dict[str, Crossing]:
     """A scene from a distance of four and of forty."""
-    return {f"{name}, from {distance}": Crossing(*arguments, float(distance), 1 if "glowing" in name else 2)
-            for distance in (4, 40)}
+    return {f"{name}, from {distance}": Crossing(*arguments, float(distance), **more) for distance in (4, 40)}
 
 
 LIT = FLOOR | POINT
+SEEN: dict[str, Any] = {"depth": 1, "motion": ((0.0, 0.0, 0.0), (-0.6, 0.8, 0.0))}
 CROSSING = {
-    **near_and_far("glowing plate through a cube", plate_through_cube(glowing(2.0), glowing(1.0)), "plate"),
-    **near_and_far("plate through a glowing cube", plate_through_cube(glowing(1.0), glowing(3.0)), "plate"),
+    **near_and_far("glowing plate through a cube", plate_through_cube(glowing(2.0), glowing(1.0)), "plate", **SEEN),
+    **near_and_far("plate through a glowing cube", plate_through_cube(glowing(1.0), glowing(3.0)), "plate", **SEEN),
     **near_and_far("plate through a cube over a floor", plate_through_cube() | LIT, "plate"),
     **near_and_far("ball sunk in a floor", BALL | LIT, "ball"),
     **near_and_far("cup on a table", CUP | LIT, "cup"),
