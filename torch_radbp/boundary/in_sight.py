@@ -16,7 +16,7 @@ from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, rows, unit_normal
 
-NEARER = 1e-3  # share of the distance to an edge by which a surface that hides it is nearer, and one behind it farther
+NEARER = 1e-3  # share of the distance to an edge from which on what is nearer hides it surely; what is less, by its plane
 SAME = 1e-5  # the same of surfaces that are one at a rim
 ALONG_EDGE = 1e-3  # barycentric coordinate below which a rim runs along an edge, and may lie on the hidden side of it
 GRAZING = 2e-2  # the same of a surface that turns away at a silhouette: its depth changes with the root of what it is off
@@ -44,6 +44,7 @@ def in_sight(geometry: Geometry, places: Places, chosen: Tensor, sent: Sent, cou
     rounding, it does not tell which of the pieces it meets, of which only one has a jump. Pieces that run back are known by
     their surface, which lies on the other side. They count as -1, so that one remains. Where coordinates are so large that
     rays miss places by more than `USUAL`, it does not tell triangles apart either, and what rays on either side meet counts.
+    What hides a place that lies just inside of another body is known by the plane of the triangle that a ray meets.
 
     Args:
         geometry: of the scene, detached.
@@ -155,8 +156,8 @@ def is_one_of(places: Places, hit: Hit) -> Tensor:
 def hides(geometry: Geometry, ray: Ray, hit: Hit, p: Vec3) -> Tensor:
     """(N,) bool: the planes of the triangles that rays hit pass between their origins and points by more than rounding.
 
-    How far rays go tells no such thing, however close to the points they pass: by what they are off, they meet steep
-    surfaces sooner or later, the more the farther the viewer.
+    The lengths of rays do not tell this: right beside a point they meet steep surfaces sooner or later than at the point,
+    by the more the farther the viewer.
 
     Args:
         geometry: of the scene, detached.
