@@ -8,16 +8,17 @@ import torch
 import torch_radbp as rb
 from tests.boundary.test_edge_tree import wavy
 from tests.scenes import diffuse, load, rectangle, sensor
-from torch_radbp.boundary.geometry import Between, positions
+from torch_radbp.boundary.geometry import Between, geometry_of, positions
 from torch_radbp.boundary.shadows import hidden_light
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.hidden_light import Cuts, cut_at
+from torch_radbp.boundary.shadows.lines_through_edges import solid_angle
 from torch_radbp.boundary.shadows.seen_edges import corners_of, extent_of, places_seen
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import Vec2, dot, interpolated, normalize, rows, unit_normal
+from torch_radbp.tensors.vec import Ray, Vec2, dot, interpolated, normalize, rows, unit_normal
 
 GREY = diffuse(0.5, 0.5, 0.5)
 
@@ -79,3 +80,19 @@ def test_places_count_for_no_more_than_the_angle_that_their_edges_sweep(monkeypa
     counted = found.strength.abs() * swept(found.cuts, found.normal)
     assert (most > 0).all() and (counted > 0).any(0).sum() > 1000
     assert (counted <= 1.001 * most * torch.stack(tuple(rows(points.beta, passed.eye)))).all()
+
+
+def test_nothing_of_a_triangle_is_seen_from_within_its_plane(monkeypatch):
+    """By rounding lines within a plane meet it somewhere, and as slowly as they come near it, as fast moves that place."""
+    scene, hit, line, found = asked_of("solid_angle", monkeypatch, torch.float64, 0.7, 1.0)
+    lies = hit.prim >= 0
+    hit, line, found = rows((hit, line, found), lies.nonzero().squeeze(1))
+    corners, generator = corners_of(geometry_of(scene), hit), torch.Generator().manual_seed(1)
+    weights = torch.rand(4, len(hit.prim), generator=generator, dtype=torch.float64)
+    start, end = interpolated(corners, *weights[:2]), interpolated(corners, *weights[2:])
+    n = unit_normal(corners[1] - corners[0], corners[2] - corners[0])
+    assert len(hit.prim) > 1000 and (found > 0).double().mean() > 0.9
+    for height, sees in ((0.0, False), (1e-12, False), (1e-4, True)):
+        seen = solid_angle(scene, hit, Ray(start + n * height, end - start - n * height))
+        assert ((seen > 0) == sees).all()
+        assert (dot(n, start + n * height - corners[0]).abs() > 0).any()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import torch
@@ -11,7 +12,7 @@ from torch_radbp.scene.placement import for_lanes, shown, shown_normals
 from torch_radbp.scene.tensors import SceneTensors, TriangleTable
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import Vec3
+from torch_radbp.tensors.vec import Vec3, max_component
 
 Corners = tuple[Vec3, Vec3, Vec3]
 
@@ -79,3 +80,8 @@ def vertex_normals(geometry: Geometry, between: Between, instance: Tensor | None
     normals = tuple(lookup(geometry.triangles.vertices.n, row) for row in between)
     normals = normals if instance is None else shown_normals(geometry, Placed(instance), normals)
     return tuple(normal.map(torch.Tensor.double) for normal in normals)
+
+
+def largest_coordinate(*points: Vec3) -> Tensor:
+    """The largest coordinate of several points of each lane, by absolute value, by which their rounding grows; (N,)."""
+    return functools.reduce(torch.maximum, (max_component(point.map(torch.abs)) for point in points))

@@ -7,14 +7,16 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.geometry import Geometry
+from torch_radbp.boundary.geometry import Between, Geometry, largest_coordinate, positions
+from torch_radbp.boundary.intersections import TOUCHING
 from torch_radbp.boundary.places import CREASE, FAR, NEAR, RIM, SILHOUETTE, TEXTURE, Glued, Places, apart_at
 from torch_radbp.path.bounce import CameraSample
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import is_in_front
-from torch_radbp.tensors.vec import TINY, Ray, dot, rows
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, rows, unit_normal
 
-NEARER = 1e-3  # share of the distance to an edge by which a surface that hides it is nearer, and one behind it farther
+NEARER = 1e-3  # share of the distance to an edge from which on what is nearer hides it surely; what is less, by its plane
 SAME = 1e-5  # the same of surfaces that are one at a rim
 ALONG_EDGE = 1e-3  # barycentric coordinate below which a rim runs along an edge, and may lie on the hidden side of it
 GRAZING = 2e-2  # the same of a surface that turns away at a silhouette: its depth changes with the root of what it is off
@@ -42,6 +44,7 @@ def in_sight(geometry: Geometry, places: Places, chosen: Tensor, sent: Sent, cou
     rounding, it does not tell which of the pieces it meets, of which only one has a jump. Pieces that run back are known by
     their surface, which lies on the other side. They count as -1, so that one remains. Where coordinates are so large that
     rays miss places by more than `USUAL`, it does not tell triangles apart either, and what rays on either side meet counts.
+    What hides a place that lies just inside of another body is known by the plane of the triangle that a ray meets.
 
     Args:
         geometry: of the scene, detached.
@@ -57,7 +60,9 @@ def in_sight(geometry: Geometry, places: Places, chosen: Tensor, sent: Sent, cou
     distances = [dot(places.p - ray.o, ray.d) for ray in rays]
     off = [missed(places, distance).clamp_min(1.0) for distance in distances]
     near = [(NEARER * times).clamp_max(MOST) for times in off]
-    shown = [past(hit, distance * (1.0 - share)) for hit, distance, share in zip(hits, distances, near)]
+    covered = [hides(geometry, ray, hit, places.p) for ray, hit in zip(rays, hits)]
+    shown = [past(hit, distance * (1.0 - share)) & ~hidden
+             for hit, distance, share, hidden in zip(hits, distances, near, covered)]
     here = [clear & ~past(hit, distance * (1.0 + share))
             for clear, hit, distance, share in zip(shown, hits, distances, near)]
     reach = [distance * (GRAZING * torch.sqrt(times)).clamp_max(MOST) + places.depth
@@ -73,7 +78,7 @@ def in_sight(geometry: Geometry, places: Places, chosen: Tensor, sent: Sent, cou
     turned = ends & ~seen & ((ahead & jumps_behind) | (~ahead & jumps_ahead))
     seen = seen | (goes_on(kind) & ((here[1] & here[2]) | own[0])) | (kind == NEAR)
     if RIM in kinds:
-        seen = seen | ((kind == RIM) & ~blurred & rim_in_sight(places, own, hits[0], distances[0]))
+        seen = seen | ((kind == RIM) & ~blurred & rim_in_sight(places, own, hits[0], distances[0]) & ~covered[0])
         behind, before = (is_in_front(geometry, ray, hit) for ray, hit in zip(rays[1:], hits[1:]))
         # Beyond a narrow band of the other side there is none: the silhouette has the whole jump.
         jumps = blurred & (kind == RIM) & turning[1] & turning[2] & (behind ^ before)
@@ -146,6 +151,23 @@ def is_one_of(places: Places, hit: Hit) -> Tensor:
     """(N,) bool: a triangle at the place was hit."""
     found = (hit.prim >= 0) & ((hit.prim == places.behind.prim) | (hit.prim == places.ahead.prim))
     return found if places.instance is None else found & (hit.instance == places.instance)
+
+
+def hides(geometry: Geometry, ray: Ray, hit: Hit, p: Vec3) -> Tensor:
+    """(N,) bool: the planes of the triangles that rays hit pass between their origins and points by more than rounding.
+
+    The lengths of rays do not tell this: right beside a point they meet steep surfaces sooner or later than at the point,
+    by the more the farther the viewer.
+
+    Args:
+        geometry: of the scene, detached.
+        ray, hit: (N,).
+        p: (N,) world, float64, right beside the rays.
+    """
+    corners = positions(geometry, Between(*lookup(geometry.triangles.corners, hit.prim.clamp_min(0))), hit.instance)
+    normal = unit_normal(corners[1] - corners[0], corners[2] - corners[0])
+    height, of_viewer = dot(normal, p - corners[0]), dot(normal, ray.o.map(torch.Tensor.double) - corners[0])
+    return (hit.prim >= 0) & (height * torch.sign(of_viewer) < -TOUCHING * largest_coordinate(p, *corners))
 
 
 def past(hit: Hit, distance: Tensor) -> Tensor:

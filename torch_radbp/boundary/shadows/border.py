@@ -25,7 +25,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.geometry import Geometry, geometry_of
+from torch_radbp.boundary.geometry import Geometry, geometry_of, largest_coordinate
+from torch_radbp.boundary.intersections import TOUCHING
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import APART, APERTURE_COUNTER, FEWEST, counts_somewhere, on_film
 from torch_radbp.boundary.shadows.edges_tried import edges_tried, eyes_for_each
@@ -69,6 +70,7 @@ SALT = 0x1F83D9AB  # tells the random numbers of borders from others
 SHARE, MOST = 16, 1 << 19  # one place for so many paths of the image; and at most
 SHARP_SHARE = 4  # the same where some lights have no extent: all that shadows move by lies on their borders
 LOOKS = 4  # for edges from each light sample
+ASIDE = 4.0 * APART  # share of its distance by which a border is looked at from aside, in the shade
 ALIKE = 0.9  # cosine between normals of triangles of one surface
 
 
@@ -326,7 +328,7 @@ def into_shade(camera: Camera, film: Vec2, aside: Vec2) -> Vec2:
     """Points of the film a little beside borders, in the shade."""
     length = torch.hypot(aside.x, aside.y).clamp_min(TINY)
     # Far enough for the rounding of positions on the film, however small the window.
-    reach = 4.0 * APART * torch.maximum(camera.film.size_x, camera.film.size_y).double() / length
+    reach = ASIDE * torch.maximum(camera.film.size_x, camera.film.size_y).double() / length
     return Vec2(film.x + aside.x * reach, film.y + aside.y * reach)
 
 
@@ -336,10 +338,13 @@ def sees(integrand: Integrand, ray: Ray, receiver: Hit, p: Vec3) -> Tensor:
 
 
 def meets(geometry: Geometry, ray: Ray, hit: Hit, receiver: Hit, p: Vec3) -> Tensor:
-    """True where what rays hit is what borders fall on, (N,) bool; `p` (N,) world, these."""
-    reach = p - ray.o.map(torch.Tensor.double)
-    distance = torch.sqrt(dot(reach, reach))
-    n = [unit_normal(corners[1] - corners[0], corners[2] - corners[0])
-         for corners in (corners_of(geometry, hit), corners_of(geometry, receiver))]
-    near = ((hit.t - distance).abs() < BEFORE * distance) & (dot(*n).abs() > ALIKE)
-    return (hit.prim >= 0) & ((hit.prim == receiver.prim) | near)
+    """True where what rays hit is what borders fall on, (N,) bool; `p` (N,) world, these.
+
+    Another triangle is of the same surface if the border lies in its plane, but for rounding and by what rays pass aside.
+    """
+    reach, corners = p - ray.o.map(torch.Tensor.double), corners_of(geometry, hit)
+    distance, of_receiver = torch.sqrt(dot(reach, reach)), corners_of(geometry, receiver)
+    n, n_receiver = (unit_normal(own[1] - own[0], own[2] - own[0]) for own in (corners, of_receiver))
+    off = TOUCHING * largest_coordinate(p, *corners) + ASIDE * distance
+    near = (dot(n, p - corners[0]).abs() < off) & ((hit.t - distance).abs() < BEFORE * distance)
+    return (hit.prim >= 0) & ((hit.prim == receiver.prim) | (near & (dot(n, n_receiver).abs() > ALIKE)))

@@ -10,7 +10,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.geometry import geometry_of
+from torch_radbp.boundary.geometry import geometry_of, largest_coordinate
+from torch_radbp.boundary.intersections import TOUCHING
 from torch_radbp.boundary.shadows.seen_edges import corners_of
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of
 from torch_radbp.call.render_call import RenderCall
@@ -31,6 +32,9 @@ def solid_angle(scene: SceneTensors, hit: Hit, line: Ray) -> Tensor:
     """(N,) float64 the solid angle of triangles where lines meet their planes, for each unit of barycentric coordinates; 1
     where nothing is hit.
 
+    From within its own plane, but for rounding, nothing of a triangle is seen. There the line meets the plane nowhere:
+    what rounding makes of the angle does not vanish as fast as the speed grows at which the place moves over the plane.
+
     Args:
         scene: detached.
         hit: (N,) the triangles.
@@ -40,4 +44,5 @@ def solid_angle(scene: SceneTensors, hit: Hit, line: Ray) -> Tensor:
     n = cross(corners[1] - corners[0], corners[2] - corners[0])  # twice the area of the triangle, which u and v count in
     facing, height = dot(n, d).abs(), dot(n, corners[0] - line.o).abs()
     per_distance = facing / height.clamp_min(TINY)
-    return torch.where(hit.prim >= 0, facing * per_distance * per_distance, 1.0)
+    least = TOUCHING * largest_coordinate(line.o, *corners) * torch.sqrt(dot(n, n))
+    return torch.where(hit.prim >= 0, torch.where(height > least, facing * per_distance * per_distance, 0.0), 1.0)
