@@ -206,7 +206,7 @@ def lit_edges(call: RenderCall, number: int, casting: Casting, lights: Lights, s
     passed = places_lit(call.stages, geometry_of(scene), casting, eyes, salted(view, SALT), count)
     if passed is not None and casting.outline.parts is not None:  # what rests on its receiver is counted in `under_edges.py`
         passed = rows(passed, (~rows(casting.outline.parts.rests, passed.edge)).nonzero().squeeze(1))
-    return None if passed is None else LitEdges(passed, points.draw, eyes, count)
+    return None if passed is None or not len(passed.edge) else LitEdges(passed, points.draw, eyes, count)
 
 
 def shadows_cast(geometry: Geometry, lit: LitEdges, passed: Passed, receiver: Hit) -> CastShadows:
