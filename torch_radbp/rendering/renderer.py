@@ -53,7 +53,7 @@ from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.scene import Scene
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.pack_cache import PackCache
-from torch_radbp.scene.parameters import check_names, differentiable_in
+from torch_radbp.scene.parameters import check_names, check_recordable, differentiable_in
 from torch_radbp.scene.tensors import SceneTensors, proposal_of
 from torch_radbp.sensor.rays import given_rays
 from torch_radbp.tensors.differentiated import detached, primal
@@ -339,6 +339,8 @@ class Renderer(nn.Module):
         roots = [*((name, sensor) for name, sensor in named.items() if sensor in seen), ("", self.scene)]
         parameters = dict(pair for name, root in roots for pair in cache.structure(differentiable_in, root, name))
         parameters |= {name: value for name, value in beside.items() if value.requires_grad}
+        if torch.is_grad_enabled():
+            check_recordable(parameters)
         record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
         windows = [shot.window for shot in shots]

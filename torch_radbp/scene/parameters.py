@@ -217,6 +217,18 @@ def differentiable_in(root: nn.Module, prefix: str = "") -> list[tuple[str, Tens
     return list(found.values())
 
 
+def check_recordable(parameters: dict[str, Tensor]) -> None:
+    """Raises RuntimeError naming the first of some parameters that require a gradient and were made in inference mode.
+
+    torch records nothing that is done with such a tensor, so that images would have no gradient.
+    """
+    for name, parameter in parameters.items():
+        if parameter.is_inference():
+            raise RuntimeError(f"the parameter {name!r} requires a gradient, but was made under torch.inference_mode(), and "
+                               f"torch records nothing of such tensors: load the scene, and copy or convert it, outside of "
+                               f"inference_mode(); what is loaded outside may be rendered inside")
+
+
 @cache
 def is_tensor(kind: type) -> bool:
     """True if instances of a class are tensors."""
