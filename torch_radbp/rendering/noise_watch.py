@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.warning import level_of_the_caller
+from torch_radbp.plugin.errors import level_of_the_caller
 
 
 class RepeatedNoiseWarning(UserWarning):
