@@ -211,9 +211,9 @@ RADIANS = {
 
 @pytest.mark.parametrize("make", RADIANS.values(), ids=RADIANS)
 def test_an_angle_that_may_be_in_radians_is_named_with_its_unit(make, tmp_path):
-    with pytest.warns(rb.SceneWarning, match="(fov|angle) is in degrees, got 0.7, .* if radians were meant, give 40.11") as told:
+    with pytest.warns(rb.SceneWarning, match="(fov|angle) is in degrees, got 0.7, .* were meant, give 40.11") as told:
         make(tmp_path)
-    assert [Path(each.filename).parts[-3] for each in told] == ["tests"]  # the caller's line, outside of the package
+    assert ["tests" in Path(each.filename).parts for each in told] == [True]  # the caller's line, not one of the package
 
 
 def test_no_angle_of_two_degrees_or_of_a_focal_length_is_doubted(tmp_path):

@@ -53,8 +53,9 @@ from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.scene import Scene
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.pack_cache import PackCache
-from torch_radbp.scene.parameters import check_names, check_recordable, differentiable_in
+from torch_radbp.scene.parameters import check_names
 from torch_radbp.scene.tensors import SceneTensors, proposal_of
+from torch_radbp.scene.wanted import wanted_parameters
 from torch_radbp.sensor.rays import given_rays
 from torch_radbp.tensors.differentiated import detached, primal
 
@@ -202,8 +203,7 @@ class Renderer(nn.Module):
                                       dict(self.named_parameters()))
         outputs = None if aovs is None else self.outputs(aovs)
         call = self.prepare(seed, sensors, spp, seed_grad, aovs is not None, window)
-        if seed is None:
-            self.noise_watch.look(call.parameters)
+        self.noise_watch.look(seed, call.parameters)
         edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1], aovs is not None)
         if outputs is not None:
             call = call._replace(quantities=beside_image(tuple(dict.fromkeys(outputs.values()))))
@@ -251,8 +251,7 @@ class Renderer(nn.Module):
         rays = given_rays(origins, directions, self.scene.dtype, self.scene.device)
         call = self.prepared([Shot(rays, OF_NO_SENSOR, rays.film.window())], seed, self.spp if spp is None else spp,
                              seed_grad, beside={"origins": origins, "directions": directions})
-        if seed is None:
-            self.noise_watch.look(call.parameters)
+        self.noise_watch.look(seed, call.parameters)
         edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1])
         return self.with_terms(rendered(call), edges, call)[0, :, :, 0].t().clone(memory_format=torch.contiguous_format)
 
@@ -336,11 +335,7 @@ class Renderer(nn.Module):
         device = self.scene.device
         workers = threads() if device.type == "cpu" else 1
         fused = self.runs_compiled()
-        roots = [*((name, sensor) for name, sensor in named.items() if sensor in seen), ("", self.scene)]
-        parameters = dict(pair for name, root in roots for pair in cache.structure(differentiable_in, root, name))
-        parameters |= {name: value for name, value in beside.items() if value.requires_grad}
-        if torch.is_grad_enabled():
-            check_recordable(parameters)
+        parameters = wanted_parameters(self.scene, seen, cache, beside)
         record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
         windows = [shot.window for shot in shots]

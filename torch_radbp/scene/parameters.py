@@ -207,28 +207,6 @@ def strays_of(prefix: str, module: nn.Module, renderer: nn.Module | None = None)
     return [f"{prefix}.{name}".removeprefix(".") for name, value in attributes.items() if isinstance(value, Tensor)]
 
 
-def differentiable_in(root: nn.Module, prefix: str = "") -> list[tuple[str, Tensor]]:
-    """The parameters, each once, of a sensor of this name or of a scene without its sensors, that require a gradient."""
-    found: dict[int, tuple[str, Tensor]] = {}
-    for name, module in modules_in(root, prefix, set(root.named_sensors.values()) if isinstance(root, Scene) else ()):
-        for attribute, value in module._parameters.items():
-            if value is not None and value.requires_grad:
-                found.setdefault(id(value), (f"{name}.{attribute}".removeprefix("."), value))
-    return list(found.values())
-
-
-def check_recordable(parameters: dict[str, Tensor]) -> None:
-    """Raises RuntimeError naming the first of some parameters that require a gradient and were made in inference mode.
-
-    torch records nothing that is done with such a tensor, so that images would have no gradient.
-    """
-    for name, parameter in parameters.items():
-        if parameter.is_inference():
-            raise RuntimeError(f"the parameter {name!r} requires a gradient, but was made under torch.inference_mode(), and "
-                               f"torch records nothing of such tensors: load the scene, and copy or convert it, outside of "
-                               f"inference_mode(); what is loaded outside may be rendered inside")
-
-
 @cache
 def is_tensor(kind: type) -> bool:
     """True if instances of a class are tensors."""
