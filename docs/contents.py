@@ -48,7 +48,7 @@ GROUPS = {
         "check_gradient", "GradientCheck", "GradientCheck.figures")),
     "errors": Group("Errors and warnings", "What is raised and what is warned of, by class.", (
         "SceneError", "NonFiniteError", "SceneWarning", "GltfWarning", "SilhouetteWarning", "JumpWarning",
-        "RepeatedNoiseWarning")),
+        "RepeatedNoiseWarning", "ZeroGradientWarning")),
 }
 PAGES = {
     "bsdf": Category("BSDFs", "How surfaces scatter light. The pictures show a ball of each on a checkered floor, under a "

@@ -9,7 +9,7 @@ number; what another minor number changes is in CHANGELOG.md.
     images                 Renderer, render, contact_sheet
     derivatives            MemoizedAdjoint, ReplayAdjoint, QuadraticAdjoint, TapeAdjoint, jvp, check_gradient, GradientCheck
     errors and warnings    SceneError, NonFiniteError, SceneWarning, GltfWarning, SilhouetteWarning, JumpWarning,
-                           RepeatedNoiseWarning
+                           RepeatedNoiseWarning, ZeroGradientWarning
     torch_radbp.bake       bitmap, mesh
     torch_radbp.losses     two_buffer_l2, two_buffer_relative_l2, two_buffer_log_l2, ssim, lpips, exchange_derivatives,
                            exchanged, masked_mean
@@ -45,12 +45,13 @@ from torch_radbp.rendering.jvp import jvp
 from torch_radbp.rendering.noise_watch import RepeatedNoiseWarning
 from torch_radbp.rendering.render import render
 from torch_radbp.rendering.renderer import Renderer
+from torch_radbp.rendering.zero_gradients import ZeroGradientWarning
 from torch_radbp.scene import Scene
 from torch_radbp.texture.neural import NeuralTexture
 
 __all__ = ["AdjointStrategy", "Exposure", "GltfWarning", "GradientCheck", "JumpWarning", "LensFalloff",
            "MemoizedAdjoint", "NeuralTexture", "NonFiniteError", "Photograph", "Photographs", "QuadraticAdjoint",
            "Renderer", "RepeatedNoiseWarning", "ReplayAdjoint", "Scene", "SceneError", "SceneWarning",
-           "SilhouetteWarning", "TapeAdjoint", "ToneCurve", "asset", "camera_from_opencv", "cameras_from_colmap",
-           "cameras_from_kornia", "cameras_from_nerf", "check_gradient", "contact_sheet", "jvp", "load", "load_dict",
-           "look_at", "render", "save", "save_image", "se3"]
+           "SilhouetteWarning", "TapeAdjoint", "ToneCurve", "ZeroGradientWarning", "asset", "camera_from_opencv",
+           "cameras_from_colmap", "cameras_from_kornia", "cameras_from_nerf", "check_gradient", "contact_sheet",
+           "jvp", "load", "load_dict", "look_at", "render", "save", "save_image", "se3"]

@@ -85,4 +85,4 @@ rb.optim.remesh(scene.bunny, lambda v, f: (v, f), optimizer)
 # What may be caught, or silenced.
 errors: tuple[type[Exception], ...] = (rb.SceneError, rb.NonFiniteError)
 warned: tuple[type[Warning], ...] = (rb.GltfWarning, rb.JumpWarning, rb.RepeatedNoiseWarning, rb.SceneWarning,
-                                     rb.SilhouetteWarning)
+                                     rb.SilhouetteWarning, rb.ZeroGradientWarning)

@@ -50,6 +50,7 @@ from torch_radbp.rendering.settings import (
 )
 from torch_radbp.rendering.shots import WindowChoice, shots_of
 from torch_radbp.rendering.stages import EAGER, compiled
+from torch_radbp.rendering.zero_gradients import GradientWatch
 from torch_radbp.scene import Scene
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.pack_cache import PackCache
@@ -134,7 +135,7 @@ class Renderer(nn.Module):
         self.adjoint_is_chosen = adjoint is not None
         self.casters = KeptCaster()
         self.cache, self.cache_for_aovs = PackCache(), PackCache()
-        self.jump_watch = JumpWatch()
+        self.jump_watch, self.gradient_watch = JumpWatch(), GradientWatch()
         self.planner, self.noise_watch, self.memory = MemoryPlanner(), NoiseWatch(), ZeroedMemory()
         check_settings(self)
 
@@ -210,7 +211,7 @@ class Renderer(nn.Module):
         images = rendered(call)
         channels = None if outputs is None else images[:, 3:].detach()
         images = images if outputs is None else images[:, :3].clone(memory_format=torch.contiguous_format)
-        images = self.with_terms(images, edges, call)
+        images = self.gradient_watch.watched(self.with_terms(images, edges, call), call)
         return images if outputs is None else (images, self.quantities(call, edges, outputs, channels))
 
     def with_terms(self, images: Tensor, edges: EdgesOfCall, call: RenderCall) -> Tensor:
@@ -253,7 +254,8 @@ class Renderer(nn.Module):
                              seed_grad, beside={"origins": origins, "directions": directions})
         self.noise_watch.look(seed, call.parameters)
         edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1])
-        return self.with_terms(rendered(call), edges, call)[0, :, :, 0].t().clone(memory_format=torch.contiguous_format)
+        image = self.with_terms(rendered(call), edges, call)[0, :, :, 0].t()
+        return self.gradient_watch.watched(image.clone(memory_format=torch.contiguous_format), call)
 
     @public_call
     def aovs(self, names: Sequence[str] | None = None, seed: int | None = None, sensors: SensorChoice = None,
