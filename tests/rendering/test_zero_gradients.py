@@ -135,6 +135,15 @@ def test_rays_that_meet_nothing_are_told_after_a_hundred_calls():
     assert len(told(step, range(99, 102))) == 1
 
 
+def test_a_camera_that_sees_nothing_is_told_by_its_own_views():
+    scene = ball(one=view(), two=view(**AWAY), three=view()).requires_grad_(False)
+    for name in ("one", "two", "three"):
+        scene.get_parameter(f"{name}.x_fov").requires_grad_()
+    look = renderer(scene)
+    message, = told(lambda step: loss(look(seed=step, sensors=("one", "two")[step])).backward(), range(2))
+    assert message.startswith("the gradient of `two.x_fov` was")
+
+
 # Where 0 is as it should be.
 
 def one_of_two(sees_first: bool):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import partial
 from typing import NamedTuple
 
@@ -43,7 +43,7 @@ class ZeroGradientWarning(UserWarning):
 class Look(NamedTuple):
     """An image of a backward pass, of which the loss uses something."""
 
-    sensor: int | None  # its number in the scene, if all of its image is there and the loss uses all that is not black
+    sensor: str | None  # its name, if all of its image is there and the loss uses all that is not black
     share: float  # of all images of the scene
 
 
@@ -60,7 +60,7 @@ class Unseen:
     """The looks by which a parameter has had no gradient."""
 
     def __init__(self):
-        self.sensors: set[int] = set()
+        self.sensors: set[str] = set()
         self.rounds = 0.0  # over all sensors
 
     def add(self, looks: list[Look]) -> None:
@@ -68,11 +68,11 @@ class Unseen:
         self.sensors |= {look.sensor for look in looks if look.sensor is not None}
         self.rounds += sum(look.share for look in looks)
 
-    def suffices(self, sensors: int) -> bool:
-        """True after a round over so many sensors, all of a scene, or after many looks that may have been at parts of it."""
+    def suffices(self, sensors: Collection[str]) -> bool:
+        """True after a round over all sensors that may see it, or after many looks that may have been at parts of it."""
         # Processes that share the views of a scene see their own ones only.
         alone = not (torch.distributed.is_available() and torch.distributed.is_initialized())
-        return len(self.sensors) == sensors or (alone and self.rounds > ROUNDS - 0.5 * RAYS)
+        return self.sensors.issuperset(sensors) or (alone and self.rounds > ROUNDS - 0.5 * RAYS)
 
 
 class GradientWatch:
@@ -90,20 +90,20 @@ class GradientWatch:
     def watched(self, images: Tensor, call: RenderCall) -> Tensor:
         """The images of a call, (B, 3, H, W), or radiance along rays, (N, 3); the same tensor, with a hook if need be."""
         if images.requires_grad and not self.told and not call.parameters.keys() <= self.seen:
-            sensors = call.module.sensors
+            sensors = call.module.named_sensors
             looks = [look_of(view, sensors) for view in call.views]
             shown = images.detach().ne(0).any(1)
-            images.register_hook(partial(self.begin, call.parameters, looks, len(sensors), shown))
+            images.register_hook(partial(self.begin, call.parameters, looks, list(sensors), shown))
         return images
 
-    def begin(self, parameters: Mapping[str, Tensor], looks: list[Look], sensors: int, shown: Tensor,
+    def begin(self, parameters: Mapping[str, Tensor], looks: list[Look], sensors: list[str], shown: Tensor,
               adjoint: Tensor) -> None:
         """Begins to watch a backward pass that has come to images.
 
         Args:
             parameters: by name, all that derivatives are wanted of.
             looks: one for each image, if the loss uses all of it.
-            sensors: number of the scene's.
+            sensors: names of all of the scene.
             shown: bool, of each pixel or ray, whether it is not black.
             adjoint: of the images.
         """
@@ -117,7 +117,9 @@ class GradientWatch:
         asked, left_out = (part.reshape(len(looks), -1).any(1).tolist() for part in (used, shown & ~used))
         looks = [look._replace(sensor=None) if partly else look
                  for look, some, partly in zip(looks, asked, left_out) if some]
-        for name in parameters.keys() - self.seen if looks else ():
+        for name in parameters if looks else ():
+            if name in self.seen:
+                continue
             if name not in now.looks:
                 now.hooks.append(parameters[name].register_hook(unserializable_hook(partial(self.note, now, name))))
             now.looks.setdefault(name, []).extend(looks)
@@ -127,35 +129,41 @@ class GradientWatch:
         """Is told of the gradient of a parameter, summed over a backward pass."""
         now.found[name] = gradient.layout != torch.strided or gradient.detach().ne(0).any()
 
-    def conclude(self, number: int, sensors: int) -> None:
+    def conclude(self, number: int, sensors: list[str]) -> None:
         """Ends to watch a backward pass; warns if it shows that parameters have no gradient."""
         now = self.passes.pop(number)
         for hook in now.hooks:
             hook.remove()
         whole: dict[str, list[str]] = {}
-        for name in now.found:
-            whole.setdefault(whole_name(name), []).append(name)
+        for name in now.looks:
+            if name in now.found:
+                whole.setdefault(whole_name(name), []).append(name)
         for name, parts in whole.items():
             if any(bool(now.found[part]) for part in parts):
                 self.unseen.pop(name, None)
                 self.seen |= {part for part in now.looks if whole_name(part) == name}
             else:
                 self.unseen.setdefault(name, Unseen()).add(now.looks[parts[0]])
-        silent = [name for name, unseen in self.unseen.items() if unseen.suffices(sensors)]
+        silent = [name for name, unseen in self.unseen.items() if unseen.suffices(which_see(name, sensors))]
         if silent and not self.told:
             self.told, self.unseen = True, {}
             warnings.warn(f"the gradient of {listed(silent)} was exactly 0 in all backward passes so far: {CAUSES}",
                           ZeroGradientWarning, stacklevel=level_of_the_caller())
 
 
-def look_of(view: View, sensors: list[Sensor]) -> Look:
+def which_see(parameter: str, sensors: list[str]) -> list[str]:
+    """The sensors that a parameter may be seen by: its own is the only one to see what a camera's parameter does."""
+    return [sensor for sensor in sensors if parameter.startswith(f"{sensor}.")] or sensors
+
+
+def look_of(view: View, sensors: Mapping[str, Sensor]) -> Look:
     """The look at an image of which a loss uses everything; `sensors`: all of the scene."""
-    number = next((number for number, sensor in enumerate(sensors) if sensor is view.sensor), None)
-    if number is None:
+    name = next((name for name, sensor in sensors.items() if sensor is view.sensor), None)
+    if name is None:
         return Look(None, RAYS)
     film = view.sensor.film
     share = view.width * view.height / (film.crop_width * film.crop_height)
-    return Look(number if share == 1 else None, share / len(sensors))
+    return Look(name if share == 1 else None, share / len(sensors))
 
 
 def whole_name(parameter: str) -> str:

@@ -27,7 +27,8 @@ from torch_radbp.texture.module_function import Use
 
 DTYPES = (torch.float32, torch.float64)
 NOT_FINITE = "; a smaller learning rate or bounds may keep it finite"
-OUTSIDE = "; keep it inside, with .clamp_() after each step or with a parametrisation"
+OUTSIDE = ("; keep it inside, with scene.clamp_() after each step, rb.optim.bounded(optimizer, scene), or a parametrisation "
+           "such as rb.optim.Sigmoid")
 
 
 class Held(NamedTuple):
