@@ -100,7 +100,7 @@ def scheduled(scene, bounds):
 
 
 def with_closure(scene, bounds):
-    optimizer, look = adam(scene, bounds, weight_decay=0.1, amsgrad=True), renderer_of(scene)
+    optimizer, look = adam(scene, bounds, amsgrad=True), renderer_of(scene)
     for step in range(STEPS):
         def closure(step=step):
             optimizer.zero_grad()
