@@ -31,14 +31,14 @@ def clamp(scene: Scene, names: str | Iterable[str] | None = None) -> None:
 
 def bring_inside(name: str, held: Held, named: bool = True) -> None:
     """Brings one value into its range; that of a reflectance ends at 1 if it requires a gradient or was named."""
+    low, high = range_of(held.domains, reflectances=True)
     # A texture that computes its values does so from parameters, which have ranges of their own; buffers are not optimised.
-    if held.attribute is None or held.attribute in held.owner._buffers:
+    if low == -math.inf and high == math.inf or held.attribute is None or held.attribute in held.owner._buffers:
         return
     value = held.value
-    low, high = range_of(held.domains, reflectances=named or requires_gradient(held))
-    if low == -math.inf and high == math.inf:
-        return
     least, greatest = torch.stack(value.aminmax()).tolist()
+    if greatest > high and not named and not requires_gradient(held):
+        low, high = range_of(held.domains, reflectances=False)
     if not (least < low or greatest > high):  # nor if one is NaN, which is to be seen
         return
     inside = torch.where(value.isfinite(), value.clamp(low, high), value)
