@@ -22,6 +22,7 @@ from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.view import View
 from torch_radbp.plugin import Sensor
 from torch_radbp.plugin.errors import level_of_the_caller
+from torch_radbp.public_call import public_call
 from torch_radbp.tensors.torch_internals import at_end_of_backward, backward_pass, batched
 
 ROUNDS = 10  # after so many over a scene's sensors, parts and random choices of views count as all of it
@@ -96,8 +97,9 @@ class GradientWatch:
             images.register_hook(partial(self.begin, call.parameters, looks, list(sensors), shown))
         return images
 
+    @public_call
     def begin(self, parameters: Mapping[str, Tensor], looks: list[Look], sensors: list[str], shown: Tensor,
-              adjoint: Tensor) -> None:
+              adjoint: Tensor | None) -> None:
         """Begins to watch a backward pass that has come to images.
 
         Args:
@@ -105,10 +107,10 @@ class GradientWatch:
             looks: one for each image, if the loss uses all of it.
             sensors: names of all of the scene.
             shown: bool, of each pixel or ray, whether it is not black.
-            adjoint: of the images.
+            adjoint: of the images; None: 0.
         """
         number = backward_pass()
-        if self.told or number is None or batched(adjoint):
+        if self.told or number is None or adjoint is None or batched(adjoint):
             return
         if number not in self.passes:
             self.passes[number] = Pass()
@@ -125,10 +127,12 @@ class GradientWatch:
             now.looks.setdefault(name, []).extend(looks)
 
     @staticmethod
-    def note(now: Pass, name: str, gradient: Tensor) -> None:
+    @public_call
+    def note(now: Pass, name: str, gradient: Tensor | None) -> None:
         """Is told of the gradient of a parameter, summed over a backward pass."""
-        now.found[name] = gradient.layout != torch.strided or gradient.detach().ne(0).any()
+        now.found[name] = gradient is not None and (gradient.layout != torch.strided or gradient.detach().ne(0).any())
 
+    @public_call
     def conclude(self, number: int, sensors: list[str]) -> None:
         """Ends to watch a backward pass; warns if it shows that parameters have no gradient."""
         now = self.passes.pop(number)
