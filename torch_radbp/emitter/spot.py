@@ -13,7 +13,7 @@ from torch_radbp.emitter.attributes import Scaled, colour, weight
 from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.emitter.kind import NEAREST, Light, ShadowSource
 from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes, direction
-from torch_radbp.plugin import Matrix4, Texture, register
+from torch_radbp.plugin import Matrix4, Texture, register, warn_of_radians
 from torch_radbp.plugin.domain import AMOUNT, NUMBER, POSE, Domain
 from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.tensors.vec import Frame, Vec2, Vec3, normalize
@@ -78,6 +78,7 @@ class Spot(Light):
         beam_width = 0.75 * cutoff_angle if beam_width is None else beam_width
         if not 0 < cutoff_angle <= 180:
             raise ValueError(f"cutoff_angle must be more than 0 and at most 180 degrees, got {cutoff_angle}")
+        warn_of_radians("cutoff_angle", cutoff_angle)
         if not 0 <= beam_width < cutoff_angle:
             raise ValueError(f"beam_width must be at least 0 and less than the cutoff_angle of {cutoff_angle} degrees, got "
                              f"{beam_width}")

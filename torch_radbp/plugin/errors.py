@@ -1,8 +1,9 @@
-"""The errors of a scene description, and how messages list what is known."""
+"""The errors and warnings of a scene description, how messages list what is known, and where warnings point to."""
 
 from __future__ import annotations
 
 import difflib
+import sys
 from collections.abc import Iterable
 
 
@@ -28,3 +29,11 @@ def nearest(name: str, known: Iterable[str]) -> str:
 def with_article(noun: str) -> str:
     """"an emitter", "a bsdf"."""
     return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
+
+
+def level_of_the_caller() -> int:
+    """The stack level of the nearest caller outside torch and this package, as `warnings.warn` counts it."""
+    frame, level = sys._getframe(1), 1
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").split(".")[0] in ("torch", "torch_radbp"):
+        frame, level = frame.f_back, level + 1
+    return level

@@ -27,7 +27,8 @@ from torch_radbp.texture.module_function import Use
 
 DTYPES = (torch.float32, torch.float64)
 NOT_FINITE = "; a smaller learning rate or bounds may keep it finite"
-OUTSIDE = "; keep it inside, with .clamp_() after each step or with a parametrisation"
+OUTSIDE = ("; keep it inside, with scene.clamp_() after each step, rb.optim.bounded(optimizer, scene), or a parametrisation "
+           "such as rb.optim.Sigmoid")
 
 
 class Held(NamedTuple):
@@ -205,16 +206,6 @@ def strays_of(prefix: str, module: nn.Module, renderer: nn.Module | None = None)
     if type(module) not in {Scene, *registered()} and module is not renderer:
         return []
     return [f"{prefix}.{name}".removeprefix(".") for name, value in attributes.items() if isinstance(value, Tensor)]
-
-
-def differentiable_in(root: nn.Module, prefix: str = "") -> list[tuple[str, Tensor]]:
-    """The parameters, each once, of a sensor of this name or of a scene without its sensors, that require a gradient."""
-    found: dict[int, tuple[str, Tensor]] = {}
-    for name, module in modules_in(root, prefix, set(root.named_sensors.values()) if isinstance(root, Scene) else ()):
-        for attribute, value in module._parameters.items():
-            if value is not None and value.requires_grad:
-                found.setdefault(id(value), (f"{name}.{attribute}".removeprefix("."), value))
-    return list(found.values())
 
 
 @cache

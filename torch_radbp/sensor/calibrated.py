@@ -246,7 +246,7 @@ class Calibrated(ProjectiveCamera):
         """A `perspective` with the pose, fx and the principal point of this sensor, without what that lacks."""
         width, height = self.film.width, self.film.height
         fx, cx, cy = (float(value) for value in (self.fx, self.cx, self.cy))
-        sensor = Perspective(fov=1.0, near_clip=self.near_clip, far_clip=self.far_clip, shutter_open=self.shutter_open,
+        sensor = Perspective(fov=45.0, near_clip=self.near_clip, far_clip=self.far_clip, shutter_open=self.shutter_open,
                              shutter_close=self.shutter_close, film=self.film, sampler=self.sampler).to(self.fx.dtype)
         values = {"to_world": self.to_world, "x_fov": math.degrees(2.0 * math.atan(width / (2.0 * fx))),
                   "principal_point_offset_x": 0.5 - (cx + 0.5) / width,
