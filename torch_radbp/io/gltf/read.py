@@ -42,7 +42,6 @@ class Options(NamedTuple):
     camera: bool = True  # False: leave the file's cameras out, and look at the scene
     scene: int | None = None  # number of the scene in the file
     lumens_per_watt: float = 1.0  # see `lamp`
-    strict: bool = False  # an error instead of a warning about what cannot be read
 
 
 def options(file: str, given: dict[str, Any]) -> Options:
@@ -62,7 +61,7 @@ def options(file: str, given: dict[str, Any]) -> Options:
 
 def option(file: str, name: str, value: Any) -> Any:
     """One option."""
-    if name in ("camera", "strict"):
+    if name == "camera":
         words = {"true": True, "false": False}
         value = words.get(value, value) if isinstance(value, str) else value
         if not isinstance(value, bool):
@@ -81,26 +80,27 @@ def option(file: str, name: str, value: Any) -> Any:
     return number
 
 
-def read_gltf(path: str | os.PathLike, given: dict[str, Any], allow_outside: bool = False) -> Scene:
+def read_gltf(path: str | os.PathLike, given: dict[str, Any], allow_outside: bool = False, strict: bool = False) -> Scene:
     """The scene in a glTF file.
 
     Args:
         path: the .glb or .gltf file.
         given: see `Options`.
         allow_outside: read files that do not lie in the folder of this one, or below.
+        strict: an error instead of a warning about what cannot be read.
 
     Raises:
         SceneError: names the file and the place in its document.
     """
     file = os.fspath(path)
     chosen = options(file, given)
-    return _Reader(file, chosen, allow_outside).scene()
+    return _Reader(file, chosen, allow_outside, strict).scene()
 
 
 class _Reader:
-    def __init__(self, file: str, chosen: Options, allow_outside: bool):
+    def __init__(self, file: str, chosen: Options, allow_outside: bool, strict: bool):
         container = read_container(file)
-        self.file, self.options, self.losses = file, chosen, Losses()
+        self.file, self.options, self.strict, self.losses = file, chosen, strict, Losses()
         self.document = Document(file, container.document)
         check_extensions(self.document, self.losses)
         self.buffers = Buffers(self.document, container.binary, Path(file).parent, allow_outside)
@@ -125,7 +125,7 @@ class _Reader:
         if self.document.items("animations"):
             self.losses.add("animations", "are not read: nodes stand where they begin")
         losses, added = list(self.losses), self.complete()
-        if losses and self.options.strict:
+        if losses and self.strict:
             raise SceneError(f"{self.file}: {said(losses)}")
         if losses or added:
             warnings.warn(f"{self.file}: {said([*losses, *added])}", GltfWarning, stacklevel=7)
