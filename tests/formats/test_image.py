@@ -114,7 +114,8 @@ def test_hdr_is_mantissa_times_power_of_two(tmp_path, content):
 
 
 @pytest.mark.parametrize("header", [
-    RGBE + b"-Y  2  +X  8\n", RGBE + b"-Y 2 +X 8 \n", RGBE + b"\n-Y 2 +X 8\n", (RGBE + b"-Y 2 +X 8\n").replace(b"\n", b"\r\n"),
+    RGBE + b"-Y  2  +X  8\n", RGBE + b"-Y 2 +X 8 \n", RGBE + b"\n-Y 2 +X 8\n",
+    (RGBE + b"-Y 2 +X 8\n").replace(b"\n", b"\r\n"),
     RGBE + b"VIEW= -vtv -vp 0 -1 0 -vd 0 1 0 -vh 45\n-Y 2 +X 8\n",
     b"#?RGBE\n# by hand, -Y 3 +X 3\nVIEW= -vtv -vh 45\nFORMAT=32-bit_rle_rgbe \nGAMMA=1\n\n-Y 2 +X 8\n",
 ], ids=["two blanks", "a blank at the end", "two empty lines", "line ends of Windows", "view after the header", "variables"])
