@@ -29,14 +29,14 @@ def fan(polygon: list) -> list:
     return [[polygon[0], polygon[number], polygon[number + 1]] for number in range(1, len(polygon) - 1)]
 
 
-def of_obj(content: bytes) -> Corners:
-    """The triangles of an OBJ file."""
+def of_obj(content: bytes, with_normals: bool) -> Corners:
+    """The triangles of an OBJ file; NaN where a corner has no normal or uv, or `with_normals` is False."""
     rows: dict[bytes, list] = {b"v": [], b"vt": [], b"vn": []}
     triangles = []
     content = re.sub(rb"#[^\n]*", b"", content.removeprefix(b"\xef\xbb\xbf"))
     for line in re.sub(rb"\\[ \t\r]*\n", b" ", content).split(b"\n"):
         keyword, *words = line.split() or [b""]
-        if keyword in rows:
+        if keyword in rows and (keyword != b"vn" or with_normals):
             rows[keyword].append([float(word) for word in words[:2 if keyword == b"vt" else 3]])
         if keyword == b"f":
             corners = []
@@ -49,7 +49,9 @@ def of_obj(content: bytes) -> Corners:
     for column, (name, kind) in enumerate((("positions", b"v"), ("uv", b"vt"), ("normals", b"vn"))):
         indices = [[corner[column] for corner in triangle] for triangle in triangles]
         if any(index is not None for triangle in indices for index in triangle):
-            found[name] = np.array([[rows[kind][index] for index in triangle] for triangle in indices])
+            none = [float("nan")] * (2 if name == "uv" else 3)
+            found[name] = np.array([[none if index is None or index >= len(rows[kind]) else rows[kind][index]
+                                     for index in triangle] for triangle in indices])
     return found
 
 
@@ -209,7 +211,7 @@ def of_gltf(content: bytes, folder: Path) -> Corners:
     return {"positions": np.concatenate(found)}
 
 
-READERS = {"obj": of_obj, "ply": of_ply, "serialized": of_serialized}
+READERS = {"ply": of_ply, "serialized": of_serialized}
 
 
 def corners_of(scene: rb.Scene) -> Corners:
@@ -226,9 +228,12 @@ def corners_of(scene: rb.Scene) -> Corners:
 
 def difference(family: str, path: Path, scene: rb.Scene) -> str:
     """What a scene has otherwise than the mesh or glTF file that it was read from; nothing if all is there."""
-    content = path.read_bytes()
-    theirs = of_gltf(content, path.parent) if family in ("gltf", "glb") else READERS[family](content)
-    ours = corners_of(scene)
+    content, ours = path.read_bytes(), corners_of(scene)
+    try:
+        theirs = (of_gltf(content, path.parent) if family in ("gltf", "glb") else
+                  of_obj(content, "normals" in ours) if family == "obj" else READERS[family](content))
+    except Exception as error:
+        return f"is read, though plain reading ends in {error!r}"
     if family not in ("gltf", "glb"):
         mesh = next(shape for shape in scene.shapes if hasattr(shape, "faces"))
         if "uv" in theirs and mesh.flip_tex_coords:
