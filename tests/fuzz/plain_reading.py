@@ -50,7 +50,7 @@ def of_obj(content: bytes, with_normals: bool) -> Corners:
         indices = [[corner[column] for corner in triangle] for triangle in triangles]
         if any(index is not None for triangle in indices for index in triangle):
             none = [float("nan")] * (2 if name == "uv" else 3)
-            found[name] = np.array([[none if index is None or index >= len(rows[kind]) else rows[kind][index]
+            found[name] = np.array([[rows[kind][index] if index in range(len(rows[kind])) else none
                                      for index in triangle] for triangle in indices])
     return found
 

@@ -81,6 +81,14 @@ def test_of_a_hundred_meshes_each_kind_is_told_once(file, tmp_path):
         rb.load(path, strict=True)
 
 
+def test_null_is_as_if_nothing_was_given_and_is_told(file, tmp_path):
+    """Some writers write out what they do not have."""
+    file.node(file.square(), name="sheet", camera=None, matrix=None, extras=None)
+    file.document["accessors"][0]["byteOffset"] = None
+    scene = load_with_loss(file, tmp_path, r"nodes\[0\].matrix, accessors.*byteOffset: null is read as if nothing was given")
+    assert scene.get_parameter("sheet.vertex_positions").tolist() == SQUARE
+
+
 def test_colours_that_rounding_has_moved_are_no_loss(file, tmp_path):
     file.node(file.square(COLOR_0=file.array([[1.0000001, -1e-7, 0.5]] * 4)), name="sheet")
     scene = load_quietly(file, tmp_path)

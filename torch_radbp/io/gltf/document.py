@@ -25,6 +25,21 @@ class Losses(Repairs):
     """What is left out or changed on the way, by kind, in the order in which it is met."""
 
 
+def without_nulls(document: dict[str, Any], losses: Losses) -> dict[str, Any]:
+    """A document without the entries that are null, which glTF does not have; those of `extras` may be anything."""
+    waiting: list[tuple[str, Any]] = [("", document)]
+    while waiting:
+        place, value = waiting.pop()
+        if isinstance(value, list):
+            waiting += [(f"{place}[{number}]", item) for number, item in enumerate(value)]
+        elif isinstance(value, dict):
+            for name in [name for name, item in value.items() if item is None and name != "extras"]:
+                losses.add(f"{place}.{name:.80}".lstrip("."), "null is read as if nothing was given")
+                del value[name]
+            waiting += [(f"{place}.{name:.80}".lstrip("."), item) for name, item in value.items() if name != "extras"]
+    return document
+
+
 class Part:
     """An object of a document, such as `materials[2] 'gold'`."""
 

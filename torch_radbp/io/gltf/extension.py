@@ -11,9 +11,9 @@
 | KHR_materials_specular | `specular`, which leaves reflections at grazing angles; 0 of what is no metal: `diffuse` |
 | KHR_materials_emissive_strength | a factor of the radiance |
 
-Of nodes, EXT_mesh_gpu_instancing makes a copy of the mesh for each instance, and KHR_node_visibility hides meshes and lights.
-Buffer views that are compressed (EXT_meshopt_compression) are read from the buffer of the same uncompressed, where there is
-one.
+Of nodes, EXT_mesh_gpu_instancing makes a copy of the mesh for each instance, and KHR_node_visibility hides meshes and
+lights. Buffer views that are compressed (EXT_meshopt_compression) are read from the buffer of the same uncompressed, where
+there is one.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from torch_radbp.emitter.constant import Constant
 from torch_radbp.integrator.path import Path as PathIntegrator
 from torch_radbp.io.gltf.accessor import Buffers
 from torch_radbp.io.gltf.container import read_container
-from torch_radbp.io.gltf.document import Document, GltfWarning, Losses, Part
+from torch_radbp.io.gltf.document import Document, GltfWarning, Losses, Part, without_nulls
 from torch_radbp.io.gltf.environment import environment
 from torch_radbp.io.gltf.extension import check_extensions
 from torch_radbp.io.gltf.lamp import camera, light, overview
@@ -102,7 +102,7 @@ class _Reader:
     def __init__(self, file: str, chosen: Options, allow_outside: bool, strict: bool):
         container = read_container(file)
         self.file, self.options, self.strict, self.losses = file, chosen, strict, Losses()
-        self.document = Document(file, container.document)
+        self.document = Document(file, without_nulls(container.document, self.losses))
         check_extensions(self.document, self.losses)
         self.buffers = Buffers(self.document, container.binary, Path(file).parent, allow_outside)
         self.primitives = Primitives(self.buffers, self.losses)
