@@ -60,7 +60,7 @@ def build_corpus(root: Path) -> dict[str, list[Seed]]:
     return {
         "xml": _scenes(root),
         "obj": [Seed(folders["meshes"], text.encode()) for text in OBJ],
-        "ply": [Seed(folders["meshes"], content) for content in (PLY, _binary_ply("<"), _binary_ply(">"))],
+        "ply": [Seed(folders["meshes"], content) for content in (PLY, COLOURED_BYTES, _binary_ply("<"), _binary_ply(">"))],
         "serialized": [Seed(folders["meshes"], content) for content in SERIALIZED],
         "vol": [Seed(folders["meshes"], content) for content in VOLUMES],
         **image_seeds,
@@ -100,7 +100,15 @@ def _assets(root: Path) -> dict[str, list[Seed]]:
         "count": 1, "indices": {"bufferView": sparse.view(b"\2"), "componentType": 5121},
         "values": {"bufferView": sparse.view(bytes(12))}}
     sparse.node(square, name="sheet", matrix=[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 0, 0, 1])
-    files = [everything(), everything(), strip, sparse]
+    people = GltfFile()  # what exporters write: copies, hidden nodes, colours above 1, corners too many, no area
+    copies = {"TRANSLATION": people.array([[0, 0, 0], [0.5, 0, -1]]), "SCALE": people.array([[1, 1, 1], [0.5, 0.5, 0.5]])}
+    people.node(people.square(COLOR_0=people.array([[0.1, 0.2, 0.3]] * 4)), name="leaf",
+                extensions={"EXT_mesh_gpu_instancing": {"attributes": copies}})
+    people.node(people.square(), name="hidden", extensions={"KHR_node_visibility": {"visible": False}})
+    bright = people.square(COLOR_0=people.array([[1.5, 0.2, 0.3]] * 4))
+    people.node(bright | {"indices": people.array([0, 1, 2, 3], "uint16")},
+                {"attributes": {"POSITION": people.array([[0, 0, 0]] * 3)}}, name="odd", children=[])
+    files = [everything(), everything(), strip, sparse, people]
     seeds = {kind: [Seed(folder, file.save(folder / f"seed.{kind}").read_bytes()) for file in files]
              for kind in ("gltf", "glb")}
     seeds["glb"].append(Seed(folder, (root / "assets" / "pot" / "pot.glb").read_bytes()))
@@ -317,6 +325,8 @@ g side
 f -6/1/-1 -5/2/-1 -1/3/-1 -2/4/-1
 """,
     "v 0 0 0 1\nv 1 0 0 .5 .5 .5\nv 1 1 0\nv 0 1 0.25\nvn 0 0 1\nvn .1 0 1\nf 1//1 2//2 3//1\nf 1//1 \\\n 3//1 4//2\n",
+    "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\nvn nan 0 1\nf 1/1/1 2/1/1 3/1/1\nf 1//1 3 4//2\nf 1 2\n"
+    "cstype bspline\ndeg 1\ncurv 0 1 1 2\nparm u 0 0 1 1\nend\n",
     "v 0 0 0\r\nv 1 0 0\r\nv 1 1 0\r\nv 0 1 0\r\nvt 0 0\r\nvt 1 .5 0\r\nf 1/1 2/2 3/1 4/2\r\nl 1 2\r\np 3\r\n",
 ]
 CORNERS, UV = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.5]], [[0, 0], [1, 0], [1, 1], [0, 1]]
@@ -327,6 +337,30 @@ SERIALIZED = [
     serialized(mesh(CORNERS, FACES, normals=NORMALS, uv=UV, colours=NORMALS)),
     mesh(CORNERS, FACES, flags=0x10),
 ]
+COLOURED_BYTES = b"""ply
+format ascii 1.0
+element vertex 5
+property float x
+property float y
+property float z
+property float nx
+property float ny
+property float nz
+property uchar red
+property uchar green
+property uchar blue
+element face 3
+property list float int vertex_indices
+end_header
+0 0 0 0 0 1 255 0 9
+1 0 0 0 0 1 0 128 9
+1 1 0 0 0 1 0 0 9
+0 1 0 0 0 0 0 0 9
+7 7 7 0 0 0 0 0 9
+3 0 1 2
+3 0 2 3
+2 0 1
+"""
 PLY = b"""ply
 format ascii 1.0
 comment four corners

@@ -8,12 +8,15 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from torch import nn
 
 import torch_radbp.io.absent  # noqa: F401 (registers why plugins are missing)
+from torch_radbp.formats.files import otherwise_spelled
+from torch_radbp.formats.leniency import Repairs
 from torch_radbp.io.attribute_values import convert, is_list, is_named, options, plugin_categories, shown, with_article
 from torch_radbp.io.bitmap_object import is_bitmap_object, linear_values
 from torch_radbp.io.colour_values import colour_value, is_colour
@@ -142,6 +145,9 @@ class _Builder:
             if self.depth > MAX_DEPTH:
                 raise self.error(path, value, f"objects are nested more than {MAX_DEPTH} deep, references followed")
             arguments = self.arguments(path, value, cls)
+            if isinstance(value, XMLObject):
+                with Repairs() as repairs:
+                    arguments = cls.of_file(arguments, partial(repairs.add, self.place(path, value)))
             self.depth -= 1
             try:
                 self.built[path] = cls(**arguments)
@@ -277,7 +283,8 @@ class _Builder:
         found = find_file(name, folders)
         if found is None:
             looked = ", ".join(str(folder.resolve()) for folder in folders)
-            raise ValueError(f"{key} {shown(name)} not found; looked in {looked}")
+            like = next(filter(None, (otherwise_spelled(folder / name) for folder in folders)), None)
+            raise ValueError(f"{key} {shown(name)} not found; looked in {looked}{f'; did you mean {like}?' if like else ''}")
         return str(found)
 
     def colour(self, key: str, value: dict[str, Any], node: dict[str, Any], cls: type[Plugin]) -> Any:

@@ -18,10 +18,10 @@ class SceneWarning(UserWarning):
     """A scene description that is read in another way than its author may have meant."""
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
-    """A sentence that lists the known names, the most similar first."""
+def nearest(name: str, known: Iterable[str], alike: float = 0.5) -> str:
+    """A sentence that lists the known names, the most similar first: those that are `alike`, 1 for the same."""
     known = sorted(known)
-    close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    close = difflib.get_close_matches(name, known, n=3, cutoff=alike)
     hint = f"did you mean {' or '.join(repr(c) for c in close)}? " if close else ""
     return f"{hint}known: {', '.join(known) or 'none'}"
 
