@@ -21,7 +21,7 @@ LAMPS: dict[str, dict[str, Any]] = {
     "point behind": {"type": "point", "position": [-1.2, 2.5, -2], "intensity": rgb(20, 18, 16)},
     "low point": {"type": "point", "position": [1.5, 0.6, 2.5], "intensity": rgb(12, 13, 14)},
     "directional": {"type": "directional", "direction": [-0.5, -1, -0.2], "irradiance": rgb(2, 2, 1.8)},
-    "spot": {"type": "spot", "to_world": look_at((1.5, 3, 0.5), (0, 0, 0), (0, 1, 0)), "intensity": rgb(25, 22, 20),
+    "spot": {"type": "spot", "to_world": look_at((1.4, 3, 0.7), (0, 0, 0), (0, 1, 0)), "intensity": rgb(25, 22, 20),
              "cutoff_angle": 50, "beam_width": 40},
     "area": {"type": "rectangle", "to_world": look_at((2, 3, 1), (0, 0, 0), (0, 1, 0)) @ scale((0.4, 0.4, 1)),
              "bsdf": diffuse(0, 0, 0), "emitter": {"type": "area", "radiance": rgb(30, 28, 26)}},
