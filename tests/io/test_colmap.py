@@ -66,7 +66,8 @@ def test_images_come_in_order_with_their_cameras(model):
     (4, {"fx": 33, "fy": 33, "k1": -0.1, "k2": 0.02, "p1": None}), (5, {"k2": 0.02, "p1": 0.003, "p2": -0.004, "k3": None}),
     (8, {"fx": 21, "fy": 21, "k1": -0.04, "k2": None}), (9, {"fy": 21, "k1": -0.04, "k2": 0.01, "k3": None}),
     (10, {"fx": 26, "fy": 27, "omega": 0.9, "k1": None}), (12, {"fx": 21, "fy": 21, "k1": None}), (13, {"fy": 22}),
-    (11, {"fy": 22, "k1": -0.04, "k2": 0.01, "p1": 0.01, "p2": -0.02, "k3": 0.003, "k4": -0.001, "sx1": 0.015, "sy1": -0.01})])
+    (11, {"fy": 22, "k1": -0.04, "k2": 0.01, "p1": 0.01, "p2": -0.02, "k3": 0.003, "k4": -0.001, "sx1": 0.015,
+          "sy1": -0.01})])
 def test_every_model_says_what_its_numbers_are(model, camera, expected):
     sensor, = rb.cameras_from_colmap(model(images=f"1 1 0 0 0 0 0 0 {camera} a.jpg\n")).values()
     for name, value in expected.items():

@@ -12,6 +12,7 @@ from torch import Tensor
 from torch_radbp.formats.exr import read_exr_with_alpha, read_headers
 from torch_radbp.formats.files import check_source, unknown_kind
 from torch_radbp.formats.image import LINEAR, READABLE, read_image
+from torch_radbp.formats.memory import memory_for
 from torch_radbp.formats.picture_size import check_size
 from torch_radbp.formats.pillow import WITH_ALPHA, open_picture, read_pixels
 
@@ -22,14 +23,15 @@ def read_alpha(path: str | os.PathLike) -> Tensor | None:
     Colours are multiplied by it when they are shown; in EXR they are multiplied already.
 
     Raises:
-        ValueError, OSError: as `read_image`, which is to be called before.
+        ValueError, OSError, MemoryError: as `read_image`, which is to be called before.
     """
     kind = READABLE[Path(path).suffix.lower()]
-    if kind == "EXR":
-        alpha = read_exr_with_alpha(path, check_size)[1]
-        return None if alpha is None else torch.from_numpy(np.ascontiguousarray(alpha, dtype=np.float32))
-    pixels = read_pixels(path, kind) if kind in WITH_ALPHA else np.empty((0, 0, 1), dtype=np.float32)
-    return torch.from_numpy(pixels[:, :, -1].copy()) if pixels.shape[2] in (2, 4) else None
+    with memory_for(path):
+        if kind == "EXR":
+            alpha = read_exr_with_alpha(path, check_size)[1]
+            return None if alpha is None else torch.from_numpy(np.ascontiguousarray(alpha, dtype=np.float32))
+        pixels = read_pixels(path, kind) if kind in WITH_ALPHA else np.empty((0, 0, 1), dtype=np.float32)
+        return torch.from_numpy(pixels[:, :, -1].copy()) if pixels.shape[2] in (2, 4) else None
 
 
 def image_size(path: str | os.PathLike) -> tuple[int, int]:

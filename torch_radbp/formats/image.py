@@ -15,6 +15,7 @@ from torch import Tensor
 from torch_radbp.formats.atomic import replacing
 from torch_radbp.formats.exr import read_exr, write_exr
 from torch_radbp.formats.files import opened, unknown_kind
+from torch_radbp.formats.memory import memory_for
 from torch_radbp.formats.pfm import read_pfm
 from torch_radbp.formats.picture_size import check_size
 from torch_radbp.formats.pillow import read_pixels
@@ -49,22 +50,28 @@ def read_image(path: str | os.PathLike, raw: bool = False) -> Tensor:
         IsADirectoryError: if it is a folder.
         ValueError: on unknown extensions, damaged files, files cut short or of another format than their extension says,
             EXR files without a colour, and images of more than `MAX_PIXELS` pixels.
+        MemoryError: names the file, if there is not enough memory.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in READABLE:
         raise ValueError(unknown_kind(path, "image", READABLE))
     kind = READABLE[suffix]
     _check_signature(path, kind)
+    with memory_for(path):
+        image = torch.from_numpy(np.ascontiguousarray(_pixels(path, kind), dtype=np.float32))
+        return image if raw or kind in LINEAR else srgb_to_linear(image)
+
+
+def _pixels(path: str | os.PathLike, kind: str) -> np.ndarray:
+    """(H, W, 1 or 3) values of a file as they are coded; raises as `read_image`."""
     try:
-        pixels = READERS[kind](path) if kind in READERS else colours(read_pixels(path, kind))
+        return READERS[kind](path) if kind in READERS else colours(read_pixels(path, kind))
     except MemoryError:
         raise
     except Exception as error:  # the libraries raise whatever their decoders stumble over
         inner = isinstance(error, (LookupError, ArithmeticError, UnicodeError))  # whose messages speak of their own code
         reason = "its content is damaged" if inner else " ".join(str(error).split())
         raise ValueError(f"{path}: cannot be read as {kind}: {reason}") from error
-    image = torch.from_numpy(np.ascontiguousarray(pixels, dtype=np.float32))
-    return image if raw or kind in LINEAR else srgb_to_linear(image)
 
 
 def save_image(path: str | os.PathLike, image: Tensor, channels: Mapping[str, Tensor] | None = None, *,
