@@ -116,7 +116,7 @@ def saved(folder: Path, mode: str, words: np.ndarray) -> bytes:
 
 REFUSED = {
     "apart": (".tif", lambda folder, words: tiff_of(words[:, :, :3], PlanarConfiguration=2), "its channels are stored one"),
-    "apart, grey": (".tif", lambda folder, words: tiff_of(words[:, :, :1], bits=8, PlanarConfiguration=2), "stored one after"),
+    "apart, grey": (".tif", lambda folder, words: tiff_of(words[:, :, :1], bits=8, PlanarConfiguration=2), "one after"),
     "multiplied": (".tif", lambda folder, words: tiff_of(words, ExtraSamples=1), "16 bits in the layout RGBa;16L are not"),
     "inks": (".tif", lambda folder, words: tiff_of(words, PhotometricInterpretation=5), "16 bits in the layout CMYK;16L"),
     "floats": (".tif", lambda folder, words: saved(folder, "F", words), "its numbers have 32 bits; supported are"),
