@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.utils.data import Dataset, default_collate
 
+from torch_radbp.formats.leniency import Repairs
 from torch_radbp.io.colmap import cameras_from_colmap
-from torch_radbp.io.nerf import cameras_from_nerf
+from torch_radbp.io.nerf import nerf_cameras
 from torch_radbp.photographs.area_average import area_average
 from torch_radbp.photographs.cameras import checked_size, named_as_in_a_scene, scaled_to_files
 from torch_radbp.photographs.folders import colmap_pictures, nerf_pictures
@@ -110,46 +112,55 @@ class Photographs(Dataset[Photograph]):
     @classmethod
     def from_nerf(cls, path: str | os.PathLike, *, images: str | os.PathLike | None = None,
                   masks: str | os.PathLike | None = None, scale: float = 1.0, curve: str | float = "srgb",
-                  background: float | Sequence[float] = 0.0, cache_bytes: int = CACHE, **attributes: Any) -> Photographs:
+                  background: float | Sequence[float] = 0.0, cache_bytes: int = CACHE, missing: str = "skip",
+                  strict: bool = False, **attributes: Any) -> Photographs:
         """The photographs of a NeRF data set, as instant-ngp, nerfstudio and the Blender scenes write it.
 
         Args:
-            path: of transforms.json; its `file_path` and `mask_path` are relative to its folder.
+            path: of transforms.json; its `file_path`, which may lack the extension, and `mask_path` are relative to its
+                folder.
             images: another folder with files of the same names, such as "images_4".
             masks: a folder of masks, as of `from_colmap`, in place of `mask_path`.
             scale: of the files, relative to the size that the cameras say: 0.25 for "images_4". To reduce them, take
                 `at_scale`.
             curve, background, cache_bytes: as of `Photographs`.
+            missing: what to do with frames whose image is not there: "skip" them, with a warning, or "error".
+            strict: raise errors instead of warnings of what is left out or repaired.
             **attributes: as of `rb.cameras_from_nerf`, such as `rfilter`.
 
         Raises:
             SceneError, ValueError, FileNotFoundError: as `rb.cameras_from_nerf` and `Photographs`.
         """
-        pictures = nerf_pictures(path, images, masks)
-        cameras = scaled_to_files(cameras_from_nerf(path, **attributes), pictures, scale)
-        return cls([each.image for each in pictures], cameras, [each.mask for each in pictures], curve=curve,
-                   background=background, cache_bytes=cache_bytes)
+        with Repairs(strict):
+            found = nerf_pictures(Path(path), images, masks, missing)
+            cameras, pictures = nerf_cameras(Path(path), found, **attributes), list(found.values())
+        return cls([each.image for each in pictures], scaled_to_files(cameras, pictures, scale),
+                   [each.mask for each in pictures], curve=curve, background=background, cache_bytes=cache_bytes)
 
     @classmethod
     def from_colmap(cls, folder: str | os.PathLike, images: str | os.PathLike, *, masks: str | os.PathLike | None = None,
                     scale: float = 1.0, curve: str | float = "srgb", background: float | Sequence[float] = 0.0,
-                    cache_bytes: int = CACHE, **attributes: Any) -> Photographs:
+                    cache_bytes: int = CACHE, missing: str = "skip", strict: bool = False,
+                    **attributes: Any) -> Photographs:
         """The photographs of a COLMAP model.
 
         Args:
             folder: of the model, such as "sparse/0".
-            images: folder of the images.
+            images: folder of the images; if none is there, they may be one folder further up or down, which is told.
             masks: folder of the masks: of view.jpg view.jpg.png, as COLMAP has it, view.png or view.jpg.
             scale: of the files, relative to the size that the cameras say: 0.25 for "images_4". To reduce them, take
                 `at_scale`.
             curve, background, cache_bytes: as of `Photographs`.
+            missing, strict: as of `from_nerf`.
             **attributes: as of `rb.cameras_from_colmap`, such as `rfilter`.
 
         Raises:
             SceneError, ValueError, FileNotFoundError: as `rb.cameras_from_colmap` and `Photographs`.
         """
-        cameras = cameras_from_colmap(folder, **attributes)
-        pictures = colmap_pictures(cameras, images, masks)
+        with Repairs(strict):
+            cameras = cameras_from_colmap(folder, **attributes)
+            found = colmap_pictures(folder, cameras, images, masks, missing)
+        cameras, pictures = {name: cameras[name] for name in found}, list(found.values())
         return cls([each.image for each in pictures], scaled_to_files(cameras, pictures, scale),
                    [each.mask for each in pictures], curve=curve, background=background, cache_bytes=cache_bytes)
 
