@@ -214,8 +214,8 @@ def _images(folder: Path) -> list[Path]:
     for name, options in (("plain.bmp", {}), ("plain.tga", {}), ("packed.tga", {"compression": "tga_rle"})):
         colours.save(folder / name, **options)
         paths.append(folder / name)
-    for name, options in (("plain.webp", {"lossless": True}), ("lossy.webp", {}), ("packed.tif", {"compression": "tiff_lzw"}),
-                          ("deflated.tif", {"compression": "tiff_deflate"})):
+    for name, options in (("plain.webp", {"lossless": True}), ("lossy.webp", {}),
+                          ("packed.tif", {"compression": "tiff_lzw"}), ("deflated.tif", {"compression": "tiff_deflate"})):
         colours.convert("RGBA" if "plain" in name else "RGB").save(folder / name, **options)
         paths.append(folder / name)
     words = (with_alpha * 65535).astype("u2")
