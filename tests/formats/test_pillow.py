@@ -13,6 +13,7 @@ import torch_radbp as rb
 from tests.formats.picture_files import png_of, tiff_of
 from torch_radbp.formats.alpha import image_size, read_alpha
 from torch_radbp.formats.image import read_image
+from torch_radbp.formats.memory import memory_for
 
 ROUNDING = 1e-7  # of float32
 
@@ -165,3 +166,12 @@ def test_memory_that_the_system_refuses_is_said_with_the_file(tmp_path):
                 call()
         finally:
             resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def test_what_torch_says_of_refused_memory_names_the_file_and_other_errors_stay():
+    with pytest.raises(MemoryError, match="a.png: the system refused the memory for its content; make it smaller") as caught:
+        with memory_for("a.png"), memory_for("a.png"):
+            torch.empty(2**50)
+    assert isinstance(caught.value.__cause__, RuntimeError)
+    with pytest.raises(RuntimeError, match="another"), memory_for("a.png"):
+        raise RuntimeError("another")

@@ -290,6 +290,20 @@ def test_what_is_not_finite_does_not_count_where_the_mask_is_zero(tmp_path):
         rb.Photographs([tmp_path / "b.exr"], [camera()])[0]
 
 
+def test_alpha_is_cut_to_its_range_and_must_be_a_number(tmp_path):
+    """Filters with negative lobes leave some beside."""
+    values = np.random.default_rng(0).uniform(0, 1, (6, 8)).astype(np.float32)
+    alpha = np.ones_like(values)
+    alpha[0, 0], alpha[0, 1] = -0.02, 1.03
+    write_exr(tmp_path / "a.exr", {**dict.fromkeys("RGB", values), "A": alpha})
+    found = rb.Photographs([tmp_path / "a.exr"], [camera()])[0]
+    assert found.mask[0, 0, :2].tolist() == [0, 1] and torch.equal(found.image[0], torch.from_numpy(values))
+    alpha[3, 3] = np.nan
+    write_exr(tmp_path / "a.exr", {**dict.fromkeys("RGB", values), "A": alpha})
+    with pytest.raises(ValueError, match="a.exr: its alpha has values that are NaN or infinite; mend it first"):
+        rb.Photographs([tmp_path / "a.exr"], [camera()])[0]
+
+
 @pytest.mark.parametrize("least, greatest", [(-0.1, 1.0), (0.0, 1.1), (np.nan, 1.0)])
 def test_a_mask_in_a_file_must_be_in_its_range(tmp_path, least, greatest):
     """Of which a cut value would say nothing: less than 0 makes a negative loss, more than 1 counts twice."""

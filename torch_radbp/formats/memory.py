@@ -11,7 +11,7 @@ REFUSED = ("can't allocate memory", "not enough memory", "out of memory")  # in 
 
 @contextmanager
 def memory_for(path: str | os.PathLike) -> Iterator[None]:
-    """Has what the block raises for lack of memory, numpy's error or torch's, name the file that it reads.
+    """Has what the block raises for lack of memory, numpy's error or torch's, name the file that it reads, or what else.
 
     Raises:
         MemoryError: names it, and what to do.
@@ -22,5 +22,5 @@ def memory_for(path: str | os.PathLike) -> Iterator[None]:
         ours = str(error).startswith(f"{path}: ")
         if ours or not (isinstance(error, MemoryError) or any(words in str(error).lower() for words in REFUSED)):
             raise
-        raise MemoryError(f"{path}: the system refused the memory for its content ({os.path.getsize(path)} bytes on disk); "
-                          f"make it smaller, or end other programs") from error
+        raise MemoryError(f"{path}: the system refused the memory for its content; make it smaller, or end other "
+                          f"programs") from error

@@ -41,7 +41,12 @@ def read_pixels(path: str | os.PathLike, kind: str) -> np.ndarray:
         ValueError: if it is damaged, has several pages, numbers of more than 16 bits, or 16 bits in a layout of which Pillow
             reads eight.
     """
-    held = os.path.getsize(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # TIFF asks again when it is decoded
+        return _pixels(path, kind, os.path.getsize(path))
+
+
+def _pixels(path: str | os.PathLike, kind: str, held: int) -> np.ndarray:
     with open_picture(path, kind, held) as file:
         if kind in ("WEBP", "TIFF") and getattr(file, "n_frames", 1) > 1:
             raise ValueError(f"it has {file.n_frames} pictures; keep one")

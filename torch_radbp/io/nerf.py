@@ -15,6 +15,7 @@ from torch_radbp.formats.alpha import image_size
 from torch_radbp.formats.files import opened
 from torch_radbp.formats.image import READABLE
 from torch_radbp.formats.leniency import Repairs
+from torch_radbp.formats.memory import memory_for
 from torch_radbp.io.opencv import FROM_OPENGL, LARGEST, ORTHOGONAL, SMALLEST, Intrinsics, sensor_of
 from torch_radbp.plugin import ReconstructionFilter, SceneError, nearest
 from torch_radbp.public_call import public_call
@@ -156,10 +157,9 @@ def given_of(document: dict[str, Any], frame: Frame) -> dict[str, Any]:
 
 def read_json(path: Path) -> dict[str, Any]:
     """The object in a JSON file."""
-    with opened(path) as file:
-        content = file.read()
     try:
-        document = json.loads(content)
+        with opened(path) as file, memory_for(path):
+            document = json.loads(file.read())
     except json.JSONDecodeError as error:
         raise SceneError(f"{path}, line {error.lineno}: is no JSON: {error.msg}") from None
     except (UnicodeDecodeError, RecursionError, ValueError) as error:

@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.utils.data import Dataset, default_collate
 
 from torch_radbp.formats.leniency import Repairs
+from torch_radbp.formats.memory import memory_for
 from torch_radbp.io.colmap import cameras_from_colmap
 from torch_radbp.io.nerf import nerf_cameras
 from torch_radbp.photographs.area_average import area_average
@@ -62,8 +63,9 @@ class Photographs(Dataset[Photograph]):
     Items are `Photograph`s. Images are linear: PNG and TIFF of 8 and 16 bits, JPEG, WebP, BMP and TGA are decoded by
     `curve`, EXR, HDR and PFM are linear already. An alpha channel is the mask, and the image is what is seen over
     `background`: colours are multiplied by alpha, but for those of EXR, which are already. A mask that is given besides
-    multiplies that of alpha, and leaves the image as it is, but for NaN and infinity, which become 0 where it is 0. EXIF
-    data, orientation included, are not read: calibrations go by the stored pixels.
+    multiplies that of alpha, and leaves the image as it is, but for NaN and infinity, which become 0 where it is 0. Alpha is
+    cut to [0, 1], beyond which filters with negative lobes leave some. EXIF data, orientation included, are not read:
+    calibrations go by the stored pixels.
 
     Overexposed pixels say only that there was more light: the mask is to be 0 there and two pixels around, as far as the
     film's filter spreads a lamp that is far brighter than white.
@@ -180,9 +182,16 @@ class Photographs(Dataset[Photograph]):
 
         Raises:
             ValueError: if its file has another size than when the data set was made, and as `read_picture`.
+            MemoryError: names the file, if there is not enough memory.
         """
         picture = self.pictures[view]
-        image, mask = read_picture(picture, self.curve, self.background)
+        with memory_for(name_of(picture.image)):
+            image, mask = read_picture(picture, self.curve, self.background)
+            return self.at_size(view, image, mask)
+
+    def at_size(self, view: int, image: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        """Image and mask, which must have the size of the file, at the size of the camera's film now."""
+        picture = self.pictures[view]
         if (size := (image.shape[2], image.shape[1])) != self.sizes[view]:
             was = self.sizes[view]
             raise ValueError(f"{name_of(picture.image)} has {size[0]} x {size[1]} pixels now, and had {was[0]} x {was[1]} "

@@ -97,14 +97,15 @@ def read_picture(picture: Picture, curve: str | float, background: Tensor) -> tu
     if alpha is not None:
         over = image if READABLE[picture.image.suffix.lower()] in ASSOCIATED else image * alpha
         image = over + (1 - alpha) * background[:, None, None]
-    mask = torch.ones_like(image[:1]) if alpha is None else alpha[None]
+    if alpha is not None and not alpha.isfinite().all():
+        raise ValueError(f"{name_of(picture.image)}: its alpha has values that are NaN or infinite; mend it first")
+    mask = torch.ones_like(image[:1]) if alpha is None else alpha[None].clamp(0, 1)
     if picture.mask is not None:
         given = read_mask(picture.mask)
         if given.shape[1:] != image.shape[1:]:
             raise ValueError(f"the mask {name_of(picture.mask)} has {given.shape[2]} x {given.shape[1]} pixels, and its "
                              f"image {image.shape[2]} x {image.shape[1]}")
         mask = mask * in_range(name_of(picture.mask), given)
-    mask = in_range(f"the alpha of {name_of(picture.image)}", mask)
     finite = image.isfinite()
     image, bad = image.where(finite | (mask > 0), 0.0), int((~finite & (mask > 0)).sum())
     if bad:
