@@ -13,8 +13,8 @@ import numpy as np
 
 PNG_COLOURS = {1: 0, 2: 4, 3: 2, 4: 6}  # colour types by the number of channels
 TAGS = ("ImageWidth", "ImageLength", "BitsPerSample", "Compression", "PhotometricInterpretation", "StripOffsets",
-        "Orientation", "SamplesPerPixel", "StripByteCounts", "PlanarConfiguration", "ExtraSamples")
-NUMBERS = dict(zip(TAGS, (256, 257, 258, 259, 262, 273, 274, 277, 279, 284, 338)))
+        "Orientation", "SamplesPerPixel", "RowsPerStrip", "StripByteCounts", "PlanarConfiguration", "ExtraSamples")
+NUMBERS = dict(zip(TAGS, (256, 257, 258, 259, 262, 273, 274, 277, 278, 279, 284, 338)))
 
 
 def png_of(words: np.ndarray, transparent: tuple[int, ...] | None = None) -> bytes:

@@ -124,6 +124,7 @@ REFUSED = {
     "integers": (".tif", lambda folder, words: saved(folder, "I", words), "its numbers have 32 bits; supported are"),
     "pages": (".tif", lambda folder, words: several(folder, ".tif", words), "it has 2 pictures; keep one"),
     "film": (".webp", lambda folder, words: several(folder, ".webp", words), "it has 2 pictures; keep one"),
+    "few rows": (".tif", lambda folder, words: tiff_of(words, ExtraSamples=2, RowsPerStrip=2), "its strips have 8 of 20"),
     "cut short": (".tif", lambda folder, words: tiff_of(words)[:-9], "."),
     "another": (".webp", lambda folder, words: tiff_of(words), "the file begins as TIFF does; change its extension"),
     "not a picture": (".webp", lambda folder, words: b"RIFF\4\0\0\0WAVE", "cannot identify image file"),

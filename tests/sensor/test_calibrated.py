@@ -131,6 +131,25 @@ def test_what_no_direction_is_projected_to_is_black():
     assert float(image.sum()) == pytest.approx(math.pi * (2 * math.pi) ** 2, rel=0.05)
 
 
+LENSES_BESIDE = {"pinhole": {"fx": 4.0}, "folded": {"fx": 2.0, "k1": -0.05}, "plain": {"fx": 4.0, "k1": 0.01},
+                 "field of view": {"fx": 2.0, "distortion": "field_of_view", "omega": 0.9},
+                 "fisheye": {"fx": 0.9, "distortion": "fisheye"},
+                 "thin prism": {"fx": 0.9, "distortion": "thin_prism_fisheye", "sx1": 0.01}}
+
+
+@pytest.mark.parametrize("order", [tuple(LENSES_BESIDE), tuple(reversed(LENSES_BESIDE))], ids=["pinhole first", "last"])
+def test_small_images_of_several_lenses_are_each_as_alone(order):
+    """They are traced together, those with pixels that see nothing and those without."""
+    sensors = {name: {"type": "calibrated", "film": {"type": "hdrfilm", "width": 8, "height": 8}} | LENSES_BESIDE[name]
+               for name in order}
+    scene = load(**sensors, sky={"type": "constant", "radiance": 1.0}, lamp=rectangle((0, 0, 9), 0.1))
+    together = rb.render(scene, spp=4, max_depth=2, sensors=list(range(len(order))))
+    for number, name in enumerate(order):
+        alone = rb.render(scene, spp=4, max_depth=2, sensors=[number])[0]
+        torch.testing.assert_close(together[number], alone, rtol=0, atol=1e-12)
+        assert (alone.min() < 0.2) == (name not in ("pinhole", "plain")), name  # corners beyond the lens
+
+
 def test_gradients_of_a_scene_ignore_what_is_not_seen():
     sensor = Calibrated(film=HDRFilm(width=11, height=11, rfilter=Box()), fx=1.0, distortion="fisheye", k1=0.0)
     scene = load(sensor=sensor, sky={"type": "envmap", "bitmap": texels(4, 8)}, lamp=rectangle((0, 0, -9), 0.1))

@@ -13,6 +13,7 @@ from typing import BinaryIO
 
 import numpy as np
 from PIL import Image
+from PIL.TiffImagePlugin import TiffImageFile
 
 from torch_radbp.formats.files import opened
 from torch_radbp.formats.picture_size import MAX_PIXELS, check_size
@@ -61,11 +62,8 @@ def _pixels(path: str | os.PathLike, kind: str, held: int) -> np.ndarray:
                 return grey_and_alpha(content.read())
     with open_picture(path, kind, held) as file:
         raw = rawmode(file)
-        if kind == "TIFF" and file.tag_v2.get(PLANAR, 1) != 1 and (set(file.tag_v2[BITS]) != {8} or "RGB" not in file.mode):
-            raise ValueError("its channels are stored one after the other, which is supported of RGB with 8 bits; store "
-                             "them pixel by pixel")
-        if kind == "TIFF" and file.mode in ("I", "F"):
-            raise ValueError("its numbers have 32 bits; supported are 8 and 16: write an EXR")
+        if kind == "TIFF":
+            check_tiff(file)
         if file.mode.startswith("I"):
             grey = np.asarray(file).astype(np.uint16)
             if kind == "TIFF" and file.tag_v2.get(PHOTOMETRIC) == 0:  # 0 is white, which Pillow undoes for 8 bits alone
@@ -83,6 +81,20 @@ def _pixels(path: str | os.PathLike, kind: str, held: int) -> np.ndarray:
         other = {"B": "L", "L": "B"}[raw[-1] if raw[-1] in "BL" else native]
         set_rawmode(file, raw[:-1] + other)
         return with_key((high << 8) | np.asarray(file), file, 65535)
+
+
+def check_tiff(file: TiffImageFile) -> None:
+    """Raises ValueError for layouts that Pillow reads wrongly, and for fewer pixels than there should be, left black."""
+    apart = file.tag_v2.get(PLANAR, 1) != 1
+    if apart and (set(file.tag_v2[BITS]) != {8} or "RGB" not in file.mode):
+        raise ValueError("its channels are stored one after the other, which is supported of RGB with 8 bits; store them "
+                         "pixel by pixel")
+    if file.mode in ("I", "F"):
+        raise ValueError("its numbers have 32 bits; supported are 8 and 16: write an EXR")
+    there = sum((right - left) * (lower - upper) for left, upper, right, lower in (tile.extents for tile in file.tile))
+    wanted = file.size[0] * file.size[1] * (len(file.tag_v2[BITS]) if apart and len(file.tile) > 1 else 1)
+    if there < wanted:
+        raise ValueError(f"its strips have {there} of {wanted} pixels; is the file damaged?")
 
 
 def with_key(words: np.ndarray, file: Image.Image, most: int) -> np.ndarray:

@@ -60,6 +60,7 @@ class CalibratedKind(ProjectiveKind):
     """Rays meet in a point, in directions that the distortion decides."""
 
     fisheye: bool
+    everywhere: bool  # every pixel has a direction, so that rays have no weights
 
     def sample_ray(self, lens: CalibratedLens, position: Vec2, aperture: None) -> tuple[Ray, Tensor | None]:
         local, seen = lens.distortion.direction(lens.point(position))
@@ -239,7 +240,8 @@ class Calibrated(ProjectiveCamera):
         return LENSES[self.distortion].is_fisheye
 
     def kind(self) -> CalibratedKind:
-        return CalibratedKind(self.is_fisheye)
+        undistorted = all(getattr(self, name) is None for name in self.optional_parameters)
+        return CalibratedKind(self.is_fisheye, undistorted and self.distortion == BROWN_CONRADY)
 
     def lens(self) -> CalibratedLens:
         matrix = self.to_world
