@@ -155,6 +155,17 @@ def test_another_folder_of_images_may_have_their_folders_or_not(tmp_path):
     assert len(silently(lambda: rb.Photographs.from_nerf(path, images=tmp_path / "flat"))) == 1
 
 
+def test_files_whose_cameras_have_no_size_are_told(tmp_path):
+    """Neither w and h nor the whole images say it; reduced ones could not."""
+    picture(tmp_path / "images_2" / "a.png", width=4, height=3)
+    picture(tmp_path / "images_2" / "b.png", width=4, height=3)
+    picture(tmp_path / "images" / "a.png")
+    path = write(tmp_path, "images/a.png", "images/b.png", w=None, h=None)
+    with pytest.raises(SceneError, match=r"frames\[1\]: the size of the image is not known.*give width= and height="):
+        rb.Photographs.from_nerf(path, images=tmp_path / "images_2", scale=0.5)
+    assert len(rb.Photographs.from_nerf(path, images=tmp_path / "images_2", scale=0.5, width=8, height=6)) == 2
+
+
 def test_a_model_that_is_turned_is_told_by_its_file(tmp_path):
     """COLMAP's camera is 6 x 8, the file 8 x 6 with an orientation that turns it."""
     (tmp_path / "images").mkdir()

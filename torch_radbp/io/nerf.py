@@ -150,9 +150,9 @@ def frames_of(path: Path, document: dict[str, Any]) -> list[Frame]:
 
 def given_of(document: dict[str, Any], frame: Frame) -> dict[str, Any]:
     """What is said of a frame's camera: what the frame says, and what the document says of other things."""
-    own = {key: frame.entry[key] for key in INTRINSICS if frame.entry.get(key) is not None}
-    said = {*own}.union(*(keys for keys in TOGETHER if any(key in own for key in keys)))
-    return own | {key: document[key] for key in INTRINSICS if document.get(key) is not None and key not in said}
+    of_frame = {key: frame.entry[key] for key in INTRINSICS if frame.entry.get(key) is not None}
+    said = {*of_frame}.union(*(keys for keys in TOGETHER if any(key in of_frame for key in keys)))
+    return of_frame | {key: document[key] for key in INTRINSICS if document.get(key) is not None and key not in said}
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -134,8 +134,9 @@ class Photographs(Dataset[Photograph]):
             SceneError, ValueError, FileNotFoundError: as `rb.cameras_from_nerf` and `Photographs`.
         """
         with Repairs(strict):
-            found = nerf_pictures(Path(path), images, masks, missing)
-            cameras, pictures = nerf_cameras(Path(path), found, **attributes), list(found.values())
+            files = nerf_pictures(Path(path), images, masks, missing)
+            cameras = nerf_cameras(Path(path), files, missing="error", **attributes)  # for each file one
+            pictures = list(files.values())
         return cls([each.image for each in pictures], scaled_to_files(cameras, pictures, scale),
                    [each.mask for each in pictures], curve=curve, background=background, cache_bytes=cache_bytes)
 
@@ -161,8 +162,8 @@ class Photographs(Dataset[Photograph]):
         """
         with Repairs(strict):
             cameras = cameras_from_colmap(folder, **attributes)
-            found = colmap_pictures(folder, cameras, images, masks, missing)
-        cameras, pictures = {name: cameras[name] for name in found}, list(found.values())
+            files = colmap_pictures(folder, cameras, images, masks, missing)
+        cameras, pictures = {name: cameras[name] for name in files}, list(files.values())
         return cls([each.image for each in pictures], scaled_to_files(cameras, pictures, scale),
                    [each.mask for each in pictures], curve=curve, background=background, cache_bytes=cache_bytes)
 

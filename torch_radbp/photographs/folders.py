@@ -12,7 +12,6 @@ from torch_radbp.photographs.picture import Picture
 from torch_radbp.plugin import SceneError
 
 Find = Callable[[Path, str], Path | None]  # the file of a name in a folder
-MOST_FOLDERS = 1000  # below one that are looked into
 
 
 def colmap_pictures(model: str | os.PathLike, names: Iterable[str], images: str | os.PathLike,
@@ -82,11 +81,11 @@ def files_of(path: str | os.PathLike, names: Sequence[str], said: Sequence[tuple
     missing_of(missing)
     folder, first = said[0]
     others = [(folder.parent, first), (folder, [without_first(name) for name in first])]
-    found = first_found(said, find)
-    elsewhere = found is None
-    if found is None:
-        found = first_found(others, find) or [below(folder, name, find) for name in first]
-    files = {name: file for name, file in zip(names, found) if file is not None}
+    there = first_with_any(said, find)
+    elsewhere = there is None
+    if there is None:
+        there = first_with_any(others, find) or [below(folder, name, find) for name in first]
+    files = {name: file for name, file in zip(names, there) if file is not None}
     if not files:
         raise FileNotFoundError(f"{path}: none of its {len(names)} images is there; looked for {first[0]} in {folder}, one "
                                 f"folder up and one down")
@@ -104,7 +103,7 @@ def files_of(path: str | os.PathLike, names: Sequence[str], said: Sequence[tuple
     return files
 
 
-def first_found(places: Iterable[tuple[Path, Sequence[str]]], find: Find) -> list[Path | None] | None:
+def first_with_any(places: Iterable[tuple[Path, Sequence[str]]], find: Find) -> list[Path | None] | None:
     """The files of names in the first of some folders that has any; None if none has."""
     tried = ([find(folder, name) for name in names] for folder, names in places)
     return next((files for files in tried if any(files)), None)
@@ -118,7 +117,7 @@ def below(folder: Path, name: str, find: Find) -> Path | None:
     """
     if not folder.is_dir():
         return None
-    folders = sorted(entry for entry in folder.iterdir() if entry.is_dir())[:MOST_FOLDERS]
+    folders = sorted(entry for entry in folder.iterdir() if entry.is_dir())
     files = [file for file in (find(each, name) for each in folders) if file is not None]
     if len(files) > 1:
         raise ValueError(f"the image {name} is not in {folder}, and in {files[0].parent} and "
