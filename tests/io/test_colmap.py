@@ -152,6 +152,7 @@ BAD = {
     "focal length that underflows": ({"cameras": "1 PINHOLE 4 3 1 1e-46 2 2\n"}, "line 1: focal lengths must be greater"),
     "far away": ({"images": "1 1 0 0 0 0 1e40 0 1 a.jpg\n"}, "line 1: rotation and translation must be finite numbers"),
     "size": ({"cameras": "1 PINHOLE 4.5 3 1 1 2 2\n"}, "line 1: width and height must be whole numbers"),
+    "huge": ({"cameras": "1 PINHOLE 2e9 2e9 1 1 2 2\n"}, "line 1: an image may have 1 to 134217728 pixels, this one has 2e"),
     "focal length": ({"cameras": "1 PINHOLE 4 3 0 1 2 2\n"}, "line 1: focal lengths must be greater than 0"),
     "short": ({"cameras": "1 PINHOLE\n"}, "line 1: expected CAMERA_ID MODEL WIDTH HEIGHT"),
     "twice": ({"cameras": 2 * "1 PINHOLE 4 3 1 1 2 2\n"}, "line 2: a second camera has the id 1"),

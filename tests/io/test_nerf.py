@@ -211,6 +211,7 @@ BAD = {
     "no focal length": (BLENDER | {"camera_angle_x": None, "w": 4, "h": 3}, "the focal length is missing: give fl_x"),
     "angle": (BLENDER | {"camera_angle_x": 3.2, "w": 4, "h": 3}, "camera_angle_x must be between 0 and pi"),
     "size": (OPENCV | {"w": 40.5}, "w and h must be whole numbers"),
+    "huge": (OPENCV | {"w": 2**64}, "an image may have 1 to 134217728 pixels, w and h are 1.84467e.19 and 30"),
     "no size": (BLENDER, "the size of the image is not known.*give width= and height="),
     "matrix": (with_frame(transform_matrix=[[1, 2], [3, 4]]), r"frames\[0\].transform_matrix: must be a 4 x 4 matrix"),
     "no matrix": (with_frame(transform_matrix=None), r"frames\[0\].transform_matrix: must be a 4 x 4 matrix"),

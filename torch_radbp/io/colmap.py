@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from torch_radbp.formats.files import opened
+from torch_radbp.formats.picture_size import MAX_PIXELS
 from torch_radbp.formats.text_lines import BYTE_ORDER_MARK
 from torch_radbp.io.colmap_binary import binary_cameras, binary_images
 from torch_radbp.io.opencv import LARGEST, SMALLEST, Intrinsics, pose_of, sensor_of
@@ -134,6 +135,8 @@ def read_cameras(lines: Iterable[Line]) -> dict[str, Intrinsics]:
         size = line.numbers(2, 4, "width and height")
         if min(size) < 1 or any(side != int(side) for side in size):
             raise line.fail(f"width and height must be whole numbers of at least 1, got {' '.join(line.words[2:4])}")
+        if size[0] * size[1] > MAX_PIXELS:
+            raise line.fail(f"an image may have 1 to {MAX_PIXELS} pixels, this one has {size[0]:g} x {size[1]:g}")
         values = dict(zip(parameters, line.numbers(4, None, "parameters")))
         focal = [values.pop(key, None) for key in ("fx", "fy")]
         fx, fy = [values.pop("f")] * 2 if "f" in values else focal

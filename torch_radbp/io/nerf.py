@@ -16,6 +16,7 @@ from torch_radbp.formats.files import opened
 from torch_radbp.formats.image import READABLE
 from torch_radbp.formats.leniency import Repairs
 from torch_radbp.formats.memory import memory_for
+from torch_radbp.formats.picture_size import MAX_PIXELS
 from torch_radbp.io.opencv import FROM_OPENGL, LARGEST, ORTHOGONAL, SMALLEST, Intrinsics, sensor_of
 from torch_radbp.plugin import ReconstructionFilter, SceneError, nearest
 from torch_radbp.public_call import public_call
@@ -189,6 +190,8 @@ def size_of(frame: Frame, given: dict[str, Any], folder: Path, other: tuple[int 
         size = list(other) if None not in other else size_of_image(image)
     if min(size) < 1 or any(side != int(side) for side in size):
         raise SceneError(f"{frame.place}: w and h must be whole numbers of at least 1, got {size}")
+    if size[0] * size[1] > MAX_PIXELS:
+        raise SceneError(f"{frame.place}: an image may have 1 to {MAX_PIXELS} pixels, w and h are {size[0]:g} and {size[1]:g}")
     return [int(side) for side in size]
 
 
