@@ -191,7 +191,8 @@ def size_of(frame: Frame, given: dict[str, Any], folder: Path, other: tuple[int 
     if min(size) < 1 or any(side != int(side) for side in size):
         raise SceneError(f"{frame.place}: w and h must be whole numbers of at least 1, got {size}")
     if size[0] * size[1] > MAX_PIXELS:
-        raise SceneError(f"{frame.place}: an image may have 1 to {MAX_PIXELS} pixels, w and h are {size[0]:g} and {size[1]:g}")
+        raise SceneError(f"{frame.place}: an image may have 1 to {MAX_PIXELS} pixels, w and h are {size[0]:g} and "
+                         f"{size[1]:g}")
     return [int(side) for side in size]
 
 
