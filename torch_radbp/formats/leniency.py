@@ -6,6 +6,7 @@ read. What makes the result doubtful stays an error of the reader's.
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -65,10 +66,12 @@ class Repairs:
             self.uncounted[what] = self.uncounted.get(what, 0) + len(rows) - NAMED
 
     def __iter__(self) -> Iterator[str]:
-        """A sentence for each kind, such as "frames[0], frames[1], frames[2] and 14 more: is left out: ..."."""
+        """A sentence for each kind, such as "a.json, frames[0], frames[1], frames[2] and 14 more: ..."."""
         for what, places in self.places.items():
-            more = len(places) + self.uncounted.get(what, 0) - NAMED
-            yield f"{', '.join(list(places)[:NAMED])}{f' and {more} more' if more > 0 else ''}: {what}"
+            names, more = list(places)[:NAMED], len(places) + self.uncounted.get(what, 0) - NAMED
+            shared = "".join(os.path.commonprefix(names).rpartition(", ")[:2])  # such as the file, said once
+            listed = ", ".join(name[len(shared):] for name in names)
+            yield f"{shared}{listed}{f' and {more} more' if more > 0 else ''}: {what}"
 
     def tell(self) -> None:
         """Warns of each kind, or raises SceneError with all of them."""
