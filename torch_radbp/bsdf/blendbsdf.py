@@ -167,7 +167,7 @@ class BlendBSDF(BSDF):
     Parameters: `weight`, a texture in [0, 1]. Derivatives: with respect to its texels, and to the parameters of both
     materials. Each is sampled with the probability of its weight, but at least 0.02. Where the weight is 0 or 1, one is not
     sampled at all, unless derivatives with respect to the weight are asked for, which need both, or a `mesh_attribute` gives
-    it.
+    it: less noise of the same image. Weights a little outside, where an optimizer may step, continue the mixture linearly.
 
     What a blend scatters is exactly the mixture of what its materials scatter, ideal reflection and refraction included.
     Mitsuba 3.9.1 differs: where one material is smooth and the other reflects or refracts ideally, its image is some percent
