@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from torch_radbp.bsdf.burley import check_rates
+from torch_radbp.bsdf.burley import ROUGHNESS, check_rates
 from torch_radbp.bsdf.features import features_of
 from torch_radbp.bsdf.number import NumberOf, OwnNumber
 from torch_radbp.bsdf.principled_lobes import PrincipledKind
@@ -81,7 +81,7 @@ class Principled(BSDF):
         check_rates(self.rates(), "main_specular_sampling_rate")
 
     def domains(self) -> dict[str, Domain]:
-        return {"base_color": REFLECTANCE, "roughness": FRACTION, **{name: FRACTION for name in FEATURES},
+        return {"base_color": REFLECTANCE, "roughness": ROUGHNESS, **{name: FRACTION for name in FEATURES},
                 "eta": NUMBER._replace(low=0.0, low_is_in=False), "specular": NUMBER._replace(low=0.0, high=MOST_SPECULAR)}
 
     def rates(self) -> dict[str, float]:

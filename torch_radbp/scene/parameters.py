@@ -130,13 +130,14 @@ def note_uses(plugins: list[tuple[str, Plugin]]) -> None:
             texture.use = use
 
 
-def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str]) -> None:
+def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str], leeway: float = LEEWAY) -> None:
     """Checks the current parameters of a scene. The values of modules are checked where they are computed.
 
     Args:
         scene: as it is now.
         cache: what is known from the last rendering.
         seen: the names of the sensors that are rendered; the others are not looked at.
+        leeway: as of `Domain.check_range`.
 
     Raises:
         ValueError: naming the first that has a wrong shape, is not finite, is out of range, or is not a valid pose.
@@ -155,10 +156,10 @@ def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str]) -> N
                 domain.check_shape(f"parameter {name!r}", values[name])
         for name, held in found.items():
             value = primal(values[name]) if differentiated(values[name]) else cache.frozen(name, values[name])
-            cache(check_values, name, value, tuple(dict.fromkeys(held.domains)))
+            cache(check_values, name, value, tuple(dict.fromkeys(held.domains)), leeway)
 
 
-def check_values(name: str, value: Tensor, domains: tuple[Domain, ...]) -> None:
+def check_values(name: str, value: Tensor, domains: tuple[Domain, ...], leeway: float) -> None:
     """Raises ValueError unless the values of a parameter, detached, are in all of some domains.
 
     Warns of reflectances above 1.
@@ -166,7 +167,7 @@ def check_values(name: str, value: Tensor, domains: tuple[Domain, ...]) -> None:
     least, greatest = torch.stack(value.aminmax()).double().tolist()
     finite = abs(least) < torch.inf and abs(greatest) < torch.inf
     for domain in domains:
-        domain.check_range(f"parameter {name!r}", value, least, greatest, LEEWAY, OUTSIDE if finite else NOT_FINITE)
+        domain.check_range(f"parameter {name!r}", value, least, greatest, leeway, OUTSIDE if finite else NOT_FINITE)
         domain.warn(f"parameter {name!r}", greatest)
         if domain.is_pose:
             domain.check_pose(f"parameter {name!r}: {name.rpartition('.')[2]}", value)
