@@ -85,6 +85,7 @@ BODIES: dict[str, dict[str, Any]] = {
     "pyramid on a floor": {"floor": floor(), SUBJECT: PYRAMID},
     "mesh on a mesh": {"floor": grid(16, (-4, 0, -4), (0, 0, 8), (8, 0, 0)),
                        SUBJECT: fine_box((-0.5, 0, -0.5), (0.3, 0.7, 0.5), 4)},
+    "mesh halfway through a floor": {"floor": floor(), SUBJECT: fine_box((-0.5, -0.35, -0.5), (0.3, 0.35, 0.5), 4)},
     "beam on two posts": {"floor": floor(), "left": box((-0.5, 0.25, 0), (0.2, 0.25, 0.2), bsdf=DARK),
                           "right": box((0.5, 0.25, 0.1), (0.2, 0.25, 0.2), bsdf=DARK),
                           SUBJECT: box((0, 0.6, 0.1), (0.9, 0.1, 0.15))},
