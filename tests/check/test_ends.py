@@ -11,7 +11,7 @@ from tests.scenes import diffuse, load, rectangle, rgb, sensor
 from torch_radbp.check import gradient as check_module
 from torch_radbp.check.stencil import ROUNDING
 
-QUICK = ("blend of diffuse and metal", "mask", "principled clearcoat_gloss", "principled sheen")
+QUICK = ("blend of diffuse and metal", "mask")
 DEEP = [pytest.mark.deep]
 ROWS = [pytest.param(name, high, id=f"{name}, {'high' if high else 'low'}", marks=[] if name in QUICK else DEEP)
         for name in ENDS for high in (False, True)]
