@@ -79,7 +79,7 @@ def contacts_of(geometry: Geometry, touching: Segments, ends: Tensor,
     # Where the surface has an edge there, too, it must go on beyond.
     start, end = (interpolated(mine, place.x, place.y) for place in (touching.start, touching.end))
     reach = side_of(mine, passed)
-    meets_edge = ~pierces & (reach == torch.where(closed, facing, 1.0)) & goes_on(key, start + end, reach)
+    meets_edge = ~pierces & (reach == torch.where(closed, facing, 1.0)) & has_other_side(key, start + end, reach)
     kept = (counts & ((reach == 0.0) | meets_edge)).nonzero().squeeze(1)
     if not len(kept):
         return None
@@ -120,7 +120,7 @@ def keys_of(corner: Tensor, instance: Tensor | None) -> Tensor:
     return corner.long() if instance is None else corner.long() * (1 << 31) + instance
 
 
-def goes_on(key: Tensor, place: Vec3, reach: Tensor) -> Tensor:
+def has_other_side(key: Tensor, place: Vec3, reach: Tensor) -> Tensor:
     """True for parts of edges, (N,) bool, of which another part in the same place lies on a surface on the other side.
 
     Args:
