@@ -71,6 +71,7 @@ setup(
         "safetensors>=0.4",
         "scipy>=1.11",
         'tomli>=2; python_version < "3.11"',
+        "typing_extensions>=4.8",
         *TRAIN,
     ],
     extras_require={"test": TEST, "bake": BAKE, "peer": ["mitsuba==3.9.1", "cholespy>=2"], "cuda": CUDA, "docs": DOCS},

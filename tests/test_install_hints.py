@@ -1,4 +1,4 @@
-"""What messages and pages tell a reader to install can be installed: packages that indexes have, and this one by its folder."""
+"""What messages and pages say of installing the package is true: by its folder, as long as no index has it."""
 
 import re
 import subprocess
