@@ -58,7 +58,8 @@ release: $(VENV)/.installed
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .
-	$(BIN)/mypy
+	$(BIN)/mypy --no-error-summary
+	$(BIN)/mypy --no-error-summary --strict --follow-imports=silent tests/typing/every_public_name.py
 
 clean:
 	rm -rf $(VENV) build dist runs site *.egg-info

@@ -12,7 +12,7 @@ import functools
 import inspect
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import torch
 
@@ -49,8 +49,8 @@ def public_call(function: Function) -> Function:
         with without_modes():
             return function(*arguments, **settings)
 
-    called._torchdynamo_disable = True
-    return called
+    vars(called)["_torchdynamo_disable"] = True
+    return cast(Function, called)
 
 
 def passing_on(names: Iterable[str], source: Callable, **defaults: Any) -> Callable[[Function], Function]:
