@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from math import inf
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, overload
 
 import torch
 from torch import Tensor, nn
@@ -156,7 +156,7 @@ class Renderer(nn.Module):
         return super().__getattr__(name)
 
     if TYPE_CHECKING:  # what nn.Module leaves open
-        @overload
+        @overload  # type: ignore[no-overload-impl]
         def __call__(self, seed: int | None = None, sensors: SensorChoice = None, spp: int | None = None,
                      seed_grad: int | None = None, aovs: None = None, window: WindowChoice = None) -> Tensor: ...
 
@@ -164,8 +164,6 @@ class Renderer(nn.Module):
         def __call__(self, seed: int | None = None, sensors: SensorChoice = None, spp: int | None = None,
                      seed_grad: int | None = None, *, aovs: Sequence[str],
                      window: WindowChoice = None) -> tuple[Tensor, dict[str, Tensor]]: ...
-
-        def __call__(self, *arguments: Any, **settings: Any) -> Any: ...
 
     @public_call
     def forward(self, seed: int | None = None, sensors: SensorChoice = None, spp: int | None = None,
