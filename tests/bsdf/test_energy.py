@@ -37,7 +37,7 @@ def white(description: dict) -> dict:
     return description | ({bases[description["type"]]: 1.0} if description["type"] in bases else {})
 
 
-# Of which all light leaves again, but for shadowing, if nothing is absorbed; `check_bsdf` asks all for energy, see `test_check`.
+# Of which all light leaves again, but for shadowing, if nothing is absorbed; `test_check` asks all for energy.
 LOSSLESS = [name for name in SIMPLE if MATERIALS[name]["type"] in (
     "conductor", "dielectric", "diffuse", "null", "plastic", "roughconductor", "roughdielectric", "roughplastic",
     "thindielectric")]
