@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo docs test test-deep test-peer test-torch gpu-check lint clean
+.PHONY: demo docs test test-deep test-peer test-torch gpu-check release lint clean
 
 $(VENV)/.installed: setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -52,9 +52,14 @@ gpu-check: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[test,peer,cuda]"
 	$(BIN)/python -m benchmarks.gpu_check
 
+# Wheel and source archive, into dist/, each tried in empty environments: every Python here, torch 2.6 and the newest.
+release: $(VENV)/.installed
+	$(BIN)/python -m tests.release
+
 lint: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet ruff
 	$(BIN)/ruff check .
+	$(BIN)/mypy --no-error-summary
+	$(BIN)/mypy --no-error-summary --strict --follow-imports=silent tests/typing/every_public_name.py
 
 clean:
 	rm -rf $(VENV) build dist runs site *.egg-info

@@ -10,8 +10,8 @@ WARP = "warp-lang>=1.19"
 CUDA = [WARP, "cuda-bindings>=12.8"]
 BAKE = ["xatlas>=0.0.9"]
 DOCS = ["sphinx>=8", "furo>=2024.8", "myst-parser>=4", "jupytext>=1.16", "griffe>=1.5", "matplotlib>=3.8", "trimesh>=4.0"]
-TEST = ["matplotlib>=3.8", "mypy>=1.18", "pytest>=8", "pytest-xdist>=3.7", "trimesh>=4.0", "setuptools>=70.1", WARP,
-        *(f"{name}; python_version < '3.14'" for name in BAKE),  # newer ones have no wheel yet
+TEST = ["matplotlib>=3.8", "mypy>=1.18", "pytest>=8", "pytest-xdist>=3.7", "ruff>=0.17", "trimesh>=4.0", "setuptools>=70.1",
+        WARP, *(f"{name}; python_version < '3.14'" for name in BAKE),  # newer ones have no wheel yet
         'nvidia-cuda-nvcc-cu12>=12.8; sys_platform != "darwin"']
 
 TRAINING = "torch_radbp.training"
@@ -45,7 +45,7 @@ class BuildWithoutScripts(build_py):
 
 setup(
     name="torch_radbp",
-    version="0.1.0",
+    version="1.0.0rc1",
     description="A differentiable path tracer for PyTorch with memoized adjoint radiance",
     long_description=Path(__file__).with_name("README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
@@ -71,6 +71,7 @@ setup(
         "safetensors>=0.4",
         "scipy>=1.11",
         'tomli>=2; python_version < "3.11"',
+        "typing_extensions>=4.8",
         *TRAIN,
     ],
     extras_require={"test": TEST, "bake": BAKE, "peer": ["mitsuba==3.9.1", "cholespy>=2"], "cuda": CUDA, "docs": DOCS},

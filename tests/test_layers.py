@@ -17,7 +17,8 @@ TRAINING = PACKAGE.parent / "training"
 
 # Data flows down this list; a part may import from the layers above its own, and nothing beside itself.
 LAYERS = [
-    {"tensors", "plugin"}, {"jit", "sampling", "film", "transforms", "pose", "losses", "priors", "integrator", "formats"},
+    {"tensors", "plugin", "install_hint"},
+    {"jit", "sampling", "film", "transforms", "pose", "losses", "priors", "integrator", "formats"},
     {"texture", "sensor", "public_call"}, {"shape", "bsdf", "emitter"}, {"scene"},
     {"raycast", "optim", "io", "bake"}, {"path", "photographs"}, {"call"}, {"adjoint"}, {"boundary", "aov"}, {"rendering"},
     {"check"}, {"public"}, {"training"},

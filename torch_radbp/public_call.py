@@ -12,7 +12,7 @@ import functools
 import inspect
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
 import torch
 
@@ -37,28 +37,38 @@ def without_autocast(device_type: str) -> AbstractContextManager:
 
 def public_call(function: Function) -> Function:
     """`function`, which runs without those modes, and names an argument that is unknown, and the nearest."""
-    known = arguments_of(function)
-    takes_any = any(each.kind is each.VAR_KEYWORD for each in inspect.signature(function).parameters.values())
+    parameters = inspect.signature(function).parameters.values()
+    known = {each.name for each in parameters if each.name != "self"}
+    takes_any = any(each.kind is each.VAR_KEYWORD for each in parameters)
 
     @functools.wraps(function)
     def called(*arguments, **settings):
-        if not takes_any:
-            check_arguments(function, settings, known)
+        for name in settings if not takes_any else ():
+            if name not in known:
+                raise TypeError(f"{function.__qualname__}() has no argument {name!r}; {nearest(name, known)}")
         with without_modes():
             return function(*arguments, **settings)
 
-    called._torchdynamo_disable = True
-    return called
+    vars(called)["_torchdynamo_disable"] = True
+    return cast(Function, called)
 
 
-def arguments_of(*functions: Callable) -> set[str]:
-    """The names of the arguments that functions take."""
-    return {name for function in functions for name, each in inspect.signature(function).parameters.items()
-            if name != "self" and each.kind is not each.VAR_KEYWORD}
+def passing_on(names: Iterable[str], source: Callable, **defaults: Any) -> Callable[[Function], Function]:
+    """Names the keywords that a function takes as `**settings` and passes on, so that completion and `help` show them.
 
+    Args:
+        names: of the keywords: the `TypedDict` that the function's `**settings` unpacks, for type checkers to read.
+        source: what they are passed to, which has their types and defaults.
+        **defaults: of the function that differ from those.
+    """
+    passed = inspect.signature(source).parameters
 
-def check_arguments(function: Callable, given: Iterable[str], known: set[str]) -> None:
-    """Raises TypeError naming the first argument given to a function that is not among the known ones."""
-    for name in given:
-        if name not in known:
-            raise TypeError(f"{function.__qualname__}() has no argument {name!r}; {nearest(name, known)}")
+    def shown(function: Function) -> Function:
+        *given, settings = inspect.signature(function).parameters.values()
+        assert settings.kind is settings.VAR_KEYWORD
+        named = [passed[name].replace(kind=settings.KEYWORD_ONLY, default=defaults.get(name, passed[name].default))
+                 for name in names]
+        setattr(function, "__signature__", inspect.signature(function).replace(parameters=[*given, *named]))  # noqa: B010
+        return function
+
+    return shown

@@ -4,6 +4,8 @@ import os
 
 import torch
 
+from torch_radbp.install_hint import install_with
+
 EXPECTED = "'cpu', 'cuda' or one of several such as 'cuda:1'"
 
 
@@ -36,7 +38,7 @@ def usable_device(name: str | None) -> torch.device:
     if not torch.cuda.is_available():
         if torch.version.cuda is None:
             reason = (f"torch {torch.__version__} was built without CUDA; install one built for it "
-                      "(https://pytorch.org/get-started/locally) and pip install 'torch_radbp[cuda]'")
+                      f"(https://pytorch.org/get-started/locally) and {install_with('cuda')}")
         else:
             reason = "no GPU of NVIDIA's or no driver for it was found; nvidia-smi tells whether the system sees one"
         raise ValueError(f"device {name!r} cannot be used: {reason}; or take the device 'cpu'")

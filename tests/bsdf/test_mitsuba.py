@@ -21,12 +21,13 @@ from tests.bsdf.lanes import (
     sampled,
     values_of,
 )
+from tests.plugin.test_plugin_table import beyond_mitsuba
 from torch_radbp.bsdf.ior import CONDUCTORS, DIELECTRICS
 from torch_radbp.tensors.vec import Vec3
 
 COUNT = 1500
 # Mitsuba's bump maps take heights over a surface, and not slopes: see `tests/peer` and `test_bumpmap`.
-KNOWN = [name for name, description in MATERIALS.items() if description["type"] != "bumpmap"]
+KNOWN = [name for name, description in MATERIALS.items() if description["type"] not in {"bumpmap", *beyond_mitsuba()}]
 # Mitsuba computes in single precision; near the mirror direction a sharp lobe magnifies its rounding.
 EVAL = 1e-3
 # Their quadrature of what a rough coat lets through is right to 5e-4 for GGX, and enters twice.

@@ -16,7 +16,8 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 TUTORIALS = sorted((DOCS / "tutorials").glob("[0-9]*.py"))
 WRITTEN = sorted({*DOCS.glob("*.md"), DOCS / "tutorials" / "index.md"})
-BESIDE = [ROOT / "README.md", ROOT / "training" / "README.md", ROOT / "tests" / "README.md", ROOT / "assets" / "README.md"]
+BESIDE = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md", "training/README.md", "tests/README.md",
+                                   "assets/README.md")]
 GENERATED = {*(DOCS / "tutorials" / f"{tutorial.stem}.md" for tutorial in TUTORIALS),
              *(DOCS / "reference" / f"{name}.md" for name in ("index", *GROUPS)),
              *(DOCS / "plugins" / f"{name}.md" for name in ("index", *PAGES))}

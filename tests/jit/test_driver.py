@@ -1,6 +1,7 @@
 """What is asked of CUDA's driver: modules, launches, streams and errors, by one that only notes it; no GPU is needed."""
 
 import ctypes
+import re
 import sys
 from array import array
 from types import SimpleNamespace
@@ -9,6 +10,7 @@ import pytest
 import torch
 
 from tests.jit.test_functions import arguments, mixed
+from torch_radbp.install_hint import install_with
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.driver import Driver, NoDriver, driver_of
 from torch_radbp.jit.gpu import Gpu
@@ -131,7 +133,7 @@ def test_ptx_that_is_refused_is_kept_with_what_the_assembler_said(monkeypatch, t
 def test_without_the_bindings_the_message_says_how_to_get_them(monkeypatch):
     monkeypatch.setitem(sys.modules, "cuda.bindings", None)
     monkeypatch.setitem(sys.modules, "cuda", None)
-    with pytest.raises(NoDriver, match=r"pip install 'torch_radbp\[cuda\]', or render with compile=False"):
+    with pytest.raises(NoDriver, match=re.escape(f"{install_with('cuda')}, or render with compile=False")):
         driver_of(DEVICE)
 
 

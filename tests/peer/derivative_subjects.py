@@ -15,6 +15,7 @@ import numpy as np
 
 from tests.bsdf.lanes import MATERIALS, as_dict
 from tests.emitter.lights import EMITTERS, LAMP_POSE
+from tests.plugin.test_plugin_table import beyond_mitsuba
 from tests.scenes import rgb, texels
 from tests.texture.meshes import PLY
 from torch_radbp.io.transform import rotate, scale, translate
@@ -153,7 +154,8 @@ TEXTURED = {
         name: TRACE for name in ("anisotropic", "spec_trans", "spec_tint", "sheen", "sheen_tint", "flatness", "diff_trans")},
 }
 # Bump maps of `MATERIALS` are given a slope in the place of heights.
-BSDFS = {name: material for name, material in MATERIALS.items() if material["type"] not in ("bumpmap", "null")} | TEXTURED
+NOT_ASKED = {"bumpmap", "null"} | beyond_mitsuba()
+BSDFS = {name: material for name, material in MATERIALS.items() if material["type"] not in NOT_ASKED} | TEXTURED
 
 # -- Lights ----------------------------------------------------------------------------------------------------------------
 

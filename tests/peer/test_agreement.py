@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.plugin.test_plugin_table import beyond_mitsuba
 from torch_radbp.plugin import REGISTRY
 
 from .agreement import ALPHA, compare, estimate
@@ -88,8 +89,8 @@ def test_mitsuba_agrees_with_itself_and_not_with_a_darker_self(name, tmp_path):
 
 
 COMPARED = ("shape", "bsdf", "texture", "emitter", "sensor", "film", "rfilter")
-# Of tensors, written as <rgb>, not Mitsuba's, of several images, and spectra that Mitsuba's RGB modes do not evaluate.
-WITHOUT = ("mesh", "rgb", "calibrated", "batch", "blackbody", "regular", "irregular")
+# Not Mitsuba's, of several images, and spectra that Mitsuba's RGB modes do not evaluate.
+WITHOUT = (*beyond_mitsuba(), "batch", "blackbody", "regular", "irregular")
 
 
 def test_the_cases_use_every_supported_plugin(tmp_path):

@@ -19,7 +19,7 @@ def test_a_right_gradient_is_exit_code_0_with_a_picture_and_figures(radbp, folde
     code, stdout, _ = radbp(*PAINT, "--spp", 512)
     assert code == 0, stdout
     assert "agrees: " in stdout and "derivative image" in stdout and "mean square z" in stdout
-    out = folder / "checks" / "paint.reflectance.value"
+    out = folder / "runs" / "checks" / "paint.reflectance.value"
     assert sorted(path.name for path in out.iterdir()) == ["check.json", "check.png"]
     figures = json.loads((out / "check.json").read_text())
     assert figures["verdict"] == "agrees" and figures["spp"] == 512 and len(figures["projections"]) == 3

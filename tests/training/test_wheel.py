@@ -1,9 +1,7 @@
 """The wheel and the source archive: what is in them, and that they run where nothing else of the project is."""
 
-import os
 import re
 import shutil
-import subprocess
 import sys
 import zipfile
 from collections.abc import Callable
@@ -12,53 +10,16 @@ from pathlib import Path
 
 import pytest
 
+from tests.release import SCRIPT, build_archive, build_wheel, check_found, outside, programs_of, run
 from torch_radbp.training.commands.bundled import bundled_recipes, listing, recipe_path
 
 ROOT = Path(__file__).parents[2]
 
 
-# A user's first loop: the wall's colour, by a camera and a lamp of the script's own.
-SCRIPT = """
-import torch
-import torch_radbp as rb
-
-scene = rb.load_dict({
-    "type": "scene",
-    "camera": {"type": "perspective", "fov": 40.0, "to_world": rb.look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]),
-               "film": {"type": "hdrfilm", "width": 16, "height": 16}},
-    "lamp": {"type": "point", "position": [0.0, 0.0, 3.0], "intensity": {"type": "rgb", "value": [20.0, 20.0, 20.0]}},
-    "wall": {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.3, 0.2]}}},
-})
-target = rb.render(scene, spp=16, max_depth=3, seed=1000).detach()
-colour = scene.get_parameter("wall.bsdf.reflectance.value")
-colour.data.fill_(0.4)
-colour.requires_grad_()
-optimizer = torch.optim.Adam([colour], lr=0.05)
-renderer = rb.Renderer(scene, spp=4, max_depth=3)
-for step in range(40):
-    optimizer.zero_grad()
-    loss = rb.losses.two_buffer_l2(renderer(seed=2 * step), renderer(seed=2 * step + 1), target)
-    loss.backward()
-    optimizer.step()
-print(rb.__file__)
-print(*colour.tolist())
-"""
-
-
-def run(*command: object, **settings) -> str:
-    """Standard output of a command that must end well."""
-    done = subprocess.run([*map(str, command)], capture_output=True, text=True, **settings)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
-
-
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
-    run(sys.executable, "setup.py", "-q", "egg_info", "--egg-base", folder, "build", "--build-base", folder / "build",
-        "bdist_wheel", "--dist-dir", folder, cwd=ROOT)
-    path, = folder.glob("*.whl")
-    return path
+    return build_wheel(folder, folder)
 
 
 @pytest.fixture(scope="module")
@@ -73,17 +34,10 @@ def installed(wheel) -> Path:
 def wheel_of_archive(tmp_path_factory) -> Path:
     """The wheel that pip builds of the source archive, with the tools that the archive asks for and no others."""
     folder = tmp_path_factory.mktemp("archive")
-    run(sys.executable, "setup.py", "-q", "egg_info", "--egg-base", folder, "sdist", "--dist-dir", folder, cwd=ROOT)
-    archive, = folder.glob("*.tar.gz")
+    archive = build_archive(folder, folder)
     run(sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", folder, archive, cwd=folder, env=outside(folder))
     path, = folder.glob("*.whl")
     return path
-
-
-def outside(folder: Path) -> dict[str, str]:
-    """An environment in which nothing leads to this tree, and nothing is compiled yet."""
-    kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH" and not name.startswith("RADBP_")}
-    return {**kept, "RADBP_KERNEL_CACHE": str(folder / "kernels")}
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +45,7 @@ def elsewhere(wheel_of_archive, tmp_path_factory) -> Callable[..., str]:
     """Runs a program of an environment that has the package and what it depends on, in a folder that is empty at first."""
     folder = tmp_path_factory.mktemp("elsewhere")
     run(sys.executable, "-m", "venv", folder / "environment")
-    programs = folder / "environment" / ("Scripts" if os.name == "nt" else "bin")
+    programs = programs_of(folder / "environment")
     run(programs / "python", "-m", "pip", "install", "-q", "-c", ROOT / "constraints.txt", wheel_of_archive, cwd=folder)
     (folder / "work").mkdir()
 
@@ -181,9 +135,7 @@ def test_a_gltf_file_is_rendered_elsewhere(elsewhere):
 @pytest.mark.deep
 def test_a_script_recovers_a_colour_elsewhere(elsewhere):
     (elsewhere.folder / "script.py").write_text(SCRIPT)
-    where, colour = elsewhere("python", "script.py").splitlines()
-    assert Path(where).is_relative_to(elsewhere.folder.parent)
-    assert [float(value) for value in colour.split()] == pytest.approx([0.6, 0.3, 0.2], abs=0.03)
+    check_found(elsewhere("python", "script.py"), elsewhere.folder.parent)
 
 
 @pytest.mark.deep

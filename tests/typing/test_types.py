@@ -27,6 +27,9 @@ rb.Renderer(scene)(seed=0, aovs=["depth"]).mean()
 rb.losses.two_buffer_l3
 rb.optim.LargeSteps(1)
 rb.no_such_part
+rb.render(scene, sppp=4)
+rb.check_gradient(scene, "white.reflectance.value", max_depth="six")
+rb.camera_from_opencv(None, None, None, 4, 4, near=1.0)
 """
 
 
@@ -73,4 +76,4 @@ def test_mypy_finds_nothing_in_the_script_and_what_is_wrong_in_another(tmp_path)
                "--cache-dir", tmp_path, SCRIPT, wrong]
     done = subprocess.run([*map(str, command)], cwd=PACKAGE.parent, capture_output=True, text=True)
     found = {(Path(path).name, int(line)) for path, line in re.findall(r"^(.*?):(\d+): error: ", done.stdout, re.M)}
-    assert found == {("wrong.py", line) for line in range(5, 11)}, done.stdout + done.stderr
+    assert found == {("wrong.py", line) for line in range(5, 14)}, done.stdout + done.stderr

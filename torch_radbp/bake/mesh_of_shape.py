@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.install_hint import install_with
 from torch_radbp.plugin import BSDF, Emitter, Shape, boolean, integer
 from torch_radbp.public_call import public_call
 from torch_radbp.shape.instance import Instance, instanced
@@ -32,7 +33,7 @@ def mesh(shape: Shape, *, unwrap: bool = False, resolution: int = 1024) -> Tenso
         scene.body = rb.bake.mesh(scene.body)                    # an sdfgrid, say; the material stays
 
     Of a shape that has no surface coordinates, or if asked for, the surface is cut into charts that are laid side by side in
-    the unit square, none over another (the library xatlas: `pip install "torch_radbp[bake]"`). It takes some seconds for
+    the unit square, none over another (the library xatlas, of the extra `bake`). It takes some seconds for
     20,000 triangles. Vertices on the borders of charts are doubled: optimised further they would move apart, so bake last.
 
     A group, or an instance of one, becomes a single mesh; its shapes must have one material. Normals are those of the
@@ -120,7 +121,7 @@ def unwrapped(surface: Triangles, resolution: int) -> Triangles:
     try:
         import xatlas
     except ImportError as error:
-        raise ImportError("surface coordinates are found by the library xatlas: pip install 'torch_radbp[bake]'") from error
+        raise ImportError(f"surface coordinates are found by the library xatlas: {install_with('bake')}") from error
     packing = xatlas.PackOptions()
     packing.resolution, packing.padding, packing.bilinear = resolution, GAP, True
     atlas = xatlas.Atlas()

@@ -26,22 +26,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.func import functional_call
 from torch.nn.functional import interpolate
+from typing_extensions import Unpack
 
 from torch_radbp.boundary import SilhouetteWarning
 from torch_radbp.check.outcome import BIASED, TOO_LARGE, GradientCheck, Question, judge, said_of_floor, said_of_step
 from torch_radbp.check.statistics import Cotangent, Samples, compare
 from torch_radbp.check.stencil import Place, floor_of, inside
 from torch_radbp.plugin import finite, integer
-from torch_radbp.public_call import arguments_of, check_arguments, public_call
+from torch_radbp.public_call import passing_on, public_call
 from torch_radbp.rendering.jvp import rendering_with_tangent
 from torch_radbp.rendering.renderer import Renderer
-from torch_radbp.rendering.settings import TERMS, SensorChoice, checked_seed
+from torch_radbp.rendering.settings import TERMS, RendererSettings, SensorChoice, checked_seed
 from torch_radbp.scene import Scene
 
 BATCHES = 16
@@ -55,9 +56,11 @@ STILL = ("value", "data", "scale")  # attributes that move nothing: textures, an
 
 
 @public_call
+@passing_on(RendererSettings.__annotations__, Renderer.__init__, share_samples=True)
 def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = None, spp: int = 256, seed: int = 0,
                    step: float | None = None, sensors: SensorChoice = None, batches: int = BATCHES,
-                   progress: Callable[[int, int], None] | None = None, **settings: Any) -> GradientCheck:
+                   progress: Callable[[int, int], None] | None = None,
+                   **settings: Unpack[RendererSettings]) -> GradientCheck:
     """Compares the derivatives of a rendering, by JVP and by VJP, with finite differences of independent samples.
 
         print(rb.check_gradient(scene, "white.reflectance.value", spp=256, max_depth=6))
@@ -88,8 +91,7 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
         AttributeError: if the scene has no such parameter; the message lists the nearest names.
         ValueError: if an argument makes no sense, or the step leaves the domain of the parameter to both sides.
     """
-    check_arguments(check_gradient, settings, arguments_of(check_gradient, Renderer.__init__))
-    renderer = Renderer(scene, **{"share_samples": True} | settings)
+    renderer = Renderer(scene, **RendererSettings(share_samples=True) | settings)
     renderer.gradient_watch.told = True  # that a derivative is zero is what the result says
     parameter = scene.get_parameter(name).detach()
     seed = checked_seed("seed", seed)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from torch import Tensor
 
 from torch_radbp.check.statistics import STEP_ERROR, Comparison, Projection
+from torch_radbp.formats.html_table import html_table
 
 AGREES, BIASED, SILHOUETTES, TOO_NOISY = "agrees", "biased", "biased, probably by silhouettes", "too noisy"
 TOO_LARGE, AT_FLOOR = "too large a step", "at a floor"
@@ -69,6 +70,12 @@ class GradientCheck:
         """True if the verdict is "agrees"."""
         return self.verdict == AGREES
 
+    @property
+    def title(self) -> str:
+        """The parameter, with step and samples, as text."""
+        return (f"{self.name}, step {self.step:.3g} {self.sides}, "
+                f"{self.spp} samples per pixel in {self.batches} batches")
+
     def figures(self) -> dict[str, Any]:
         """The outcome without its images: numbers and strings that a file can hold."""
         comparison = self.comparison
@@ -80,10 +87,14 @@ class GradientCheck:
                 "tiles": comparison.tiles._asdict(), "projections": projections}
 
     def __str__(self) -> str:
-        lines = [f"{self.name}, step {self.step:.3g} {self.sides}, {self.spp} samples per pixel in {self.batches} batches",
+        lines = [self.title,
                  *("  ".join(f"{cell:>16}" for cell in row) for row in self.rows())]
         lines += [f"{label}: {value}" for label, value in self.summary()]
         return "\n".join([*lines, f"{self.verdict}: {self.explanation}"])
+
+    def _repr_html_(self) -> str:
+        headings, *rows = self.rows()
+        return html_table(self.title, headings, [*rows, *self.summary()], f"{self.verdict}: {self.explanation}")
 
     def rows(self) -> list[tuple[str, ...]]:
         """The table of projections as text, headings first; "off by" and "VJP-JVP" are relative errors."""

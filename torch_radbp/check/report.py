@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from torch_radbp.formats.html_table import html_table
+
 
 class Finding(NamedTuple):
     """One thing that was checked."""
@@ -37,12 +39,20 @@ class PluginCheck:
         """The names of the checks that do not agree."""
         return tuple(finding.check for finding in self.findings if not finding.agrees)
 
+    @property
+    def verdict(self) -> str:
+        """In words: "agrees", or "disagrees" with the names of the checks."""
+        return "agrees" if self.agrees else f"disagrees: {', '.join(self.failed)}"
+
     def __str__(self) -> str:
         width = max(len(finding.check) for finding in self.findings)
         rows = [f"  {finding.check:<{width}}  {'agrees' if finding.agrees else 'FAILS '}  {finding.figures}"
                 for finding in self.findings]
-        verdict = "agrees" if self.agrees else f"disagrees: {', '.join(self.failed)}"
-        return "\n".join([self.plugin, *rows, verdict])
+        return "\n".join([self.plugin, *rows, self.verdict])
+
+    def _repr_html_(self) -> str:
+        rows = [(finding.check, "agrees" if finding.agrees else "FAILS", finding.figures) for finding in self.findings]
+        return html_table(self.plugin, ("check", "", "figures"), rows, self.verdict)
 
 
 def worst(check: str, found: list[tuple[float, str]], agreed: str) -> Finding:

@@ -9,9 +9,10 @@ import math
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from typing_extensions import Unpack
 
 from torch_radbp.formats.files import opened
 from torch_radbp.formats.picture_size import MAX_PIXELS
@@ -19,8 +20,15 @@ from torch_radbp.formats.text_lines import BYTE_ORDER_MARK
 from torch_radbp.io.colmap_binary import binary_cameras, binary_images
 from torch_radbp.io.opencv import LARGEST, SMALLEST, Intrinsics, pose_of, sensor_of
 from torch_radbp.plugin import ReconstructionFilter, SceneError, nearest
-from torch_radbp.public_call import public_call
-from torch_radbp.sensor.calibrated import BROWN_CONRADY, FIELD_OF_VIEW, FISHEYE, THIN_PRISM_FISHEYE, Calibrated
+from torch_radbp.public_call import passing_on, public_call
+from torch_radbp.sensor.calibrated import (
+    BROWN_CONRADY,
+    FIELD_OF_VIEW,
+    FISHEYE,
+    THIN_PRISM_FISHEYE,
+    Calibrated,
+    CameraAttributes,
+)
 
 MODELS = {  # the parameters in their order; f is both focal lengths
     "SIMPLE_PINHOLE": (BROWN_CONRADY, ("f", "cx", "cy")),
@@ -41,8 +49,9 @@ STRAIGHT = 1e-6  # radians of an omega, with which FOV is a pinhole up to roundi
 
 
 @public_call
+@passing_on(CameraAttributes.__annotations__, Calibrated.__init__)
 def cameras_from_colmap(folder: str | os.PathLike, *, scale: float = 1.0, rfilter: ReconstructionFilter | str | None = None,
-                        **attributes: Any) -> dict[str, Calibrated]:
+                        **attributes: Unpack[CameraAttributes]) -> dict[str, Calibrated]:
     """The sensors `calibrated` of a COLMAP model, by the name of their image and in the order of the file.
 
         scene = rb.load_dict({"type": "scene", **rb.cameras_from_colmap("sparse/0", scale=0.25), ...})

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from typing_extensions import Unpack
 
 from torch_radbp.formats.alpha import image_size
 from torch_radbp.formats.files import opened
@@ -19,8 +20,8 @@ from torch_radbp.formats.memory import memory_for
 from torch_radbp.formats.picture_size import MAX_PIXELS
 from torch_radbp.io.opencv import FROM_OPENGL, LARGEST, ORTHOGONAL, SMALLEST, Intrinsics, sensor_of
 from torch_radbp.plugin import ReconstructionFilter, SceneError, nearest
-from torch_radbp.public_call import public_call
-from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated
+from torch_radbp.public_call import passing_on, public_call
+from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated, CameraAttributes
 
 INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y", "k1", "k2", "k3", "k4", "p1", "p2",
               "camera_model", "is_fisheye")
@@ -42,9 +43,10 @@ MISSING = ("skip", "error")
 
 
 @public_call
+@passing_on(CameraAttributes.__annotations__, Calibrated.__init__)
 def cameras_from_nerf(path: str | os.PathLike, *, width: int | None = None, height: int | None = None, scale: float = 1.0,
                       rfilter: ReconstructionFilter | str | None = None, missing: str = "skip", strict: bool = False,
-                      **attributes: Any) -> dict[str, Calibrated]:
+                      **attributes: Unpack[CameraAttributes]) -> dict[str, Calibrated]:
     """The sensors `calibrated` of a NeRF data set, by the `file_path` of their image (without "./") and in its order.
 
         scene = rb.load_dict({"type": "scene", **rb.cameras_from_nerf("lego/transforms_train.json"), ...})
@@ -78,7 +80,7 @@ def cameras_from_nerf(path: str | os.PathLike, *, width: int | None = None, heig
 
 def nerf_cameras(path: Path, names: Collection[str] | None, *, width: int | None = None, height: int | None = None,
                  scale: float = 1.0, rfilter: ReconstructionFilter | str | None = None, missing: str = "skip",
-                 **attributes: Any) -> dict[str, Calibrated]:
+                 **attributes: Unpack[CameraAttributes]) -> dict[str, Calibrated]:
     """The cameras of the frames of these names, or of all; arguments and errors as of `cameras_from_nerf`."""
     missing_of(missing)
     document = read_json(path)

@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
+from typing_extensions import Unpack
 
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.plugin import REGISTRY, ReconstructionFilter, boolean, integer, nearest, no_gradient, positive
-from torch_radbp.public_call import public_call
-from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated
+from torch_radbp.public_call import passing_on, public_call
+from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated, CameraAttributes
 
 ORDER = {BROWN_CONRADY: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), FISHEYE: ("k1", "k2", "k3", "k4")}
 LENGTHS = {BROWN_CONRADY: (0, 4, 5, 8), FISHEYE: (0, 4)}  # of OpenCV's vectors of coefficients
@@ -37,9 +38,10 @@ class Intrinsics(NamedTuple):
 
 
 @public_call
+@passing_on(CameraAttributes.__annotations__, Calibrated.__init__)
 def camera_from_opencv(K: Any, R: Any, t: Any, width: int, height: int, distortion: Sequence[float] = (),
                        fisheye: bool = False, *, scale: float = 1.0, rfilter: ReconstructionFilter | str | None = None,
-                       **attributes: Any) -> Calibrated:
+                       **attributes: Unpack[CameraAttributes]) -> Calibrated:
     """The sensor `calibrated` of a camera as OpenCV describes it: x = K (R X + t).
 
         scene = rb.load_dict({"type": "scene", "camera": rb.camera_from_opencv(K, R, t, 640, 480, distortion), ...})
@@ -62,8 +64,9 @@ def camera_from_opencv(K: Any, R: Any, t: Any, width: int, height: int, distorti
 
 
 @public_call
+@passing_on(CameraAttributes.__annotations__, Calibrated.__init__)
 def cameras_from_kornia(pinhole: Any, *, scale: float = 1.0, rfilter: ReconstructionFilter | str | None = None,
-                        **attributes: Any) -> list[Calibrated]:
+                        **attributes: Unpack[CameraAttributes]) -> list[Calibrated]:
     """The sensors `calibrated` of a `kornia.geometry.camera.PinholeCamera`, one for each of its batch.
 
     Its pixels are OpenCV's, its extrinsics lead from the world to the camera.
@@ -125,7 +128,7 @@ def pose_of(R: Any, t: Any) -> np.ndarray:
 
 
 def sensor_of(camera: Intrinsics, to_world: np.ndarray, scale: float, rfilter: ReconstructionFilter | str | None,
-              attributes: dict[str, Any]) -> Calibrated:
+              attributes: CameraAttributes) -> Calibrated:
     """The sensor of a calibration and a pose, its image scaled to whole pixels."""
     width, height = (max(1, round(size * positive("scale", scale))) for size in (camera.width, camera.height))
     x, y = width / camera.width, height / camera.height

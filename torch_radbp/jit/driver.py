@@ -18,6 +18,7 @@ from typing import Any
 
 import torch
 
+from torch_radbp.install_hint import install_with
 from torch_radbp.jit import code_cache
 from torch_radbp.jit.nvptx import ptx
 
@@ -119,7 +120,7 @@ def driver_of(device: torch.device) -> Driver:
         from cuda.bindings import driver
     except ImportError as error:
         raise NoDriver("compiled rendering on CUDA launches its kernels by NVIDIA's `cuda-bindings`, which is not "
-                           "installed: pip install 'torch_radbp[cuda]', or render with compile=False") from error
+                       f"installed: {install_with('cuda')}, or render with compile=False") from error
     try:
         error, = driver.cuInit(0)
     except Exception as missing:  # the bindings have an error of their own for it, by version

@@ -3,44 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, overload
+from typing import NamedTuple, overload
 
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 from torch.func import functional_call
+from typing_extensions import Unpack
 
 from torch_radbp.plugin import finite
-from torch_radbp.public_call import arguments_of, check_arguments, public_call
+from torch_radbp.public_call import passing_on, public_call
 from torch_radbp.rendering.radiance import RadianceOf
 from torch_radbp.rendering.renderer import Renderer
-from torch_radbp.rendering.settings import SensorChoice
+from torch_radbp.rendering.settings import RendererSettings, SensorChoice
 from torch_radbp.rendering.shots import WindowChoice
 from torch_radbp.scene import Scene
 from torch_radbp.tensors.torch_internals import tree_map
 
 
 @overload
-def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: SensorChoice = None,
+def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, spp: int | None = None, seed: int = 0, sensors: SensorChoice = None,
         aovs: None = None, window: WindowChoice = None, rays: tuple[Tensor, Tensor] | None = None,
-        **settings: Any) -> Tensor: ...
+        **settings: Unpack[RendererSettings]) -> Tensor: ...
 
 
 @overload
-def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: SensorChoice = None,
-        aovs: Sequence[str], window: WindowChoice = None, **settings: Any) -> tuple[Tensor, dict[str, Tensor]]: ...
+def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, spp: int | None = None, seed: int = 0, sensors: SensorChoice = None,
+        aovs: Sequence[str], window: WindowChoice = None,
+        **settings: Unpack[RendererSettings]) -> tuple[Tensor, dict[str, Tensor]]: ...
 
 
 @overload
-def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: SensorChoice = None,
+def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, spp: int | None = None, seed: int = 0, sensors: SensorChoice = None,
         aovs: Sequence[str] | None, window: WindowChoice = None,
-        **settings: Any) -> Tensor | tuple[Tensor, dict[str, Tensor]]: ...
+        **settings: Unpack[RendererSettings]) -> Tensor | tuple[Tensor, dict[str, Tensor]]: ...
 
 
 @public_call
-def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors: SensorChoice = None,
+@passing_on(RendererSettings.__annotations__, Renderer.__init__)
+def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, spp: int | None = None, seed: int = 0, sensors: SensorChoice = None,
         aovs: Sequence[str] | None = None, window: WindowChoice = None, rays: tuple[Tensor, Tensor] | None = None,
-        **settings: Any) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
+        **settings: Unpack[RendererSettings]) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
     """The derivative of the image along `tangents`, a direction in the space of parameters; by forward mode.
 
     It gives the derivative of every pixel along one direction, for about the cost of two renderings; the backward pass gives
@@ -54,13 +57,13 @@ def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors:
     Args:
         scene: left as it is; no parameter needs `requires_grad`.
         tangents: by the names of `scene.get_parameter`; each of its parameter's shape, any floating dtype.
+        spp, **settings: of `Renderer`: `max_depth`, `nee`, ... `adjoint` has no effect here.
         seed: of the random numbers, as in `Renderer`.
         sensors: index or name of the sensor to render, or several of them; None: all.
         aovs: names of quantities whose derivatives to return beside that of the image; see `Renderer.aovs`.
         window: the part of the image to render; see `Renderer.forward`.
         rays: origins and directions, (N, 3) each, to take the derivative of `Renderer.radiance` along them, in the place of
             images; then `sensors`, `aovs` and `window` must be left out.
-        **settings: of `Renderer`: `spp`, `max_depth`, `nee`, ... `adjoint` has no effect here.
 
     Returns:
         (B, 3, H, W), detached, linear RGB per unit of `tangents`; if `aovs` are asked for, that and the derivatives of these
@@ -73,8 +76,7 @@ def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, seed: int = 0, sensors:
 
     Reference: Griewank and Walther 2008, "Evaluating Derivatives", chapter 3.
     """
-    check_arguments(jvp, settings, arguments_of(jvp, Renderer.__init__))
-    renderer = Renderer(scene, **settings)
+    renderer = Renderer(scene, spp, **settings)
     tangents = checked_tangents(scene, tangents)
     of_images = {"sensors": sensors, "aovs": aovs, "window": window}
     if rays is not None:

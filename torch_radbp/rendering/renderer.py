@@ -156,7 +156,7 @@ class Renderer(nn.Module):
         return super().__getattr__(name)
 
     if TYPE_CHECKING:  # what nn.Module leaves open
-        @overload
+        @overload  # type: ignore[no-overload-impl]
         def __call__(self, seed: int | None = None, sensors: SensorChoice = None, spp: int | None = None,
                      seed_grad: int | None = None, aovs: None = None, window: WindowChoice = None) -> Tensor: ...
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from typing import TypedDict
 
 import numpy as np
 import torch
@@ -26,6 +27,24 @@ INTERIOR, PRIMARY, SHADOW = "interior", "primary", "shadow"
 TERMS = (INTERIOR, PRIMARY, SHADOW)  # of derivatives
 SAMPLINGS = ("hybrid", "detached", "attached")
 OF_DERIVATIVE = 0x3F84D5B5B5470917  # what the seed of a derivative differs by: digits of pi, so far from any counter
+
+
+class RendererSettings(TypedDict, total=False):
+    """The arguments of `Renderer` but for scene and spp, by which other functions take them as keywords; see there."""
+
+    max_depth: int | None
+    rr_depth: int | None
+    hide_emitters: bool | None
+    adjoint: AdjointStrategy | None
+    sampling: str
+    nee: bool | None
+    chunk: int | None
+    memory_budget: str | int | None
+    compile: bool
+    caster: str | None
+    light_choice: str | None
+    terms: Collection[str]
+    share_samples: bool
 
 
 def checked_scene(scene: Scene) -> Scene:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor, nn
 
+from torch_radbp.formats.html_table import html_table
 from torch_radbp.integrator.path import Path
 from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Integrator, Plugin, SceneError, Sensor, nearest, with_article
 from torch_radbp.shape.instance import Instance
@@ -229,6 +230,23 @@ class Scene(nn.Module):
         # The objects of the scene first: it may have thousands, and their names be asked for one by one.
         named = itertools.chain(self._modules.items(), self.named_modules())
         return next((name for name, module in named if module is plugin), type(plugin).__name__)
+
+    def _repr_html_(self) -> str:
+        names = {id(module): name for name, module in self.named_modules()}
+
+        def named(plugin: Plugin) -> str:
+            return names.get(id(plugin), plugin.type)
+
+        shapes = [(named(shape), shape.type, f"{named(shape.bsdf)} ({shape.bsdf.type})") for shape in self.shapes]
+        films = [(name, sensor.type, f"{sensor.film.crop_width} x {sensor.film.crop_height}")
+                 for name, sensor in self.named_sensors.items()]
+        parameters = [(name, " x ".join(map(str, value.shape)) or "number", f"{float(value.detach().mean()):.4g}",
+                       "yes" if value.requires_grad else "") for name, value in self.named_parameters()]
+        kind = f"{self.dtype} on {self.device}".removeprefix("torch.")
+        return (html_table(f"Shapes: {len(shapes)}", ("name", "type", "material"), shapes)
+                + html_table("Emitters", ("name", "type"), [(named(emitter), emitter.type) for emitter in self.emitters])
+                + html_table("Sensors", ("name", "type", "pixels"), films)
+                + html_table(f"Parameters: {kind}", ("name", "shape", "mean", "requires_grad"), parameters))
 
     def bsdfs(self) -> Iterator[BSDF]:
         """The materials of the shapes, each once, in order of first use."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, TypedDict
 
 import torch
 from torch import Tensor
@@ -26,6 +26,14 @@ GRID = 17  # directions across the image, of which the bounds of a view are foun
 POINTS = 33  # on a segment that are tested for being in view
 SQUARE = 1e-6  # relative difference of fx and fy of square pixels
 GRAZING = 0.05  # cosine to the axis below which a view has no pyramid around it
+
+
+class CameraAttributes(TypedDict, total=False):
+    """The attributes of `Calibrated` that no calibration says, by which readers of calibrations take them as keywords."""
+
+    near_clip: float
+    far_clip: float
+    sampler: Sampler | None
 
 
 class CalibratedLens(NamedTuple):

@@ -43,7 +43,7 @@ def check(
                      r"\[default: random; 1 for a number]", show_default=False),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help=r"Folder of pictures and figures.  \[default: checks/PARAM]")
+        Path | None, typer.Option("-o", "--out", help=r"Folder of pictures and figures.  \[default: runs/checks/PARAM]")
     ] = None,
     spp: Annotated[int, typer.Option(help="Samples per pixel of each of the two derivatives.")] = 256,
     max_depth: Annotated[
@@ -72,7 +72,7 @@ def check(
         loaded = rb.load(scene, allow_outside=allow_outside, **parse_variables(define)).to(usable_device(device))
         indices = chosen_sensors(sensor, list(sensor_films(loaded)))
         moves = parse_direction(direction, tuple(loaded.get_parameter(param).shape))
-        folder = Path("checks") / param if out is None else out
+        folder = Path("runs") / "checks" / param if out is None else out
         if folder.exists() and not folder.is_dir():
             raise ValueError(f"--out {folder}: is a file; name a folder")
         with TimedProgress(Console(stderr=True), "rendering", None) as progress:

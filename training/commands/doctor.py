@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from torch_radbp.install_hint import install_with
 from torch_radbp.training.commands.clear_errors import Debug, clear_errors
 
 EPILOG = (
@@ -24,11 +25,11 @@ EPILOG = (
 )
 NEEDED = ("torch", "numpy", "llvmlite", "embreex", "scipy", "OpenEXR", "Pillow", "kornia", "safetensors", "pydantic")
 OPTIONAL = {  # by what they are for
-    "warp-lang": "rays on NVIDIA's GPUs: pip install 'torch_radbp[cuda]'",
-    "cuda-bindings": "compiled rendering on NVIDIA's GPUs: pip install 'torch_radbp[cuda]'",
+    "warp-lang": f"rays on NVIDIA's GPUs: {install_with('cuda')}",
+    "cuda-bindings": f"compiled rendering on NVIDIA's GPUs: {install_with('cuda')}",
     "trimesh": "meshes of other formats, and remeshing: pip install trimesh",
-    "xatlas": "surface coordinates of baked meshes: pip install 'torch_radbp[bake]'",
-    "mitsuba": "comparisons of the tests with Mitsuba: pip install 'torch_radbp[peer]'",
+    "xatlas": f"surface coordinates of baked meshes: {install_with('bake')}",
+    "mitsuba": f"comparisons of the tests with Mitsuba: {install_with('peer')}",
 }
 SIZE = 64
 
