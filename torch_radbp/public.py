@@ -27,6 +27,7 @@ All else may change with any version, and may be imported all the same, for read
 modules and names, and the bits of an image at a given seed.
 """
 
+import torch_radbp.io.trimesh_out  # noqa: F401 (gives shapes and scenes their to_trimesh)
 from torch_radbp.adjoint import AdjointStrategy, MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
 from torch_radbp.boundary import JumpWarning, SilhouetteWarning
 from torch_radbp.call.finite import NonFiniteError

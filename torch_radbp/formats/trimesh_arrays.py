@@ -47,7 +47,7 @@ def placed_meshes(source: trimesh.Trimesh | trimesh.Scene) -> list[Placed]:
         to_world, name = source.graph[node]
         mesh = source.geometry[name]
         if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
-            found.append(Placed(str(node), mesh, np.asarray(to_world, dtype=np.float64)))
+            found.append(Placed(str(node), mesh, np.array(to_world, dtype=np.float64)))
         else:
             kind = "Trimesh without faces" if isinstance(mesh, trimesh.Trimesh) else type(mesh).__name__
             warnings.warn(f"{node}: a {kind} of trimesh is left out: only triangles are rendered", stacklevel=2)

@@ -55,7 +55,8 @@ def scene_from_trimesh(source: trimesh.Trimesh | trimesh.Scene, *, resolution: i
     """
     if not is_trimesh(source):
         raise TypeError(f"a scene is made of a trimesh.Scene or a trimesh.Trimesh, got {shown(source)}")
-    given = {"resolution": resolution, "spp": spp, "max_depth": max_depth, "light": light, "camera": camera, "strict": strict}
+    given = {"resolution": resolution, "spp": spp, "max_depth": max_depth, "light": light, "camera": camera,
+             "strict": strict}
     chosen = options(SOURCE, {name: value for name, value in given.items() if value is not None})
     return built(lambda: read_scene(source, chosen))
 

@@ -7,10 +7,12 @@ look.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import torch
 
 from torch_radbp.emitter.area import Area
 from torch_radbp.formats.mesh_arrays import MeshArrays
@@ -20,9 +22,10 @@ from torch_radbp.io.gltf.document import Document, Losses, Part
 from torch_radbp.io.gltf.material import Look, Materials
 from torch_radbp.io.gltf.names import Names
 from torch_radbp.io.gltf.picture import bytes_of
-from torch_radbp.io.gltf.read import lies_mirrored
+from torch_radbp.io.gltf.read import lies_mirrored, said
 from torch_radbp.io.gltf.texture import Textures
-from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Plugin, attributes
+from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Plugin, SceneWarning, attributes
+from torch_radbp.shape.mesh import TensorMesh
 
 if TYPE_CHECKING:
     import trimesh
@@ -118,6 +121,19 @@ class Looks:
         return {name: value for name, value in found.items() if value is not None}
 
 
+def shape_of_mesh(source: trimesh.Trimesh | trimesh.Scene) -> TensorMesh:
+    """A mesh, or all meshes of a scene as one, as a shape with its material, in torch's default dtype.
+
+    Raises:
+        ValueError: as `with_arrays`.
+    """
+    losses = Losses()
+    shape = TensorMesh(**with_arrays({"mesh": source}, Looks(losses, Names(), {})))
+    if losses.found:
+        warnings.warn(f"{SOURCE}: {said(list(losses))}", SceneWarning, stacklevel=5)
+    return shape.to(torch.get_default_dtype())
+
+
 def shapes_of(name: str, value: Any, others: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """A mesh of trimesh as the description of a shape, and a scene as one for each node that shows a mesh."""
     placed = placed_meshes(value)
@@ -171,3 +187,6 @@ def dress(look: Look | None) -> tuple[BSDF | None, Emitter | None]:
     if look is None:
         return None, None
     return look.bsdf, None if look.radiance is None else Area(radiance=look.radiance)
+
+
+TensorMesh.of_trimesh = staticmethod(shape_of_mesh)

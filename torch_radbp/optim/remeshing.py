@@ -4,20 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
+from torch_radbp.formats.trimesh_arrays import is_trimesh
 from torch_radbp.optim.adjacency import welded
 from torch_radbp.optim.closest import closest_points
 from torch_radbp.optim.large_steps import LargeSteps
 from torch_radbp.shape.mesh import Mesh
+from torch_radbp.shape.surface import turned
+from torch_radbp.transforms import transform_points
+
+if TYPE_CHECKING:
+    import trimesh
 
 POSITIONS = "vertex_positions"
 
 
-def remesh(mesh: Mesh, remesher: Callable, optimizer: torch.optim.Optimizer | None = None) -> None:
+def remesh(mesh: Mesh, remesher: Callable | trimesh.Trimesh, optimizer: torch.optim.Optimizer | None = None) -> None:
     """Gives a mesh other triangles, and carries over what belongs to the old ones.
 
     Normals, surface coordinates and attributes of vertices are those of the closest points of the old mesh, interpolated,
@@ -28,7 +36,9 @@ def remesh(mesh: Mesh, remesher: Callable, optimizer: torch.optim.Optimizer | No
     Args:
         mesh: of a scene; its group may be shown by instances.
         remesher: takes vertices (V, 3) and faces (F, 3), numpy arrays of float64 and int64, and returns others; such as
-            `gpytoolbox.remesh_botsch`, or `lambda v, f: trimesh.remesh.subdivide(v, f)`.
+            `gpytoolbox.remesh_botsch`, or `lambda v, f: trimesh.remesh.subdivide(v, f)`. It may return a `trimesh.Trimesh`.
+            Or what comes in the place, a `trimesh.Trimesh` in world space, such as `mesh.to_trimesh().subdivide()`; vertices
+            at one place become one. Only vertices and faces of a `trimesh.Trimesh` count.
         optimizer: what holds parameters of the mesh; None: nothing does.
 
     Raises:
@@ -43,8 +53,10 @@ def remesh(mesh: Mesh, remesher: Callable, optimizer: torch.optim.Optimizer | No
     faces, positions = mesh.faces.cpu(), mesh.vertex_positions.detach().double().cpu()
     place, count = welded(positions)
     places = torch.zeros(count, 3, dtype=torch.float64).index_copy_(0, place, positions)
-    vertices, triangles = (torch.as_tensor(part).cpu() for part in remesher(places.numpy(), place[faces].numpy()))
-    vertices, triangles = vertices.double(), triangles.long()
+    if is_trimesh(remesher):
+        vertices, triangles = in_the_place(mesh, remesher)
+    else:
+        vertices, triangles = tensors_of(remesher(places.numpy(), place[faces].numpy()))
     at_vertices = closest_points(vertices, positions, faces)
     at_faces = closest_points(vertices[triangles].mean(1), positions, faces)
 
@@ -70,6 +82,27 @@ def remesh(mesh: Mesh, remesher: Callable, optimizer: torch.optim.Optimizer | No
             smooth = steps is not None and name == POSITIONS
             exchange(optimizer, held[name], parameter,
                      (lambda rows: at_places.of_vertices(rows, place[faces])) if smooth else partial(carried, name))
+
+
+def tensors_of(made: Any) -> tuple[Tensor, Tensor]:
+    """(V, 3) vertices and (F, 3) faces that a remesher has made, as float64 and int64."""
+    vertices, triangles = (made.vertices, made.faces) if is_trimesh(made) else made
+    vertices, triangles = (torch.as_tensor(np.array(part) if isinstance(part, np.ndarray) else part)
+                           for part in (vertices, triangles))
+    return vertices.detach().cpu().double(), triangles.cpu().long()
+
+
+def in_the_place(mesh: Mesh, made: trimesh.Trimesh) -> tuple[Tensor, Tensor]:
+    """(V, 3) vertices of a mesh of trimesh, those at one place once, and (F, 3) faces, as the parameters of a mesh.
+
+    Those of the mesh are where it was loaded, and its faces as they were before `flip_normals`.
+    """
+    vertices, triangles = tensors_of(made)
+    place, count = welded(vertices)
+    vertices = torch.zeros(count, 3, dtype=torch.float64).index_copy_(0, place, vertices)
+    back = torch.linalg.inv(mesh.motion().detach().double().cpu())
+    triangles = place[triangles]
+    return transform_points(back, vertices), turned(triangles) if mesh.flip_normals else triangles
 
 
 def large_steps_of(mesh: Mesh) -> LargeSteps | None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TYPE_CHECKING, ClassVar
+
 import torch
 from torch import Tensor, nn
 
@@ -16,6 +19,9 @@ from torch_radbp.shape.surface import Surface, Triangles, turned
 from torch_radbp.tensors.vec import attached
 from torch_radbp.texture.mesh_attribute import PREFIXES as ATTRIBUTE_PREFIXES
 from torch_radbp.transforms import affine, mirrors, transform_normals, transform_points
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 class Mesh(Surface):
@@ -250,6 +256,8 @@ class TensorMesh(Mesh):
         ValueError: if the mesh is given in none or several of the three ways, or is none.
         ImportError: if trimesh needs another package for a file; the message names it.
     """
+
+    of_trimesh: ClassVar[Callable[[trimesh.Trimesh | trimesh.Scene], TensorMesh]]  # set by `torch_radbp.io.trimesh_shape`
 
     def __init__(self, *, vertex_positions: Tensor | None = None, faces: Tensor | None = None,
                  vertex_normals: Tensor | None = None, vertex_texcoords: Tensor | None = None,
