@@ -154,9 +154,7 @@ class _Builder:
             arguments = self.arguments(path, value, cls)
             self.depth -= 1
             try:
-                if cls is TensorMesh:
-                    arguments = with_arrays(arguments, self.looks)
-                self.built[path] = cls(**arguments)
+                self.built[path] = cls(**with_arrays(arguments, self.looks) if cls is TensorMesh else arguments)
             except (ValueError, TypeError, RuntimeError, OSError, ImportError) as error:
                 raise self.error(path, value, _with_file(str(error), cls, arguments)) from error
             self.check_live(path, value, arguments, self.built[path])

@@ -24,7 +24,7 @@ from torch_radbp.io.gltf.names import Names
 from torch_radbp.io.gltf.picture import bytes_of
 from torch_radbp.io.gltf.read import lies_mirrored, said
 from torch_radbp.io.gltf.texture import Textures
-from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Plugin, SceneWarning, attributes
+from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Plugin, SceneError, SceneWarning, attributes
 from torch_radbp.shape.mesh import TensorMesh
 
 if TYPE_CHECKING:
@@ -136,7 +136,10 @@ def shape_of_mesh(source: trimesh.Trimesh | trimesh.Scene) -> TensorMesh:
 
 def shapes_of(name: str, value: Any, others: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """A mesh of trimesh as the description of a shape, and a scene as one for each node that shows a mesh."""
-    placed = placed_meshes(value)
+    try:
+        placed = placed_meshes(value)
+    except ValueError as error:
+        raise SceneError(f"{name}: {error}") from error
     for each in placed:
         own = name if len(placed) == 1 else f"{name}_{each.name}".replace(".", "_")
         while own != name and own in others:
@@ -161,8 +164,8 @@ def with_arrays(arguments: dict[str, Any], looks: Looks) -> dict[str, Any]:
         ValueError: if there are several materials, and none is given; as the shape.
     """
     source, file = arguments.get("mesh"), arguments.get("filename")
-    if (source is None) == (file is None):
-        return arguments
+    if (source is None) == (file is None) or "vertex_positions" in arguments:
+        return arguments  # the shape says what is wrong
     found = {name: value for name, value in arguments.items() if name != "filename"}
     placed = placed_meshes(read_trimesh(file) if source is None else source)
     if arguments.get("bsdf") is not None:
