@@ -22,11 +22,13 @@ EPILOG = (
     "radbp doctor --no-render  (without the small rendering at the end)\n\n"
     "Paste what it prints into a report of a fault."
 )
-NEEDED = ("torch", "numpy", "llvmlite", "embreex", "scipy", "OpenEXR", "Pillow", "kornia", "safetensors", "pydantic")
+NEEDED = ("torch", "numpy", "llvmlite", "embreex", "scipy", "OpenEXR", "Pillow", "kornia", "safetensors", "pydantic",
+          "trimesh")
 OPTIONAL = {  # by what they are for
     "warp-lang": "rays on NVIDIA's GPUs: pip install 'torch_radbp[cuda]'",
     "cuda-bindings": "compiled rendering on NVIDIA's GPUs: pip install 'torch_radbp[cuda]'",
-    "trimesh": "meshes of other formats, and remeshing: pip install trimesh",
+    "lxml": "meshes in 3MF files: pip install lxml networkx",
+    "pycollada": "meshes in COLLADA files: pip install pycollada",
     "xatlas": "surface coordinates of baked meshes: pip install 'torch_radbp[bake]'",
     "mitsuba": "comparisons of the tests with Mitsuba: pip install 'torch_radbp[peer]'",
 }
