@@ -71,7 +71,7 @@ setup(
         "Pillow>=10",
         "safetensors>=0.4",
         "scipy>=1.11",
-        "trimesh>=4.0",
+        "trimesh>=4.7",  # 4.0 to 4.3 fail under numpy 2, and 4.6 drops what is not finite without a word
         'tomli>=2; python_version < "3.11"',
         *TRAIN,
     ],

@@ -149,8 +149,25 @@ def test_what_trimesh_has_no_place_for_is_said():
         assert words in said
 
 
-def test_a_mesh_without_a_look_keeps_none():
-    """Grey again, by the same default, and nothing to be said."""
+def test_a_version_that_takes_less_emission_is_said(monkeypatch):
+    """trimesh before 4.11.5 refuses factors above 1."""
+    kind = trimesh.visual.material.PBRMaterial
+    newer = kind.emissiveFactor
+
+    def limited(material, value):
+        if value is not None and np.max(value) > 1:
+            raise ValueError("all factors must be between 0.0-1.0")
+        newer.fset(material, value)
+
+    mesh = ball()
+    mesh.visual.material = material(emissiveFactor=[3, 1.5, 0])
+    scene = loaded(ball=mesh)
+    monkeypatch.setattr(kind, "emissiveFactor", property(newer.fget, limited))
+    with pytest.warns(rb.SceneWarning, match="it emits 3 times as much: this version of trimesh takes 1 at most"):
+        assert scene.ball.to_trimesh().visual.material.emissiveFactor.tolist() == [1, 0.5, 0]
+
+
+def test_the_grey_of_a_mesh_without_a_look_becomes_a_material():
     mesh = trimesh.creation.icosphere(1)
     with pytest.warns(rb.SceneWarning, match="KHR_materials_specular"):
         back = loaded(ball=mesh).ball.to_trimesh()

@@ -30,7 +30,7 @@ from torch_radbp.shape.surface import Surface, Triangles
 if TYPE_CHECKING:
     import trimesh
 
-STRENGTH = "KHR_materials_emissive_strength"  # which trimesh has no need of
+STRENGTH = "KHR_materials_emissive_strength"  # which trimesh does without
 
 
 class Pictured(Written):
@@ -105,11 +105,15 @@ class Meshes:
             self.losses.add(name, f"what {extension} says is not kept: materials of trimesh have no place for it")
         for key in [key for key in flat if key.endswith("Texture")]:
             flat[key] = self.picture(f"{name}: its {key}", flat[key])
-        if "emissiveFactor" in flat:
-            flat["emissiveFactor"] = np.multiply(flat["emissiveFactor"], strength)
         del flat["pbrMetallicRoughness"]
         white = {"baseColorFactor": [1.0, 1.0, 1.0, 1.0], "metallicFactor": 1.0, "roughnessFactor": 1.0}
-        return PBRMaterial(**{**white, **flat})
+        material = PBRMaterial(**{**white, **flat})
+        if strength != 1.0:
+            try:
+                material.emissiveFactor = np.multiply(flat["emissiveFactor"], strength)
+            except ValueError:
+                self.losses.add(name, f"it emits {strength:g} times as much: this version of trimesh takes 1 at most")
+        return material
 
     def picture(self, what: str, info: dict[str, Any]) -> Image.Image:
         """The image of a texture info; that it is read in another way than repeated and interpolated is a loss."""
