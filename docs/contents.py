@@ -30,7 +30,7 @@ GROUPS = {
         "MemoizedAdjoint", "ReplayAdjoint", "QuadraticAdjoint", "TapeAdjoint", "AdjointStrategy", "AdjointStrategy.kept",
         "AdjointStrategy.replayed", "AdjointStrategy.backward")),
     "scenes": Group("Scenes and files", "Reading, changing and writing scenes.", (
-        "load", "load_dict", "scene_from_trimesh", "asset", "save", "save_image", "contact_sheet", "Scene",
+        "load", "load_dict", "scene_from_trimesh", "asset", "save", "save_image", "contact_sheet", "Scene", "Scene.clamp_",
         "Scene.to_trimesh", "NeuralTexture")),
     "cameras": Group("Cameras and poses", "Poses, and cameras of other programs.", (
         "look_at", "se3", "camera_from_opencv", "cameras_from_colmap", "cameras_from_nerf", "cameras_from_kornia")),
@@ -51,7 +51,7 @@ GROUPS = {
         "PluginCheck")),
     "errors": Group("Errors and warnings", "What is raised and what is warned of, by class.", (
         "SceneError", "NonFiniteError", "SceneWarning", "GltfWarning", "SilhouetteWarning", "JumpWarning",
-        "RepeatedNoiseWarning")),
+        "RepeatedNoiseWarning", "ZeroGradientWarning")),
 }
 PAGES = {
     "bsdf": Category("BSDFs", "How surfaces scatter light. The pictures show a ball of each on a checkered floor, under a "

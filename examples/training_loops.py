@@ -55,7 +55,7 @@ for loss_of in (patches, perceptual, accumulated, with_closure):
     for step in range(steps // 4 if lbfgs else steps):
         optimizer.step(lambda step=step, loss_of=loss_of: closure(step, loss_of))
         schedule.step()
-        green.data.clamp_(0, 1)
+        scene.clamp_()
     found[loss_of.__name__] = rb.render(scene, spp=512, max_depth=4).detach()
     print(f"{loss_of.__name__:12} {[round(value, 3) for value in green.tolist()]}, off by {(green - truth).abs().max():.3f}")
 rb.save_image("training_loops.png", rb.contact_sheet({"": torch.cat([target, *found.values()])}, ["target", *found]))

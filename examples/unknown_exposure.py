@@ -38,7 +38,7 @@ with tempfile.TemporaryDirectory() as folder:
             optimizer.zero_grad()
             rb.losses.two_buffer_l2(a, b, batch.image, batch.mask).backward()
             optimizer.step()
-            colour.data.clamp_(0, 1)
+            scene.clamp_()
         decay.step()
 with torch.no_grad():
     after = exposure(rb.render(scene, spp=256, max_depth=3), torch.arange(8))

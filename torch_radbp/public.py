@@ -11,12 +11,12 @@ number; what another minor number changes is in CHANGELOG.md.
     derivatives            MemoizedAdjoint, ReplayAdjoint, QuadraticAdjoint, TapeAdjoint, jvp, check_gradient, GradientCheck
     plugins                check_bsdf, check_emitter, check_texture, PluginCheck
     errors and warnings    SceneError, NonFiniteError, SceneWarning, GltfWarning, SilhouetteWarning, JumpWarning,
-                           RepeatedNoiseWarning
+                           RepeatedNoiseWarning, ZeroGradientWarning
     torch_radbp.bake       bitmap, mesh
     torch_radbp.losses     two_buffer_l2, two_buffer_relative_l2, two_buffer_log_l2, ssim, lpips, exchange_derivatives,
                            exchanged, masked_mean
     torch_radbp.priors     total_variation, smoothness, white_balance
-    torch_radbp.optim      LargeSteps, CoarseToFine, refine, Log, Sigmoid, AdamUniform, laplacian_loss,
+    torch_radbp.optim      LargeSteps, CoarseToFine, refine, Log, Sigmoid, AdamUniform, bounded, laplacian_loss,
                            normal_consistency_loss, remesh
 
 So are the names of a scene's parameters, which are Mitsuba's.
@@ -49,12 +49,14 @@ from torch_radbp.rendering.jvp import jvp
 from torch_radbp.rendering.noise_watch import RepeatedNoiseWarning
 from torch_radbp.rendering.render import render
 from torch_radbp.rendering.renderer import Renderer
+from torch_radbp.rendering.zero_gradients import ZeroGradientWarning
 from torch_radbp.scene import Scene
 from torch_radbp.texture.neural import NeuralTexture
 
 __all__ = ["AdjointStrategy", "Exposure", "GltfWarning", "GradientCheck", "JumpWarning", "LensFalloff", "MemoizedAdjoint",
            "NeuralTexture", "NonFiniteError", "Photograph", "Photographs", "PluginCheck", "QuadraticAdjoint", "Renderer",
            "RepeatedNoiseWarning", "ReplayAdjoint", "Scene", "SceneError", "SceneWarning", "SilhouetteWarning",
-           "TapeAdjoint", "ToneCurve", "asset", "camera_from_opencv", "cameras_from_colmap", "cameras_from_kornia",
-           "cameras_from_nerf", "check_bsdf", "check_emitter", "check_gradient", "check_texture", "contact_sheet", "jvp",
-           "load", "load_dict", "look_at", "render", "save", "save_image", "scene_from_trimesh", "se3"]
+           "TapeAdjoint", "ToneCurve", "ZeroGradientWarning", "asset", "camera_from_opencv", "cameras_from_colmap",
+           "cameras_from_kornia", "cameras_from_nerf", "check_bsdf", "check_emitter", "check_gradient", "check_texture",
+           "contact_sheet", "jvp", "load", "load_dict", "look_at", "render", "save", "save_image", "scene_from_trimesh",
+           "se3"]

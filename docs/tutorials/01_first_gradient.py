@@ -62,7 +62,7 @@ for step in range(100):
     loss.backward()
     optimizer.step()
     schedule.step()
-    green.data.clamp_(0, 1)
+    scene.clamp_()
     losses.append(loss.item())
 
 # %%

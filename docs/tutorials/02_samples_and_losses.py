@@ -73,7 +73,7 @@ def recover(renderer, loss, steps=150, lr=0.03):
         loss(renderer, step).backward()
         optimizer.step()
         schedule.step()
-        red.data.clamp_(0, 1)
+        scene.clamp_()
         errors.append((red - truth)[0].item())
     return errors
 

@@ -33,8 +33,9 @@ before = rb.render(scene, spp=64, sensors=kept_back)
 
 # %% [markdown]
 # Each step renders two of the six views, so that it costs what two images cost. Of each view there are two renderings,
-# whose errors are multiplied: a squared error without bias ([why](02_samples_and_losses.md)). The clamp keeps the
-# colour physical.
+# whose errors are multiplied: a squared error without bias ([why](02_samples_and_losses.md)). `scene.clamp_()`
+# brings parameters back into their ranges, reflectances to between 0 and 1; `rb.optim.bounded(optimizer, scene)` would do so
+# after each step by itself, and `rb.optim.Sigmoid()` is a parametrisation that never leaves its range.
 
 # %%
 colour.requires_grad_()
@@ -49,7 +50,7 @@ for step in range(steps):
     rb.losses.two_buffer_l2(first, second, targets[views]).backward()
     optimizer.step()
     schedule.step()
-    colour.data.clamp_(0, 1)
+    scene.clamp_()
 
 # %%
 after = rb.render(scene, spp=256, sensors=kept_back).detach()

@@ -59,7 +59,8 @@ plt.show()
 
 # %% [markdown]
 # "Too noisy" is no agreement: nothing speaks against the derivative, and an error that matters could still hide. More
-# samples, or a larger step, decide it; borders of shadows are noisy, since few paths meet them.
+# samples, or a larger step, decide it; borders of shadows are noisy, since few paths meet them. "Too large a step" says that
+# the differences are off, as halving their step shows, and not the derivative.
 #
 # ## A run and its report
 #

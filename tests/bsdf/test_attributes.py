@@ -47,7 +47,7 @@ BAD = {
     "hidden normals of plastic": (RoughPlastic, {"sample_visible": 1}, "sample_visible must be True or False, got 1"),
     "index twice": (Principled, {"eta": 1.5, "specular": 0.5}, "either eta or specular.*got 1.5 and 0.5"),
     "much metal": (Principled, {"metallic": 1.5}, r"metallic must be in \[0, 1\], got 1.5"),
-    "much specular": (Principled, {"specular": 1.5}, r"specular must be in \[0, 1\], got 1.5"),
+    "much specular": (Principled, {"specular": 4.5}, r"specular must be in \[0, 4\], got 4.5"),
     "never sampled": (Principled, {"main_specular_sampling_rate": 0.0}, "specular_sampling_rate must be greater than 0"),
     "sampled less than never": (Principled, {"clearcoat_sampling_rate": -1.0}, "clearcoat_sampling_rate must be at least 0"),
     "both sides of principled glass": (TwoSided, {"brdf": [Principled(spec_trans=0.5)]}, "only reflect, got 'principled'"),

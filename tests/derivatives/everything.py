@@ -8,7 +8,9 @@ import torch
 
 import torch_radbp as rb
 from tests.derivatives.parts import (
+    FIELD_OF_VIEW,
     FISHEYE,
+    THIN_PRISM,
     beam,
     bitmap,
     blurred,
@@ -75,7 +77,8 @@ def shapes() -> dict[str, Any]:
     found[f"{SUBJECT}_instance"] = turned((0.6, -0.6, 0.3), 14, -23, 31, size=0.15, type="instance", group=GROUP)
     return {f"{SUBJECT}_sensor": camera(16, 50), f"{SUBJECT}_parallel": parallel(1.2, 16),
             f"{SUBJECT}_blurred": blurred(16, 50), f"{SUBJECT}_calibrated": calibrated(16, 0.7),
-            f"{SUBJECT}_fisheye": calibrated(16, 0.7, **FISHEYE), "floor": floor(), **found,
+            f"{SUBJECT}_fisheye": calibrated(16, 0.7, **FISHEYE), f"{SUBJECT}_prism": calibrated(16, 0.7, **THIN_PRISM),
+            f"{SUBJECT}_arc": calibrated(16, 0.7, **FIELD_OF_VIEW), "floor": floor(), **found,
             f"{SUBJECT}_beam": beam(bsdf=diffuse(0.3, 0.2, 0.4)),
             **{f"{SUBJECT}_{name}": objects(name)[SUBJECT] for name in LIGHTS},
             f"{SUBJECT}_surround": {"type": "constant", "radiance": rgb(0.3, 0.2, 0.4)}}

@@ -9,9 +9,10 @@ from torch import Tensor
 
 import torch_radbp as rb
 from tests.derivatives.moving_scenes import MovingScene
-from torch_radbp.check.gradient import BOTH_SIDES, Measurement, informative_cotangents
+from torch_radbp.check.gradient import Measurement, informative_cotangents
 from torch_radbp.check.outcome import GradientCheck, Question, judge, uncertainty
 from torch_radbp.check.statistics import Cotangent, Samples, compare
+from torch_radbp.check.stencil import BOTH_SIDES, Place
 
 # A bias of the stated size is this many standard errors, so that 4 of them are exceeded whatever 2 of noise do.
 CERTAIN = 6
@@ -76,8 +77,9 @@ class Estimate:
         for sampling in moving.samplings:
             renderer = rb.Renderer(scene, max_depth=moving.max_depth, sampling=sampling, compile=effort.compile,
                                    share_samples=True)
-            self.measurements[sampling] = Measurement(renderer, f"scene.{moving.name}", value, self.tangent, moving.step,
-                                                      BOTH_SIDES, False, effort.spp, effort.seed, None, None)
+            self.measurements[sampling] = Measurement(renderer, f"scene.{moving.name}", value,
+                                                      Place(moving.step, BOTH_SIDES, self.tangent), False, effort.spp,
+                                                      effort.seed, None, None)
         self.sums: dict[str, Tensor] = {}
         self.rounding: Tensor | float = 0.0
         reference = self.plain.difference(self.new_number()).value

@@ -42,7 +42,7 @@ from tests.derivatives.endless import (
     wavy,
     window,
 )
-from tests.derivatives.parts import FISHEYE, blurred, calibrated, parallel
+from tests.derivatives.parts import FIELD_OF_VIEW, FISHEYE, THIN_PRISM, blurred, calibrated, parallel
 from tests.scenes import diffuse, load, look_at, rgb
 from torch_radbp.io.transform import rotate, scale, translate
 
@@ -238,6 +238,8 @@ SCENES = {
         "to_world": 0.005, "fx": 0.05, "fy": 0.05, "cx": 0.05, "cy": 0.05, "skew": 0.05, "k1": 0.01, "k2": 0.01, "k3": 0.01,
         "k4": 0.01, "k5": 0.01, "k6": 0.01, "p1": 0.003, "p2": 0.003}),
     **of_camera(calibrated(SIZE, 0.6, **FISHEYE) | VIEW, "fisheye", {"fx": 0.05, "k1": 0.01, "k4": 0.01}),
+    **of_camera(calibrated(SIZE, 0.6, **THIN_PRISM) | VIEW, "thin prism", {"k1": 0.01, "sx1": 0.003, "sy1": 0.003}),
+    **of_camera(calibrated(SIZE, 0.8, **FIELD_OF_VIEW) | VIEW, "field of view", {"omega": 0.02}),
     # Other shapes.
     **of_mesh(plane() | {"type": "cube", "to_world": rotate(TILT, ANGLE) @ translate((0, 0, -1)) @ scale((HALF, HALF, 1))},
               "cube"),

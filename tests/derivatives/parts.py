@@ -72,6 +72,9 @@ def calibrated(size: int = 2, factor: float = 1.0, **attributes: Any) -> dict[st
 
 FISHEYE = {"distortion": "fisheye", "k1": 0.06, "k2": -0.04, "k3": 0.05, "k4": -0.02, "k5": None, "k6": None, "p1": None,
            "p2": None}
+THIN_PRISM = FISHEYE | {"distortion": "thin_prism_fisheye", "p1": 0.02, "p2": -0.03, "sx1": 0.03, "sy1": -0.02}
+FIELD_OF_VIEW = {"distortion": "field_of_view", "omega": 0.9, "k1": None, "k2": None, "k3": None, "k4": None, "k5": None,
+                 "k6": None, "p1": None, "p2": None}
 
 
 def lamp(**attributes: Any) -> dict[str, Any]:

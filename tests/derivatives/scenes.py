@@ -13,7 +13,9 @@ import torch
 import torch_radbp as rb
 from tests.derivatives.parts import (
     AIMED,
+    FIELD_OF_VIEW,
     FISHEYE,
+    THIN_PRISM,
     beam,
     bitmap,
     blurred,
@@ -217,6 +219,10 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "calibrated": {SUBJECT: calibrated(factor=0.55), "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
     "calibrated fisheye": {SUBJECT: calibrated(factor=0.4, **FISHEYE), "lamp": lamp(), "floor": floor(),
                            "plane": rectangle((0, 0, 0), 8.0, (0.35, 1, 0.23), 24, bsdf=printed())},
+    "calibrated thin prism": {SUBJECT: calibrated(factor=0.4, **THIN_PRISM), "lamp": lamp(), "floor": floor(),
+                              "plane": rectangle((0, 0, 0), 8.0, (0.35, 1, 0.23), 24, bsdf=printed())},
+    "calibrated field of view": {SUBJECT: calibrated(factor=0.55, **FIELD_OF_VIEW), "lamp": lamp(), "floor": floor(),
+                                 "plane": plane(bsdf=printed())},
     "batch": {SUBJECT: {"type": "batch", "film": {"type": "hdrfilm", "width": 4, "height": 2}, "left": camera(),
                         "right": parallel()}, "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},
     "orthographic": {SUBJECT: parallel(), "plane": plane(bsdf=printed()), "lamp": lamp(), "floor": floor()},

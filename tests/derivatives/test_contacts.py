@@ -68,9 +68,15 @@ def sides_of(arrangement: Arrangement) -> Sides:
 
 
 QUICK = [Arrangement("cube on a floor", "point", "up"), Arrangement("wall on a floor", "point", "tilting")]
+def seen_to_change(body: str, lamp: str, motion: str) -> bool:
+    """False if nothing is lit that the camera sees, or a floor moves within its plane."""
+    return (body, lamp) != ("cube against a wall", "point behind") and (
+        body != "cube under a floor that moves" or motion in ("up", "up and aside", "tilting"))
+
+
 WAYS = [(lamp, motion) for lamp in LAMPS for motion in MOTIONS]
 ROWS = [*QUICK, *(Arrangement(body, *way) for number, body in enumerate(BODIES) for place, way in enumerate(WAYS)
-                  if (place + 5 * number) % 7 == 0)]
+                  if (place + 5 * number) % 7 == 0 and seen_to_change(body, *way))]
 
 
 @pytest.mark.parametrize("arrangement", deep_but(QUICK, dict.fromkeys(ROWS)), ids=str)

@@ -113,6 +113,18 @@ def test_hdr_is_mantissa_times_power_of_two(tmp_path, content):
     assert torch.equal(read_image(tmp_path / "a.hdr"), torch.tensor([1.0, 0.5, 0.0]).expand(2, 8, 3))
 
 
+@pytest.mark.parametrize("header", [
+    RGBE + b"-Y  2  +X  8\n", RGBE + b"-Y 2 +X 8 \n", RGBE + b"\n-Y 2 +X 8\n",
+    (RGBE + b"-Y 2 +X 8\n").replace(b"\n", b"\r\n"),
+    RGBE + b"VIEW= -vtv -vp 0 -1 0 -vd 0 1 0 -vh 45\n-Y 2 +X 8\n",
+    b"#?RGBE\n# by hand, -Y 3 +X 3\nVIEW= -vtv -vh 45\nFORMAT=32-bit_rle_rgbe \nGAMMA=1\n\n-Y 2 +X 8\n",
+], ids=["two blanks", "a blank at the end", "two empty lines", "line ends of Windows", "view after the header", "variables"])
+@pytest.mark.parametrize("rows", [2 * ROW, 2 * RUNS], ids=["flat", "runs"])
+def test_headers_of_hdr_may_be_written_as_people_do(tmp_path, header, rows):
+    (tmp_path / "a.hdr").write_bytes(header + rows)
+    assert torch.equal(read_image(tmp_path / "a.hdr"), torch.tensor([1.0, 0.5, 0.0]).expand(2, 8, 3))
+
+
 def test_pfm_begins_with_the_lowest_row(tmp_path):
     (tmp_path / "a.pfm").write_bytes(b"Pf\n2 2\n1.0\n" + np.array([3, 4, 1, 2], ">f4").tobytes())
     assert read_image(tmp_path / "a.pfm")[..., 0].tolist() == [[1, 2], [3, 4]]

@@ -104,8 +104,6 @@ BAD = {
                            r", mesh 0, face 1 \(from 0\): faces must index vertices 0 to 3, got 4"),
     "nan": (mesh([[0, 0, 0], [0, np.nan, 0], [1, 0, 0], [0, 1, 0]], FACES), 0,
             r", mesh 0, vertex 1 \(from 0\): vertices must be finite, 1 of 4"),
-    "normal of length 0": (mesh(VERTICES, FACES, normals=np.zeros((4, 3))), 0,
-                           r", mesh 0, vertex 0 \(from 0\): a normal must have a length"),
     "no area": (mesh(VERTICES, [[0, 1, 1]]), 0, ": all 1 triangles are degenerate"),
     "no such mesh": (TWO, 2, ": shape_index must be from 0 to 1, got 2"),
     "damaged table": (TWO[:-12] + struct.pack("<QI", 1 << 40, 2), 1, ": the table of its meshes is damaged, mesh 1 begins"),

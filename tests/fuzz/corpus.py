@@ -16,6 +16,7 @@ import OpenEXR
 import torch
 from PIL import Image
 
+from tests.formats.picture_files import png_of, tiff_of
 from tests.formats.serialized_files import mesh, serialized
 from tests.io.gltf_files import SQUARE, GltfFile
 from tests.io.test_colmap import CAMERAS as CAMERA_LINES
@@ -35,7 +36,7 @@ from torch_radbp.training.recovery.problem import Recovery
 
 ROOT = Path(__file__).parents[2]
 FAMILIES = {name: f".{name}" for name in ("xml", "obj", "ply", "serialized", "vol", "exr", "png", "bmp", "tga", "hdr",
-                                          "pfm", "toml", "gltf", "glb")}
+                                          "pfm", "webp", "tif", "toml", "gltf", "glb")}
 FAMILIES |= {"colmap": ".txt", "colmap_binary": ".bin", "nerf": ".json", "checkpoint": ".safetensors"}
 NEXT_FILE = b"# the next file\n"  # between cameras and images of a COLMAP model, which mutate as one
 
@@ -54,13 +55,13 @@ def build_corpus(root: Path) -> dict[str, list[Seed]]:
         folder.mkdir()
     shutil.copytree(ROOT / "assets", root / "assets")
     shutil.copytree(ROOT / "training" / "recipes", root / "training" / "recipes")
-    image_seeds = {name: [] for name in ("exr", "png", "bmp", "tga", "hdr", "pfm")}
+    image_seeds = {name: [] for name in ("exr", "png", "bmp", "tga", "hdr", "pfm", "webp", "tif")}
     for path in [*_images(folders["images"]), *sorted((root / "assets").glob("*/*.png"))]:
         image_seeds[path.suffix[1:]].append(Seed(folders["images"], path.read_bytes()))
     return {
         "xml": _scenes(root),
         "obj": [Seed(folders["meshes"], text.encode()) for text in OBJ],
-        "ply": [Seed(folders["meshes"], content) for content in (PLY, _binary_ply("<"), _binary_ply(">"))],
+        "ply": [Seed(folders["meshes"], content) for content in (PLY, COLOURED_BYTES, _binary_ply("<"), _binary_ply(">"))],
         "serialized": [Seed(folders["meshes"], content) for content in SERIALIZED],
         "vol": [Seed(folders["meshes"], content) for content in VOLUMES],
         **image_seeds,
@@ -78,7 +79,12 @@ def _cameras(root: Path) -> dict[str, list[Seed]]:
         folder.mkdir()
     (folders["nerf"] / "train").mkdir()
     Image.new("RGB", (8, 6)).save(folders["nerf"] / "train" / "r_0.png")
-    every = "".join(f"{number} 1 0.1 {0.1 * number} 0 0 0 2 {number} {number}.jpg\n\n" for number in range(1, 8))
+    pose = BLENDER["frames"][0]["transform_matrix"]
+    lists_more = BLENDER | {"frames": [{"file_path": f"train/r_{n}", "transform_matrix": pose} for n in range(4)]}
+    skewed = [[1.0, 2e-3, 0.0, 0.1], [0.0, 1.0, 0.0, 0.2], [0.0, 0.0, 1.0, 3.0], [0.0, 0.0, 0.0, 1.0]]
+    radial = OPENCV | {"camera_model": "RADIAL", "p1": 0, "p2": 0, "is_fisheye": True, "frames": [
+        {"file_path": "a.jpg", "transform_matrix": skewed, "camera_angle_x": 0.8}]}
+    every = "".join(f"{number} 1 0.1 {0.1 * number} 0 0 0 2 {number} {number}.jpg\n\n" for number in range(1, 14))
     fisheye = OPENCV | {"camera_model": "OPENCV_FISHEYE", "p1": 0, "p2": 0, "k4": 0.01}
     binaries = [NEXT_FILE.join((model / f"{name}.bin").read_bytes() for name in ("cameras", "images"))
                 for model in (binary(folders["colmap_binary"], images=images) for images in (IMAGE_LINES, every))]
@@ -86,7 +92,8 @@ def _cameras(root: Path) -> dict[str, list[Seed]]:
                        for images in (IMAGE_LINES, every)],
             "colmap_binary": [Seed(folders["colmap_binary"], content) for content in binaries],
             "nerf": [Seed(folders["nerf"], json.dumps(document, indent=1).encode())
-                     for document in (BLENDER, OPENCV, fisheye, BLENDER | {"is_fisheye": True, "k1": 0.1})]}
+                     for document in (BLENDER, OPENCV, fisheye, BLENDER | {"is_fisheye": True, "k1": 0.1}, lists_more,
+                                      radial)]}
 
 
 def _assets(root: Path) -> dict[str, list[Seed]]:
@@ -100,7 +107,15 @@ def _assets(root: Path) -> dict[str, list[Seed]]:
         "count": 1, "indices": {"bufferView": sparse.view(b"\2"), "componentType": 5121},
         "values": {"bufferView": sparse.view(bytes(12))}}
     sparse.node(square, name="sheet", matrix=[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 0, 0, 1])
-    files = [everything(), everything(), strip, sparse]
+    people = GltfFile()  # what exporters write: copies, hidden nodes, colours above 1, corners too many, no area
+    copies = {"TRANSLATION": people.array([[0, 0, 0], [0.5, 0, -1]]), "SCALE": people.array([[1, 1, 1], [0.5, 0.5, 0.5]])}
+    people.node(people.square(COLOR_0=people.array([[0.1, 0.2, 0.3]] * 4)), name="leaf",
+                extensions={"EXT_mesh_gpu_instancing": {"attributes": copies}})
+    people.node(people.square(), name="hidden", extensions={"KHR_node_visibility": {"visible": False}})
+    bright = people.square(COLOR_0=people.array([[1.5, 0.2, 0.3]] * 4))
+    people.node(bright | {"indices": people.array([0, 1, 2, 3], "uint16")},
+                {"attributes": {"POSITION": people.array([[0, 0, 0]] * 3)}}, name="odd", children=[])
+    files = [everything(), everything(), strip, sparse, people]
     seeds = {kind: [Seed(folder, file.save(folder / f"seed.{kind}").read_bytes()) for file in files]
              for kind in ("gltf", "glb")}
     seeds["glb"].append(Seed(folder, (root / "assets" / "pot" / "pot.glb").read_bytes()))
@@ -207,10 +222,20 @@ def _images(folder: Path) -> list[Path]:
     for name, options in (("plain.bmp", {}), ("plain.tga", {}), ("packed.tga", {"compression": "tga_rle"})):
         colours.save(folder / name, **options)
         paths.append(folder / name)
+    for name, options in (("plain.webp", {"lossless": True}), ("lossy.webp", {}),
+                          ("packed.tif", {"compression": "tiff_lzw"}), ("deflated.tif", {"compression": "tiff_deflate"})):
+        colours.convert("RGBA" if "plain" in name else "RGB").save(folder / name, **options)
+        paths.append(folder / name)
+    words = (with_alpha * 65535).astype("u2")
+    contents = {"grey_and_alpha.png": png_of(words[..., :2]), "deep_with_alpha.png": png_of(words),
+                "key.png": png_of(words[..., :3], tuple(words[2, 3, :3].tolist())), "grey.tif": tiff_of(words[..., :1]),
+                "white.tif": tiff_of(words[..., :1], bits=16, PhotometricInterpretation=0),
+                "deep.tif": tiff_of(words[..., :3], ">"), "deep_with_alpha.tif": tiff_of(words, ExtraSamples=2),
+                "plain.tif": tiff_of(words[..., :3] >> 8, bits=8, Orientation=6)}
     plain, row = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X 8\n", b"\x02\x02\x00\x08" + 4 * b"\x83\x80\x05abcde"
-    contents = {"plain.hdr": plain + bytes(range(64, 128)), "packed.hdr": plain + 2 * row,
-                "colours.pfm": b"PF\n7 9\n-1\n" + pixels.tobytes(),
-                "grey.pfm": b"Pf\n7 27\n1\n" + pixels.astype(">f4").tobytes()}
+    contents |= {"plain.hdr": plain + bytes(range(64, 128)), "packed.hdr": plain + 2 * row,
+                 "colours.pfm": b"PF\n7 9\n-1\n" + pixels.tobytes(),
+                 "grey.pfm": b"Pf\n7 27\n1\n" + pixels.astype(">f4").tobytes()}
     for name, content in contents.items():
         (folder / name).write_bytes(content)
         paths.append(folder / name)
@@ -317,6 +342,8 @@ g side
 f -6/1/-1 -5/2/-1 -1/3/-1 -2/4/-1
 """,
     "v 0 0 0 1\nv 1 0 0 .5 .5 .5\nv 1 1 0\nv 0 1 0.25\nvn 0 0 1\nvn .1 0 1\nf 1//1 2//2 3//1\nf 1//1 \\\n 3//1 4//2\n",
+    "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\nvn nan 0 1\nf 1/1/1 2/1/1 3/1/1\nf 1//1 3 4//2\nf 1 2\n"
+    "cstype bspline\ndeg 1\ncurv 0 1 1 2\nparm u 0 0 1 1\nend\n",
     "v 0 0 0\r\nv 1 0 0\r\nv 1 1 0\r\nv 0 1 0\r\nvt 0 0\r\nvt 1 .5 0\r\nf 1/1 2/2 3/1 4/2\r\nl 1 2\r\np 3\r\n",
 ]
 CORNERS, UV = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.5]], [[0, 0], [1, 0], [1, 1], [0, 1]]
@@ -327,6 +354,30 @@ SERIALIZED = [
     serialized(mesh(CORNERS, FACES, normals=NORMALS, uv=UV, colours=NORMALS)),
     mesh(CORNERS, FACES, flags=0x10),
 ]
+COLOURED_BYTES = b"""ply
+format ascii 1.0
+element vertex 5
+property float x
+property float y
+property float z
+property float nx
+property float ny
+property float nz
+property uchar red
+property uchar green
+property uchar blue
+element face 3
+property list float int vertex_indices
+end_header
+0 0 0 0 0 1 255 0 9
+1 0 0 0 0 1 0 128 9
+1 1 0 0 0 1 0 0 9
+0 1 0 0 0 0 0 0 9
+7 7 7 0 0 0 0 0 9
+3 0 1 2
+3 0 2 3
+2 0 1
+"""
 PLY = b"""ply
 format ascii 1.0
 comment four corners

@@ -1,7 +1,8 @@
 """Loads and renders a mutant and judges what happens.
 
 Right is an image of finite radiance that is not negative, or an error of a documented class that names the file in a line
-of reasonable length. Everything else is a fault.
+of reasonable length. What loads without a warning is what the file says (`plain_reading`), and loads strictly, too: what is
+left out or changed in silence is a fault, as is everything else.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import torch
 
 import torch_radbp as rb
 from tests.fuzz.corpus import NEXT_FILE, take_step
+from tests.fuzz.plain_reading import difference
 from tests.texture.networks import mlp, textured
 from torch_radbp.io.transform import translate
 from torch_radbp.sensor.calibrated import Calibrated
@@ -45,6 +47,7 @@ PICTURE_USES: list[Callable[[dict], dict]] = [
 ]
 REFUSALS = (ValueError, TypeError, OSError, rb.NonFiniteError)
 LONGEST_MESSAGE = 3000
+STRICT = ("xml", "obj", "ply", "serialized", "gltf", "glb")  # of which what is left out or repaired is said
 SIZE = 4  # pixels
 SAVED = 8  # one mutant in as many is saved and loaded again
 
@@ -67,13 +70,19 @@ def judge(family: str, path: Path) -> Verdict:
 def judged(family: str, path: Path) -> Verdict:
     """Loads and renders the file at `path`."""
     try:
-        scene = load_mutant(family, path)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            scene = load_mutant(family, path)
     except REFUSALS as error:
         return _refusal(error, path)
     except Exception as error:
         return _fault(error)
     if scene is None:
         return Verdict("loaded", "", "")
+    told = any(issubclass(warning.category, (rb.SceneWarning, rb.GltfWarning)) for warning in caught)
+    silent = silent_change(family, path, scene, told) if family in STRICT else ""
+    if silent:
+        return Verdict("fault", "silent change", silent)
     try:
         image = render_small(scene)
         networks = any(isinstance(module, rb.NeuralTexture) for module in scene.modules())  # a file has none
@@ -93,7 +102,18 @@ def judged(family: str, path: Path) -> Verdict:
     return Verdict("loaded", "", "")
 
 
-def load_mutant(family: str, path: Path) -> rb.Scene | None:
+def silent_change(family: str, path: Path, scene: rb.Scene, told: bool) -> str:
+    """What a scene lacks of its file, or has otherwise, without a warning (`told`); nothing if all is as it should be."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            load_mutant(family, path, strict=True)
+    except REFUSALS as error:
+        return "" if told else f"loads without a warning, but not strictly: {error}"
+    return difference(family, path, scene) if family != "xml" else ""
+
+
+def load_mutant(family: str, path: Path, strict: bool = False) -> rb.Scene | None:
     """The scene that a file describes or is part of; None for a recipe, which is checked as far as its first step, and
     for a checkpoint, from which one is taken."""
     if family == "toml":
@@ -107,7 +127,7 @@ def load_mutant(family: str, path: Path) -> rb.Scene | None:
         continued(path)
         return None
     if family in ("xml", "gltf", "glb"):
-        return rb.load(path)
+        return rb.load(path, strict=strict)
     film = {"type": "hdrfilm", "width": SIZE, "height": SIZE}
     sensor = {"type": "perspective", "film": film, "to_world": rb.look_at([0.5, 0.4, 3], [0.5, 0.5, 0], [0, 1, 0])}
     scene = {"type": "scene", "sensor": sensor}
@@ -118,7 +138,7 @@ def load_mutant(family: str, path: Path) -> rb.Scene | None:
         mesh = {"type": family, "filename": str(path), **one_of(MESH_OPTIONS, path)}
         if family == "serialized":
             mesh.pop("flip_tex_coords", None)  # which it lacks
-        return rb.load_dict({**scene, "sky": {"type": "constant"}, "mesh": mesh})
+        return rb.load_dict({**scene, "sky": {"type": "constant"}, "mesh": mesh}, strict=strict)
     if family == "vol":
         grid = {"type": "sdfgrid", "filename": str(path), "normals": one_of(("smooth", "analytic"), path)}
         return rb.load_dict({**scene, "sky": {"type": "constant"}, "grid": grid})

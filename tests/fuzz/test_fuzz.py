@@ -14,11 +14,12 @@ import torch
 
 from tests.deep import deep
 from tests.fuzz.__main__ import Tally, write_mutant
-from tests.fuzz.corpus import FAMILIES, build_corpus
-from tests.fuzz.judge import check_saved, judge
+from tests.fuzz.corpus import FAMILIES, PLY, SERIALIZED, build_corpus
+from tests.fuzz.judge import check_saved, judge, load_mutant, silent_change
 from tests.fuzz.mutation import mutate
 from tests.fuzz.worker import Worker
 from tests.io.documents import TRIANGLE_OBJ, scene_dict
+from tests.io.gltf_files import GltfFile
 from torch_radbp.io.load import load_dict
 from torch_radbp.plugin import REGISTRY
 from torch_radbp.training.recovery.checkpoint import HEADER
@@ -97,6 +98,38 @@ def test_senseless_pixels_are_faults(monkeypatch, tmp_path, value, kind):
     (tmp_path / "mesh.obj").write_text(TRIANGLE_OBJ)
     monkeypatch.setattr("tests.fuzz.judge.render_small", lambda scene: torch.full((1, 3, 4, 4), value))
     assert judge("obj", tmp_path / "mesh.obj")[:2] == ("fault", kind)
+
+
+@pytest.mark.parametrize("family, content", [
+    ("obj", TRIANGLE_OBJ.encode()), ("ply", PLY), ("serialized", SERIALIZED[0]), ("gltf", None), ("glb", None)])
+def test_a_silent_change_is_a_fault(monkeypatch, tmp_path, family, content):
+    """Of every family: a scene that has twice the triangles, or corners elsewhere."""
+    path = tmp_path / f"a.{family}"
+    if content is None:
+        file = GltfFile()
+        file.node(file.square())
+        file.save(path)
+    else:
+        path.write_bytes(content)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert silent_change(family, path, load_mutant(family, path), told=False) == ""
+        moved, fewer = load_mutant(family, path), load_mutant(family, path)
+    moved_mesh, mesh = (next(shape for shape in scene.shapes if hasattr(shape, "faces")) for scene in (moved, fewer))
+    moved_mesh.vertex_positions.data[mesh.faces[0, 0]] += 0.001
+    mesh.faces = mesh.faces.repeat(2, 1)
+    for scene, found in ((moved, "positions differ"), (fewer, "in the file, ")):
+        monkeypatch.setattr("tests.fuzz.judge.load_mutant", lambda *_, scene=scene, **__: scene)
+        verdict = judge(family, path)
+        assert verdict[:2] == ("fault", "silent change") and found in verdict.detail
+
+
+def test_what_is_left_out_without_a_word_is_a_fault(monkeypatch, tmp_path):
+    path = tmp_path / "a.obj"
+    path.write_text(TRIANGLE_OBJ + "f 1 2\n")
+    assert judge("obj", path).outcome == "loaded"
+    monkeypatch.setattr("torch_radbp.formats.leniency.warnings.warn", lambda *_, **__: None)
+    assert "loads without a warning, but not strictly" in judge("obj", path).detail
 
 
 def test_a_scene_that_is_saved_wrongly_is_a_fault(monkeypatch):

@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 import torch_radbp as rb
+from tests.formats.picture_files import tiff_of
 from tests.formats.serialized_files import mesh, serialized
 from tests.io.gltf_files import GltfFile, set_to
 from torch_radbp.formats.image import read_image
@@ -80,6 +81,15 @@ def tga(width, height):
     return bytes(content)
 
 
+def tif(width, height):
+    content = bytearray(tiff_of(np.zeros((16, 17, 3)), bits=8))
+    for tag, old, new in ((256, 17, width), (257, 16, height)):
+        old, new = (struct.pack("<HHIHH", tag, 3, 1, side, 0) for side in (old, new))
+        assert old in content
+        content = content.replace(old, new)
+    return bytes(content)
+
+
 def hdr(width, height):
     return f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode() + bytes(40)
 
@@ -100,6 +110,8 @@ PICTURES = {
     "bmp of 2^60": (bmp(2**30, 2**30), f"{TOO_MANY} more"),
     "tga": (tga(SIDE, SIDE), "image file is truncated"),
     "tga of 65535": (tga(65_535, 65_535), f"{TOO_MANY} more"),
+    "tiff": (tif(SIDE, SIDE), "image file is truncated"),
+    "tiff of 65535": (tif(65_535, 65_535), f"{TOO_MANY} more"),
     "hdr": (hdr(SIDE, SIDE), "its pixels are cut short in row 0 of 11000"),
     "hdr of 10^18": (hdr(999_999_999, 999_999_999), f"{TOO_MANY} 999999999 x 999999999"),
     "pfm": (pfm(SIDE, SIDE), "its pixels take 1452000000 bytes, it has 40"),

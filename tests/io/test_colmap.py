@@ -1,5 +1,6 @@
 """Cameras of a COLMAP model, text and binary."""
 
+import math
 import random
 import struct
 import tracemalloc
@@ -13,7 +14,7 @@ from torch_radbp.plugin import SceneError
 
 CAMERAS = """# Camera list with one line of data per camera:
 #   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]
-# Number of cameras: 7
+# Number of cameras: 13
 1 SIMPLE_PINHOLE 40 30 33.5 20 15
 2 PINHOLE 40 30 33 34 20.5 14.5
 3 SIMPLE_RADIAL 40 30 33 20 15 -0.1
@@ -21,6 +22,12 @@ CAMERAS = """# Camera list with one line of data per camera:
 5 OPENCV 40 30 33 34 20 15 -0.1 0.02 0.003 -0.004
 6 FULL_OPENCV 40 30 33 34 20 15 0.1 0.2 0.003 -0.004 0.3 0.4 0.5 0.6
 7 OPENCV_FISHEYE 40 30 13 14 20 15 0.1 0.2 0.3 0.4
+8 SIMPLE_RADIAL_FISHEYE 40 30 21 20 15 -0.04
+9 RADIAL_FISHEYE 40 30 21 20 15 -0.04 0.01
+10 FOV 40 30 26 27 20 15 0.9
+11 THIN_PRISM_FISHEYE 40 30 21 22 20 15 -0.04 0.01 0.01 -0.02 0.003 -0.001 0.015 -0.01
+12 SIMPLE_FISHEYE 40 30 21 20 15
+13 FISHEYE 40 30 21 22 20 15
 """
 IMAGES = """# Image list with two lines of data per image:
 #   IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME
@@ -56,7 +63,11 @@ def test_images_come_in_order_with_their_cameras(model):
 
 @pytest.mark.parametrize("camera, expected", [
     (1, {"fx": 33.5, "fy": 33.5, "k1": None}), (3, {"fx": 33, "k1": -0.1, "k2": None}),
-    (4, {"fx": 33, "fy": 33, "k1": -0.1, "k2": 0.02, "p1": None}), (5, {"k2": 0.02, "p1": 0.003, "p2": -0.004, "k3": None})])
+    (4, {"fx": 33, "fy": 33, "k1": -0.1, "k2": 0.02, "p1": None}), (5, {"k2": 0.02, "p1": 0.003, "p2": -0.004, "k3": None}),
+    (8, {"fx": 21, "fy": 21, "k1": -0.04, "k2": None}), (9, {"fy": 21, "k1": -0.04, "k2": 0.01, "k3": None}),
+    (10, {"fx": 26, "fy": 27, "omega": 0.9, "k1": None}), (12, {"fx": 21, "fy": 21, "k1": None}), (13, {"fy": 22}),
+    (11, {"fy": 22, "k1": -0.04, "k2": 0.01, "p1": 0.01, "p2": -0.02, "k3": 0.003, "k4": -0.001, "sx1": 0.015,
+          "sy1": -0.01})])
 def test_every_model_says_what_its_numbers_are(model, camera, expected):
     sensor, = rb.cameras_from_colmap(model(images=f"1 1 0 0 0 0 0 0 {camera} a.jpg\n")).values()
     for name, value in expected.items():
@@ -75,6 +86,52 @@ def test_a_pixel_sees_the_points_that_colmap_projects_there(model):
     assert 33.5 * x / z + 20 == pytest.approx(25.5, abs=1e-4) and 33.5 * y / z + 15 == pytest.approx(10.5, abs=1e-4)
 
 
+def theta_of(x, y, z):
+    """What COLMAP calls the fisheye's normal form: a direction as its angle to the axis times its way around it."""
+    return math.atan2(math.hypot(x, y), z) * complex(x, y) / math.hypot(x, y)
+
+
+def prism(x, y, z):
+    """THIN_PRISM_FISHEYE in complex numbers: 2 (p2 Re + p1 Im) z + |z|^2 (p2 + i p1) is its tangential part."""
+    place = theta_of(x, y, z)
+    s = abs(place)**2
+    return (place * (1 - 0.04 * s + 0.01 * s**2 + 0.003 * s**3 - 0.001 * s**4)
+            + 2 * (-0.02 * place.real + 0.01 * place.imag) * place + s * complex(-0.02 + 0.015, 0.01 - 0.01))
+
+
+def fov(x, y, z):
+    return math.atan(2 * math.hypot(x, y) / z * math.tan(0.45)) / 0.9 * complex(x, y) / math.hypot(x, y)
+
+
+PROJECTED = {  # by the formulas of COLMAP's models.h, in plain numbers: the image plane as complex numbers
+    8: (21, 21, lambda x, y, z: theta_of(x, y, z) * (1 - 0.04 * abs(theta_of(x, y, z))**2)),
+    9: (21, 21, lambda x, y, z: theta_of(x, y, z) * (1 - 0.04 * abs(theta_of(x, y, z))**2
+                                                     + 0.01 * abs(theta_of(x, y, z))**4)),
+    10: (26, 27, fov), 11: (21, 22, prism), 12: (21, 21, theta_of), 13: (21, 22, theta_of),
+}
+
+
+@pytest.mark.parametrize("column, row", [(0, 0), (39, 4), (22, 28)])
+@pytest.mark.parametrize("camera", PROJECTED)
+def test_wide_angle_models_project_as_colmap_does(model, camera, column, row):
+    """The camera at the origin looks along +z; ours has x to the left and y up where COLMAP has them right and down."""
+    fx, fy, plane = PROJECTED[camera]
+    sensor, = rb.cameras_from_colmap(model(images=f"1 1 0 0 0 0 0 0 {camera} a.jpg\n")).values()
+    _, d = seen_by(sensor, column, row)
+    place = plane(*(float(part) for part in d))  # the world's axes are COLMAP's
+    assert fx * place.real + 20 == pytest.approx(column + 0.5, abs=1e-4)
+    assert fy * place.imag + 15 == pytest.approx(row + 0.5, abs=1e-4)
+
+
+@pytest.mark.parametrize("omega, kept", [("-0.9", 0.9), ("0", 1e-6), ("1e-3", 1e-3)])
+def test_the_sign_of_omega_does_not_matter_and_zero_is_a_pinhole(model, omega, kept):
+    sensor, = rb.cameras_from_colmap(model(f"1 FOV 40 30 26 27 20 15 {omega}\n", "1 1 0 0 0 0 0 0 1 a.jpg\n")).values()
+    assert float(sensor.omega) == pytest.approx(kept)
+    if omega == "0":
+        _, d = seen_by(sensor, 0, 0)
+        assert 26 * float(d[0] / d[2]) + 20 == pytest.approx(0.5, abs=1e-4)
+
+
 def test_a_scene_is_rendered_from_all_of_them(model):
     scene = rb.load_dict({"type": "scene", "sky": {"type": "constant", "radiance": 2.0}, "ball": {"type": "sphere"},
                           **rb.cameras_from_colmap(model(), scale=0.1, far_clip=50.0)})
@@ -84,8 +141,9 @@ def test_a_scene_is_rendered_from_all_of_them(model):
 
 
 BAD = {
-    "model": ({"cameras": "1 THIN_PRISM_FISHEYE 4 3 1 1 2 2 0 0 0 0 0 0 0 0\n"},
-              "cameras.txt, line 1: the camera model THIN_PRISM_FISHEYE is not supported; .*known: FULL_OPENCV, OPENCV"),
+    "model": ({"cameras": "1 RAD_TAN_THIN_PRISM_FISHEYE 4 3 1 1 2 2 0 0 0 0 0 0 0 0 0 0 0 0\n"},
+              "cameras.txt, line 1: the camera model RAD_TAN_THIN_PRISM_FISHEYE is not supported; .*THIN_PRISM_FISHEYE"),
+    "omega": ({"cameras": "1 FOV 4 3 1 1 2 2 3.2\n"}, "line 1: omega must be less than pi radians, got 3.2"),
     "parameters": ({"cameras": "# list\n1 PINHOLE 4 3 1 1 2\n"},
                    "cameras.txt, line 2: PINHOLE has the parameters fx fy cx cy, got 3 numbers"),
     "no number": ({"cameras": "1 PINHOLE 4 3 1 one 2 2\n"}, "line 1: parameters must be finite numbers, got '1 one 2 2'"),
@@ -94,10 +152,11 @@ BAD = {
     "focal length that underflows": ({"cameras": "1 PINHOLE 4 3 1 1e-46 2 2\n"}, "line 1: focal lengths must be greater"),
     "far away": ({"images": "1 1 0 0 0 0 1e40 0 1 a.jpg\n"}, "line 1: rotation and translation must be finite numbers"),
     "size": ({"cameras": "1 PINHOLE 4.5 3 1 1 2 2\n"}, "line 1: width and height must be whole numbers"),
+    "huge": ({"cameras": "1 PINHOLE 2e9 2e9 1 1 2 2\n"}, "line 1: an image may have 1 to 134217728 pixels, this one has 2e"),
     "focal length": ({"cameras": "1 PINHOLE 4 3 0 1 2 2\n"}, "line 1: focal lengths must be greater than 0"),
     "short": ({"cameras": "1 PINHOLE\n"}, "line 1: expected CAMERA_ID MODEL WIDTH HEIGHT"),
     "twice": ({"cameras": 2 * "1 PINHOLE 4 3 1 1 2 2\n"}, "line 2: a second camera has the id 1"),
-    "no camera": ({"images": "1 1 0 0 0 0 0 0 9 a.jpg\n\n"}, "images.txt, line 1: no camera has the id 9; .* has 1, 2, 3"),
+    "no camera": ({"images": "1 1 0 0 0 0 0 0 99 a.jpg\n\n"}, "images.txt, line 1: no camera has the id 99; .* has 1, 2, 3"),
     "image": ({"images": "1 1 0 0 0 0 0 0 1\n\n"}, "line 1: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"),
     "rotation": ({"images": "1 0 0 0 0 0 0 0 1 a.jpg\n\n"}, "line 1: the rotation must be a quaternion"),
     "translation": ({"images": "1 1 0 0 0 0 nan 0 1 a.jpg\n"}, "line 1: rotation and translation must be finite numbers"),
@@ -114,7 +173,8 @@ def test_what_cannot_be_read_is_named(model, files, message):
 
 
 NUMBERS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4, "OPENCV_FISHEYE": 5,
-           "FULL_OPENCV": 6}
+           "FULL_OPENCV": 6, "FOV": 7, "SIMPLE_RADIAL_FISHEYE": 8, "RADIAL_FISHEYE": 9, "THIN_PRISM_FISHEYE": 10,
+           "SIMPLE_FISHEYE": 14, "FISHEYE": 15}
 
 
 def binary(folder, cameras=CAMERAS, images=IMAGES):
@@ -157,9 +217,9 @@ def test_text_is_read_where_both_are(model):
 
 BAD_BINARY = {
     "empty": ("cameras.bin", lambda data: b"", "cameras.bin, record 0: the file ends after 0 bytes; is it cut short"),
-    "cut short": ("cameras.bin", lambda data: data[:-1], "cameras.bin, record 7: the file ends after .*; is it cut short"),
+    "cut short": ("cameras.bin", lambda data: data[:-1], "cameras.bin, record 13: the file ends after .*; is it cut short"),
     "no model": ("cameras.bin", lambda data: data[:12] + b"\x63" + data[13:], "record 1: the camera model 99 is not known"),
-    "not supported": ("cameras.bin", lambda data: data[:12] + b"\x07" + data[13:], "record 1: the camera model FOV is not"),
+    "not supported": ("cameras.bin", lambda data: data[:12] + b"\x10" + data[13:], "record 1: the camera model EUCM is not"),
     "many": ("images.bin", lambda data: b"\xff" * 8 + data[8:], "images.bin, record 4: the file ends after"),
     "points": ("images.bin", lambda data: data[:-8] + b"\xff" * 8, "images.bin, record 3: the file ends after"),
     "no end of a name": ("images.bin", lambda data: data[:72] + b"a" * 9999, "more than 4096 bytes; is the file damaged"),
@@ -185,7 +245,7 @@ def test_a_binary_model_that_is_cut_anywhere_is_said_to_be_cut(tmp_path, name):
     content = path.read_bytes()
     for length in range(len(content)):
         path.write_bytes(content[:length])
-        with pytest.raises(SceneError, match=rf"{name}, record \d: the file ends after {length} bytes; is it cut short"):
+        with pytest.raises(SceneError, match=rf"{name}, record \d+: the file ends after {length} bytes; is it cut short"):
             rb.cameras_from_colmap(tmp_path)
 
 

@@ -400,7 +400,7 @@ def test_options_may_be_text_and_are_checked(file, tmp_path):
     for given, message in [
             ({"size": 3}, "no option 'size'; .*known: camera, light"),
             ({"spp": "x"}, "spp must be an integer"), ({"resolution": 0}, "at least 1"),
-            ({"strict": 1}, "must be true or false"),
+            ({"camera": 1}, "must be true or false"),
             ({"scene": 4}, r"scene 4 does not exist; the document has scenes 0 to 0")]:
         with pytest.raises(SceneError, match=f"asset.glb: .*{message}"):
             rb.load(path, **given)

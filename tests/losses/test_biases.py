@@ -94,10 +94,12 @@ def test_logarithms_of_images_below_zero_are_finite():
     assert loss.isfinite() and image.grad.isfinite().all()
 
 
-@pytest.mark.parametrize("loss", [rb.losses.two_buffer_l2, rb.losses.two_buffer_relative_l2, rb.losses.two_buffer_log_l2,
-                                  lambda a, b, t, m: rb.losses.ssim(a, b, t, m, window=3),
-                                  lambda a, b, t, m: rb.losses.lpips(a, b, t, lambda x, y: (x - y).abs(), m)],
-                         ids=["l2", "relative", "log", "ssim", "lpips"])
+LOSSES = {"l2": rb.losses.two_buffer_l2, "relative": rb.losses.two_buffer_relative_l2, "log": rb.losses.two_buffer_log_l2,
+          "ssim": lambda a, b, t, m: rb.losses.ssim(a, b, t, m, window=3),
+          "lpips": lambda a, b, t, m: rb.losses.lpips(a, b, t, lambda x, y: (x - y).abs(), m)}
+
+
+@pytest.mark.parametrize("loss", LOSSES.values(), ids=LOSSES)
 def test_what_is_masked_has_neither_value_nor_derivative(loss):
     a, b, target = torch.rand(3, 2, 3, 8, 8, dtype=torch.float64)
     mask = torch.zeros(2, 1, 8, 8, dtype=torch.float64)
@@ -110,6 +112,54 @@ def test_what_is_masked_has_neither_value_nor_derivative(loss):
     other = torch.where(mask > 0, a.detach(), 7.0)
     torch.testing.assert_close(loss(other, b, target, mask), value.detach(), rtol=1e-12, atol=0)
     assert loss(a, b, target, None) != value
+
+
+@pytest.mark.parametrize("nothing", [torch.nan, torch.inf, -torch.inf])
+@pytest.mark.parametrize("loss", LOSSES.values(), ids=LOSSES)
+def test_a_target_that_is_not_finite_does_not_count_where_the_mask_is_zero(loss, nothing):
+    """EXR targets are NaN where nothing was rendered; loss and derivative are those of any other values there."""
+    a, b, target = torch.rand(3, 2, 3, 8, 8, dtype=torch.float64)
+    mask = torch.rand(2, 1, 8, 8, dtype=torch.float64)
+    mask[:, :, :3] = 0
+    a.requires_grad_()
+    broken = target.clone()
+    broken[:, :, 0, ::2] = nothing
+    expected = loss(a, b, torch.where(broken.isfinite(), target, 0.0), mask)
+    value = loss(a, b, broken, mask)
+    torch.testing.assert_close(value, expected, rtol=1e-12, atol=0)
+    torch.testing.assert_close(*(torch.autograd.grad(each, a)[0] for each in (value, expected)), rtol=1e-12, atol=0)
+    assert value != 0 and broken[0, 0, 0, 0].isnan() == torch.tensor(nothing).isnan()  # the caller's is left as it was
+    broken[1, 2, 7, 7] = nothing
+    with pytest.raises(ValueError, match="target has 1 values that are NaN or infinite; a mask that is 0 there leaves"):
+        loss(a, b, broken, mask)
+    with pytest.raises(ValueError, match="target has 25 values that are NaN or infinite"):  # 2 x 3 x 4 and that one
+        loss(a, b, broken, None)
+
+
+@pytest.mark.parametrize("value, got", [(-0.1, "-0.1"), (torch.nan, "NaN or infinity"), (torch.inf, "NaN or infinity")])
+@pytest.mark.parametrize("loss", [*LOSSES.values(), lambda a, b, t, m: rb.losses.masked_mean(a - t, m)],
+                         ids=[*LOSSES, "masked mean"])
+def test_a_negative_mask_is_refused(loss, value, got):
+    """It would make a loss that is less the worse the image is."""
+    a, b, target = torch.rand(3, 1, 3, 8, 8, dtype=torch.float64)
+    mask = torch.ones(1, 1, 8, 8, dtype=torch.float64)
+    mask[0, 0, 2, 2] = value
+    with pytest.raises(ValueError, match=f"mask must be at least 0, how much of a pixel counts, got {got}"):
+        loss(a, b, target, mask)
+
+
+def test_values_that_are_nan_where_the_mask_is_zero_do_not_count():
+    values = torch.tensor([1.0, torch.nan, 3.0, torch.inf]).view(1, 1, 2, 2)
+    assert rb.losses.masked_mean(values, torch.tensor([1.0, 0, 3, 0]).view(1, 1, 2, 2)) == 2.5
+
+
+def test_losses_can_be_vectorised():
+    """`torch.func` hides the values of a batch: they are not checked there."""
+    a, b, target = torch.rand(3, 4, 1, 3, 8, 8, dtype=torch.float64)
+    mask = torch.ones(1, 1, 8, 8, dtype=torch.float64)
+    found = torch.func.vmap(lambda a, b, t: rb.losses.two_buffer_l2(a, b, t, mask))(a, b, target)
+    expected = torch.stack([rb.losses.two_buffer_l2(*each, mask) for each in zip(a, b, target)])
+    torch.testing.assert_close(found, expected)
 
 
 def test_a_mask_weighs():

@@ -117,3 +117,41 @@ def test_what_cannot_be_remeshed_is_named():
     parametrize.register_parametrization(scene.mesh, "vertex_positions", torch.nn.Identity())
     with pytest.raises(ValueError, match="parametrisation Identity"):
         rb.optim.remesh(scene.mesh, finer)
+
+
+BAD = {
+    "nothing": (lambda v, f: None, r"must return vertices \(V, 3\) and faces \(F, 3\), got NoneType"),
+    "one": (lambda v, f: (v,), "got 1 values"),
+    "three": (lambda v, f: (v, f, f), "got 3 values"),
+    "a scene": (lambda v, f: trimesh.Scene(trimesh.Trimesh(v, f)), "got Scene"),
+    "a mesh without faces": (lambda v, f: trimesh.Trimesh(v, f[:0]), r"one or more of each, got \(162, 3\) and \(0, 3\)"),
+    "words": (lambda v, f: ("v", f), "got str and ndarray"),
+    "nothing in a pair": (lambda v, f: (v, None), "got ndarray and NoneType"),
+    "ragged": (lambda v, f: (v, [[0, 1], [0, 1, 2]]), "got ndarray and list"),
+    "flat vertices": (lambda v, f: (v[:, :2], f), r"one or more of each, got \(162, 2\) and \(320, 3\)"),
+    "quads": (lambda v, f: (v, f[:, [0, 1, 2, 2]]), r"got \(162, 3\) and \(320, 4\)"),
+    "empty": (lambda v, f: (v, f[:0]), r"got \(162, 3\) and \(0, 3\)"),
+    "faces of numbers": (lambda v, f: (v, f * 1.0), "whole numbers, got torch.float64 and torch.float64"),
+    "exchanged": (lambda v, f: (f, v), "whole numbers, got torch.int64 and torch.float64"),
+    "NaN": (lambda v, f: (v * [float("nan"), 1, 1], f), "returned 162 of 162 vertices that are NaN or infinite"),
+    "beyond the end": (lambda v, f: (v, f + 1), "returned faces of the vertices 1 to 162; there are 162, from 0 to 161"),
+    "below zero": (lambda v, f: (v, f - 1), "returned faces of the vertices -1 to 160; there are 162"),
+}
+
+
+@pytest.mark.hostile
+@pytest.mark.parametrize("remesher, message", BAD.values(), ids=BAD)
+def test_what_a_remesher_returns_is_checked_and_the_mesh_stays_as_it_was(remesher, message):
+    scene = load(sensor=sensor(), sky={"type": "constant"}, mesh=ball())
+    before = scene.mesh.vertex_positions
+    with pytest.raises(ValueError, match=message):
+        rb.optim.remesh(scene.mesh, remesher)
+    assert scene.mesh.vertex_positions is before and len(scene.mesh.faces) == 320
+    with pytest.raises(TypeError, match="remesher must be a function of vertices and faces, or a trimesh.Trimesh, got NoneType"):
+        rb.optim.remesh(scene.mesh, None)
+
+
+def test_lists_and_small_integers_are_taken():
+    scene = load(sensor=sensor(), sky={"type": "constant"}, mesh=ball())
+    rb.optim.remesh(scene.mesh, lambda v, f: (v.tolist(), f[:300].astype("int32")))
+    assert len(scene.mesh.faces) == 300

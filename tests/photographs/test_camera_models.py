@@ -183,6 +183,10 @@ BAD = {
     "window of another size": (lambda image: rb.LensFalloff()(image, window=(0, 0, 4, 4), size=(9, 9)), "must have the"),
     "windows": (lambda image: rb.LensFalloff()(image, window=[(0, 0, 5, 4)] * 7, size=(9, 9)), "or one for each of "),
     "coefficients": (lambda image: rb.LensFalloff(()), "coefficients must be one or more finite numbers"),
+    "NaN": (lambda image: rb.ToneCurve()(image.where(image < 0.5, torch.nan)),
+            "images have .* values that are NaN, which no"),
+    "NaN to invert": (lambda image: rb.ToneCurve().inverse(image * torch.nan), "images have 120 values that are NaN"),
+    "start that is NaN": (lambda image: rb.ToneCurve(float("nan")), "start nan is not known; known: identity, srgb"),
     "start": (lambda image: rb.ToneCurve("sgrb"), "start 'sgrb' is not known; did you mean 'srgb'"),
 }
 
@@ -191,6 +195,13 @@ BAD = {
 def test_bad_arguments_are_named(call, message, images):
     with pytest.raises(ValueError, match=message):
         call(images)
+
+
+def test_infinite_exposures_are_on_a_curve():
+    """A lamp is as bright as it is; the curve goes on with the slope at its end."""
+    image = torch.tensor([torch.inf, 2.0, -torch.inf]).view(1, 3, 1, 1)
+    found = rb.ToneCurve("identity")(image).detach()
+    assert torch.equal(found, image)
 
 
 def test_images_must_be_floats(images):

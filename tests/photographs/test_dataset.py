@@ -10,8 +10,9 @@ from PIL import Image
 from torch.utils.data import DataLoader
 
 import torch_radbp as rb
+from tests.formats.picture_files import png_of, tiff_of
+from tests.formats.test_image import write_exr
 from tests.photographs.nerf_folder import HEIGHT, WIDTH, ball_in_the_open, write_photographs, write_transforms
-from torch_radbp.formats.exr import write_exr
 from torch_radbp.formats.image import srgb_to_linear
 
 K, R, T = [[10.0, 0, 3.5], [0, 10, 2.5], [0, 0, 1]], np.eye(3), [0, 0, 2.0]
@@ -75,18 +76,8 @@ def test_colours_of_exr_are_multiplied_by_alpha_already(tmp_path):
 
 
 def test_the_alpha_of_sixteen_bits_is_read_in_full(tmp_path):
-    """Pillow cannot write 16-bit RGBA: the file is put together by hand (PNG specification, sections 5 and 11)."""
-    import struct
-    import zlib
-
-    words = np.random.default_rng(1).integers(0, 65536, (6, 8, 4)).astype(">u2")
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    rows = b"".join(b"\0" + row.tobytes() for row in words)
-    content = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", 8, 6, 16, 6, 0, 0, 0))
-    (tmp_path / "a.png").write_bytes(content + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
+    words = np.random.default_rng(1).integers(0, 65536, (6, 8, 4))
+    (tmp_path / "a.png").write_bytes(png_of(words))
     found = rb.Photographs([tmp_path / "a.png"], [camera()], curve="linear")[0]
     expected = torch.from_numpy(words.astype(np.float64) / 65535).movedim(-1, 0)
     torch.testing.assert_close(found.mask, expected[3:].float(), rtol=1e-6, atol=0)
@@ -228,6 +219,102 @@ def test_sizes_are_kept_apart_in_batches():
     assert list(photographs.batches(2, shuffle=False)) == [[0, 2], [3], [1]]
 
 
+def test_webp_and_tiff_are_photographs(tmp_path):
+    """Lossless, with alpha; TIFF in 16 bits."""
+    pixels = levels(4)
+    Image.fromarray(pixels).save(tmp_path / "a.webp", lossless=True, exact=True)
+    (tmp_path / "a.tif").write_bytes(tiff_of(pixels.astype(np.uint16) * 257, ExtraSamples=2))
+    Image.fromarray(pixels).save(tmp_path / "a.png")
+    expected = rb.Photographs([tmp_path / "a.png"], [camera()])[0]
+    for name in ("a.webp", "a.tif"):
+        found = rb.Photographs([tmp_path / name], [camera()])[0]
+        torch.testing.assert_close(found.image, expected.image, rtol=1e-6, atol=1e-7)
+        torch.testing.assert_close(found.mask, expected.mask, rtol=1e-6, atol=0)
+
+
+def test_grey_and_alpha_of_sixteen_bits_are_a_photograph(tmp_path):
+    (tmp_path / "a.png").write_bytes(png_of(np.stack([np.full((6, 8), 1000), np.full((6, 8), 40000)], axis=2)))
+    found = rb.Photographs([tmp_path / "a.png"], [camera()], curve="linear")[0]
+    assert found.mask.unique().item() == pytest.approx(40000 / 65535, rel=1e-6)
+    assert found.image.unique().item() == pytest.approx(1000 / 65535 * 40000 / 65535, rel=1e-6)
+
+
+@pytest.mark.parametrize("orientation", [6, 8])
+def test_a_file_that_is_shown_turned_is_told(tmp_path, orientation):
+    """Stored as 8 x 6, shown as 6 x 8, and calibrated as it is shown; of another orientation nothing is said."""
+    exif = Image.Exif()
+    exif[274] = orientation
+    for name in ("a.jpg", "a.webp", "a.png"):
+        Image.fromarray(levels(3)).save(tmp_path / name, exif=exif)
+        with pytest.raises(ValueError, match=rf"{name} has 8 x 6 pixels, and its camera 'view_0' 6 x 8; its EXIF data say "
+                                             rf"that it is shown turned \(orientation {orientation}\).*exif_transpose"):
+            rb.Photographs([tmp_path / name], [camera(6, 8)])
+        rb.Photographs([tmp_path / name], [camera(8, 6)])[0]
+    exif[274] = 3  # upside down
+    Image.fromarray(levels(3)).save(tmp_path / "a.jpg", exif=exif)
+    with pytest.raises(ValueError, match="6 x 8; is it the image of that camera, or turned on its side"):
+        rb.Photographs([tmp_path / "a.jpg"], [camera(6, 8)])
+
+
+def test_a_file_that_was_exchanged_for_one_of_another_size_is_told(tmp_path):
+    """It would be stretched to the size that it had."""
+    Image.fromarray(levels(3)).save(tmp_path / "a.png")
+    Image.fromarray(levels(1)[..., 0]).save(tmp_path / "mask.png")
+    photographs = rb.Photographs([tmp_path / "a.png"], [camera()], [tmp_path / "mask.png"], cache_bytes=0)
+    photographs[0]
+    Image.fromarray(levels(1, width=4, height=3)[..., 0]).save(tmp_path / "mask.png")
+    with pytest.raises(ValueError, match="the mask .*mask.png has 4 x 3 pixels, and its image 8 x 6"):
+        photographs[0]
+    Image.fromarray(levels(3, width=16, height=12)).save(tmp_path / "a.png")
+    Image.fromarray(levels(1, width=16, height=12)[..., 0]).save(tmp_path / "mask.png")
+    for each in (photographs, photographs.at_scale(0.5)):
+        with pytest.raises(ValueError, match="a.png has 16 x 12 pixels now, and had 8 x 6 when these photographs were made"):
+            each[0]
+
+
+def test_what_is_not_finite_does_not_count_where_the_mask_is_zero(tmp_path):
+    """As in renderings that have NaN where nothing is."""
+    values = np.random.default_rng(0).uniform(0, 1, (6, 8)).astype(np.float32)
+    broken, alpha = values.copy(), np.ones_like(values)
+    broken[0], broken[1, 2], alpha[:2] = np.nan, np.inf, 0
+    write_exr(tmp_path / "a.exr", {"R": broken, "G": values, "B": values, "A": alpha})
+    write_exr(tmp_path / "b.exr", {"R": broken, "G": values, "B": values})
+    mask = torch.from_numpy(alpha)[None]
+    for photographs in (rb.Photographs([tmp_path / "a.exr"], [camera()]),
+                        rb.Photographs([tmp_path / "b.exr"], [camera()], [mask])):
+        found = photographs[0]
+        assert found.image.isfinite().all() and torch.equal(found.mask, mask)
+        assert torch.equal(found.image[0, 2:], torch.from_numpy(values[2:]))
+        assert photographs.at_scale(0.5)[0].image.isfinite().all()
+    with pytest.raises(ValueError, match="b.exr: 9 values of the image are NaN or infinite; mend it first, or give a mask"):
+        rb.Photographs([tmp_path / "b.exr"], [camera()])[0]
+
+
+def test_alpha_is_cut_to_its_range_and_must_be_a_number(tmp_path):
+    """Filters with negative lobes leave some beside."""
+    values = np.random.default_rng(0).uniform(0, 1, (6, 8)).astype(np.float32)
+    alpha = np.ones_like(values)
+    alpha[0, 0], alpha[0, 1] = -0.02, 1.03
+    write_exr(tmp_path / "a.exr", {**dict.fromkeys("RGB", values), "A": alpha})
+    found = rb.Photographs([tmp_path / "a.exr"], [camera()])[0]
+    assert found.mask[0, 0, :2].tolist() == [0, 1] and torch.equal(found.image[0], torch.from_numpy(values))
+    alpha[3, 3] = np.nan
+    write_exr(tmp_path / "a.exr", {**dict.fromkeys("RGB", values), "A": alpha})
+    with pytest.raises(ValueError, match="a.exr: its alpha has values that are NaN or infinite; mend it first"):
+        rb.Photographs([tmp_path / "a.exr"], [camera()])[0]
+
+
+@pytest.mark.parametrize("least, greatest", [(-0.1, 1.0), (0.0, 1.1), (np.nan, 1.0)])
+def test_a_mask_in_a_file_must_be_in_its_range(tmp_path, least, greatest):
+    """Of which a cut value would say nothing: less than 0 makes a negative loss, more than 1 counts twice."""
+    values = np.full((6, 8), greatest, dtype=np.float32)
+    values[0, 0] = least
+    write_exr(tmp_path / "mask.exr", {"Y": values})
+    photographs = rb.Photographs([IMAGE], [camera()], [tmp_path / "mask.exr"])
+    with pytest.raises(ValueError, match=r"mask.exr must be in \[0, 1\], how much of a pixel counts, got"):
+        photographs[0]
+
+
 def wrong_size(folder):
     Image.fromarray(levels(3)).save(folder / "a.png")
     rb.Photographs([folder / "a.png"], [camera(6, 8)])
@@ -256,7 +343,7 @@ BAD = {
     "camera": (lambda _: rb.Photographs([IMAGE], {"a": K}), TypeError, "the camera 'a' must be a sensor of one image"),
     "names": (lambda _: rb.Photographs([IMAGE] * 2, {"a.b": camera(), "a_b": camera()}), ValueError, "two cameras are call"),
     "background": (lambda _: rb.Photographs([IMAGE], [camera()], background=(1, 0)), ValueError, "a number or three"),
-    "not finite": (not_finite, ValueError, "144 values of the image or its mask are NaN or infinite"),
+    "not finite": (not_finite, ValueError, "144 values of the image are NaN or infinite; mend"),
     "extension": (lambda folder: rb.Photographs([folder / "a.webp"], [camera()]), FileNotFoundError, "a.webp: file not fo"),
 }
 

@@ -1,6 +1,8 @@
 """Camera rays against the geometry of a pinhole, as Mitsuba 3 defines it: +z forward, +x to the left, row 0 at the top."""
 
 import math
+import warnings
+from pathlib import Path
 
 import pytest
 import torch
@@ -8,10 +10,13 @@ import torch
 import torch_radbp as rb
 from tests.gradients import assert_informative, image_and_gradients, relative_error
 from tests.scenes import CASES, cornell, load, look_at, rectangle, rgb, sensor
+from torch_radbp.emitter.projector import Projector
+from torch_radbp.emitter.spot import Spot
 from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.sensor.perspective import Perspective
+from torch_radbp.sensor.thinlens import ThinLens
 from torch_radbp.tensors.vec import Vec2
 
 HALF = torch.tensor([0.5], dtype=torch.float64)
@@ -185,3 +190,35 @@ BAD = {
 def test_a_camera_that_cannot_be(attributes, message):
     with pytest.raises(ValueError, match=message):
         Perspective(**attributes)
+
+
+def camera_of_file(fov: str, folder) -> rb.Scene:
+    path = folder / "scene.xml"
+    path.write_text(f'<scene version="3.0.0"><sensor type="perspective"><float name="fov" value="{fov}"/></sensor>'
+                    f'<emitter type="constant"/></scene>')
+    return rb.load(path)
+
+
+RADIANS = {
+    "dict": lambda folder: load(sensor=sensor(4, fov=0.7), sky={"type": "constant"}),
+    "file": lambda folder: camera_of_file("0.7", folder),
+    "Python": lambda folder: Perspective(fov=0.7, fov_axis="smaller"),
+    "lens": lambda folder: ThinLens(fov=0.7, aperture_radius=0.1),
+    "projector": lambda folder: Projector(fov=0.7),
+    "spot": lambda folder: Spot(cutoff_angle=0.7),
+}
+
+
+@pytest.mark.parametrize("make", RADIANS.values(), ids=RADIANS)
+def test_an_angle_that_may_be_in_radians_is_named_with_its_unit(make, tmp_path):
+    with pytest.warns(rb.SceneWarning, match="(fov|angle) is in degrees, got 0.7, .* were meant, give 40.11") as told:
+        make(tmp_path)
+    assert ["tests" in Path(each.filename).parts for each in told] == [True]  # the caller's line, not one of the package
+
+
+def test_no_angle_of_two_degrees_or_of_a_focal_length_is_doubted(tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Perspective(fov=2), Spot(cutoff_angle=2.0), Perspective(focal_length="1500mm"), camera_of_file("2.0", tmp_path)
+        narrow = rb.camera_from_opencv([[5000, 0, 8], [0, 5000, 8], [0, 0, 1]], torch.eye(3), torch.zeros(3), 16, 16)
+        assert float(narrow.as_perspective().x_fov) < 1

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from copy import deepcopy
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
+from torch.func import functional_call
 
 import torch_radbp as rb
 from tests.derivatives.everything import EVERYTHING, build_everything
@@ -223,3 +225,44 @@ def test_images_of_inference_mode_are_the_same():
     scene, expected = lit_room(), rb.render(lit_room(), seed=1, **SETTINGS)
     with torch.inference_mode():
         assert torch.equal(rb.render(scene, seed=1, **SETTINGS), expected)
+
+
+@pytest.mark.parametrize("how", ["loaded", "converted", "copied"])
+def test_a_parameter_of_inference_mode_that_requires_a_gradient_is_an_error(how):
+    """Of such tensors torch records nothing: the image would have no gradient, and nobody were told."""
+    scene = lit_room()
+    with torch.inference_mode():
+        scene = {"loaded": lit_room, "converted": scene.double, "copied": lambda: deepcopy(scene)}[how]()
+        scene.box.bsdf.reflectance.value.requires_grad_()
+    renderer = rb.Renderer(scene, **SETTINGS)
+    with pytest.raises(RuntimeError, match=r"bsdf.reflectance.value' .* under torch.inference_mode\(\).*load the scene"):
+        renderer(seed=1)
+    with torch.no_grad():
+        assert torch.equal(renderer(seed=1), rb.render(lit_room().to(scene.dtype), seed=1, **SETTINGS))
+
+
+def test_rays_of_inference_mode_that_require_a_gradient_are_an_error():
+    with torch.inference_mode():
+        origins = torch.zeros(2, 3, requires_grad=True)
+    with pytest.raises(RuntimeError, match=r"'origins' .* under torch.inference_mode\(\)"):
+        rb.Renderer(lit_room(), **SETTINGS).radiance(origins, torch.ones(2, 3), seed=1)
+
+
+def test_a_scene_of_inference_mode_has_the_gradients_of_parameters_that_are_given():
+    with torch.inference_mode():
+        scene = lit_room()
+    name, found = "box.bsdf.reflectance.value", []
+    for room in (scene, lit_room()):
+        colour = torch.tensor([0.3, 0.5, 0.2], requires_grad=True)
+        image = functional_call(rb.Renderer(room, **SETTINGS), {f"scene.{name}": colour}, kwargs={"seed": 1})
+        found.append(torch.autograd.grad(image.sum(), colour)[0])
+    assert torch.equal(*found) and found[0].abs().max() > 0
+
+
+def test_what_inference_mode_rendered_first_has_gradients_outside():
+    scene = lit_room()
+    renderer, colour = rb.Renderer(scene, **SETTINGS), scene.box.bsdf.reflectance.value.requires_grad_()
+    with torch.inference_mode():
+        renderer(seed=1)
+    renderer(seed=1).sum().backward()
+    assert colour.grad.abs().max() > 0

@@ -93,7 +93,7 @@ WRONG = {
     "field of view in tenths": ("camera.x_fov", torch.tensor(450.0), "must be between 0 and 180 degrees, got 450"),
     "negative texels": ("wall.bsdf.reflectance.data", torch.full((3, 2, 3), -0.5), "must be at least 0, got -0.5"),
     "one negative texel": ("wall.bsdf.reflectance.data", torch.linspace(-0.1, 0.9, 18).reshape(3, 2, 3),
-                           "must be at least 0, got -0.1; keep it inside, with .clamp_() after each step or with a param"),
+                           "must be at least 0, got -0.1; keep it inside, with scene.clamp_() after each step, rb.optim"),
     "overflowing texels": ("wall.bsdf.reflectance.data", torch.full((3, 2, 3), 1e9),
                            "must be at most 1e+06 in magnitude, got 1e+09: float32 overflows beyond that"),
     "negative reflectance": ("box.bsdf.reflectance.value", torch.tensor([0.5, -0.3, 0.5]), "must be at least 0, got -0.3"),

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.parts import FISHEYE, calibrated
+from tests.derivatives.parts import FIELD_OF_VIEW, FISHEYE, THIN_PRISM, calibrated
 from tests.scenes import load, look_at, rectangle, rgb, texels
 from torch_radbp.boundary import SilhouetteWarning
 from torch_radbp.film.box import Box
@@ -17,7 +17,7 @@ from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.io.write import save
 from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.sampling.sampler import film_order, sample_key
-from torch_radbp.sensor.calibrated import Calibrated
+from torch_radbp.sensor.calibrated import LENSES, Calibrated
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.vec import Vec2, Vec3
@@ -52,8 +52,10 @@ def test_without_distortion_it_is_the_perspective_camera():
         torch.testing.assert_close(direction(ours, column, row), direction(theirs, column, row), rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("attributes", [{}, BROWN, {"distortion": "fisheye", "k1": 0.05, "k2": -0.02}],
-                         ids=["none", "brown_conrady", "fisheye"])
+@pytest.mark.parametrize("attributes", [{}, BROWN, {"distortion": "fisheye", "k1": 0.05, "k2": -0.02},
+                                        {"distortion": "thin_prism_fisheye", "k1": 0.05, "p2": 0.01, "sx1": -0.02},
+                                        {"distortion": "field_of_view", "omega": 0.9}],
+                         ids=["none", "brown_conrady", "fisheye", "thin prism", "field of view"])
 def test_a_point_is_projected_to_the_pixel_that_sees_it(attributes):
     """OpenCV: fx x' + skew y' + cx is 0 at the centre of the first pixel."""
     sensor = camera(fx=14.0, fy=15.0, cx=10.0, cy=8.5, skew=0.4, **attributes)
@@ -76,7 +78,8 @@ def test_coefficients_that_are_given_are_parameters():
     assert {"k1", "p2"} < {name for name, _ in sensor.named_parameters()} and sensor.k2 is None
 
 
-@pytest.mark.parametrize("coefficients", [{}, FISHEYE], ids=["brown_conrady", "fisheye"])
+@pytest.mark.parametrize("coefficients", [{}, FISHEYE, THIN_PRISM, FIELD_OF_VIEW],
+                         ids=["brown_conrady", "fisheye", "thin prism", "field of view"])
 def test_compiled_rays_are_the_eager_ones(coefficients):
     sensor = load(sensor=calibrated(16, 0.7, **coefficients), lamp=rectangle((0, 0, 0), emitter=GLOW)).sensors[0]
     numbers = torch.arange(256, dtype=torch.int32)
@@ -126,6 +129,25 @@ def test_what_no_direction_is_projected_to_is_black():
     assert (image[radius > 2 * math.pi + 0.8] == 0).all()
     assert (image[(radius < 2 * math.pi - 0.8) & (radius > 3)] == 1).all()
     assert float(image.sum()) == pytest.approx(math.pi * (2 * math.pi) ** 2, rel=0.05)
+
+
+LENSES_BESIDE = {"pinhole": {"fx": 4.0}, "folded": {"fx": 2.0, "k1": -0.05}, "plain": {"fx": 4.0, "k1": 0.01},
+                 "field of view": {"fx": 2.0, "distortion": "field_of_view", "omega": 0.9},
+                 "fisheye": {"fx": 0.9, "distortion": "fisheye"},
+                 "thin prism": {"fx": 0.9, "distortion": "thin_prism_fisheye", "sx1": 0.01}}
+
+
+@pytest.mark.parametrize("order", [tuple(LENSES_BESIDE), tuple(reversed(LENSES_BESIDE))], ids=["pinhole first", "last"])
+def test_small_images_of_several_lenses_are_each_as_alone(order):
+    """They are traced together, those with pixels that see nothing and those without."""
+    sensors = {name: {"type": "calibrated", "film": {"type": "hdrfilm", "width": 8, "height": 8}} | LENSES_BESIDE[name]
+               for name in order}
+    scene = load(**sensors, sky={"type": "constant", "radiance": 1.0}, lamp=rectangle((0, 0, 9), 0.1))
+    together = rb.render(scene, spp=4, max_depth=2, sensors=list(range(len(order))))
+    for number, name in enumerate(order):
+        alone = rb.render(scene, spp=4, max_depth=2, sensors=[number])[0]
+        torch.testing.assert_close(together[number], alone, rtol=0, atol=1e-12)
+        assert (alone.min() < 0.2) == (name not in ("pinhole", "plain")), name  # corners beyond the lens
 
 
 def test_gradients_of_a_scene_ignore_what_is_not_seen():
@@ -182,13 +204,15 @@ def test_silhouettes_behind_a_fisheye_count_if_it_sees_them():
     assert not warned((0.3, 0, -1), **fisheye) and not warned((1.0, 0, -0.9), distortion="fisheye", fx=8.0)
 
 
-@pytest.mark.parametrize("coefficients", [{}, FISHEYE], ids=["brown_conrady", "fisheye"])
+@pytest.mark.parametrize("coefficients", [{}, FISHEYE, THIN_PRISM, FIELD_OF_VIEW],
+                         ids=["brown_conrady", "fisheye", "thin prism", "field of view"])
 def test_saved_and_loaded_it_is_the_same(tmp_path, coefficients):
     scene = load(torch.float32, sensor=calibrated(4, **coefficients), lamp=rectangle((0, 0, 0), emitter=GLOW))
     save(scene, tmp_path / "scene.xml")
     loaded = rb.load(tmp_path / "scene.xml")
     ours, theirs = (dict(which.sensors[0].named_parameters()) for which in (scene, loaded))
-    assert set(ours) == set(theirs) and len(ours) == (10 if coefficients else 14)
+    of_lens = sum(coefficients.get(name, 0) is not None for name in LENSES[scene.sensors[0].distortion]._fields)
+    assert set(ours) == set(theirs) and len(ours) == 6 + of_lens  # to_world, fx, fy, cx, cy, skew
     assert all(torch.equal(ours[name], theirs[name]) for name in ours)
     assert loaded.sensors[0].distortion == scene.sensors[0].distortion
 
@@ -197,6 +221,9 @@ BAD = {
     "focal length": ({"fx": 0.0}, "fx must be greater than 0"),
     "model": ({"fx": 9.0, "distortion": "brown"}, "distortion 'brown' is not known; did you mean 'brown_conrady'"),
     "coefficient": ({"fx": 9.0, "distortion": "fisheye", "p1": 0.1}, "fisheye lens has no coefficient p1; it has k1, k2"),
+    "no omega": ({"fx": 9.0, "distortion": "field_of_view"}, "needs omega, radians between 0 and pi"),
+    "omega": ({"fx": 9.0, "distortion": "field_of_view", "omega": 3.2}, "omega must be between 0 and 3.14159 radians"),
+    "stray omega": ({"fx": 9.0, "omega": 0.5}, "a brown_conrady lens has no coefficient omega; it has k1, k2"),
     "planes": ({"fx": 9.0, "near_clip": 2.0, "far_clip": 1.0}, "less than far_clip"),
 }
 

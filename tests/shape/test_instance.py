@@ -283,7 +283,7 @@ def test_gltf_has_copies(tmp_path):
                  group={"type": "shapegroup", "box": INSIDE["box"]},
                  **{f"i{number}": {"type": "instance", "to_world": place, "group": GROUP}
                     for number, place in enumerate(PLACES)})
-    with pytest.warns(UserWarning, match="i0.box: is written as a copy"):
+    with pytest.warns(UserWarning, match="i0.box, i1.box: is written as a copy"):
         rb.save(scene, tmp_path / "scene.glb")
     other = rb.load(tmp_path / "scene.glb")
     assert {"i0_box", "i1_box"} <= {scene.name_of(shape) for scene in [other] for shape in other.shapes}

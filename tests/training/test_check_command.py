@@ -126,3 +126,15 @@ def test_panels_show_their_pixels_in_place(tmp_path):
     picture_rows = slice(40, 40 + 2 * 64)
     first = difference[picture_rows, 14:14 + 3 * 64]
     assert first[10, 170] > 10 and first[100, 10] < -10 and abs(first[10, 10]) < 3
+
+
+def test_too_large_a_step_is_exit_code_3_and_names_a_smaller_one(radbp, monkeypatch):
+    right = check_module.Measurement.difference
+
+    def bent(self, number):
+        found = right(self, number)
+        return found._replace(value=found.value * (1 + 50 * self.step**2))
+
+    monkeypatch.setattr(check_module.Measurement, "difference", bent)
+    code, stdout, _ = radbp(*PAINT, "--spp", 256, "--step", 0.08)
+    assert code == 3 and "too large a step: " in stdout and "use a smaller step (step=0.01)" in stdout

@@ -1,5 +1,7 @@
 """Masks: what a target's mask leaves out counts nowhere, what it holds half counts half."""
 
+import numpy as np
+import OpenEXR
 import pytest
 import torch
 from rich.console import Console
@@ -66,4 +68,16 @@ def test_windows_do_not_see_what_is_masked(spec):
 def test_a_mask_that_does_not_fit_is_named(mask, message, masked, folder):
     save_image(folder / "mask.png", mask)
     with pytest.raises(ValueError, match=message):
+        Recovery(read_recipe(masked))
+
+
+def test_a_target_may_be_nan_where_its_mask_is_zero(masked, folder):
+    """As renderers write where nothing is; save_image refuses NaN, they do not."""
+    pixels = read_image(folder / "target.exr").numpy().copy()
+    pixels[1, 2] = np.nan
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGB": pixels}).write(str(folder / "target.exr"))
+    targets = Recovery(read_recipe(masked)).targets
+    assert targets.images.isfinite().all() and targets.images[0, :, 1, 2].abs().max() == 0
+    masked.write_text(masked.read_text().replace('mask = "mask.png"\n', ""))
+    with pytest.raises(ValueError, match="target.exr has 3 values that are NaN or infinite; mend the image first, or give"):
         Recovery(read_recipe(masked))

@@ -69,6 +69,8 @@ assert_type(rb.losses.masked_mean(image, image[:, :1]), Tensor)
 assert_type(rb.priors.total_variation(parameter) + rb.priors.smoothness(parameter), Tensor)
 assert_type(rb.priors.white_balance(parameter), Tensor)
 ranges: list[torch.nn.Module] = [rb.optim.Log(), rb.optim.Sigmoid(0.0, 1.0), rb.optim.CoarseToFine((4, 4))]
+assert_type(rb.optim.bounded(torch.optim.Adam([parameter]), scene), torch.optim.Adam)
+assert_type(scene.clamp_(["green.reflectance.value"]), rb.Scene)
 assert_type(rb.optim.refine(scene.green, "reflectance"), bool)
 
 # Photographs.
@@ -92,4 +94,4 @@ rb.optim.remesh(scene.bunny, scene.bunny.to_trimesh().subdivide(), optimizer)
 # What may be caught, or silenced.
 errors: tuple[type[Exception], ...] = (rb.SceneError, rb.NonFiniteError)
 warned: tuple[type[Warning], ...] = (rb.GltfWarning, rb.JumpWarning, rb.RepeatedNoiseWarning, rb.SceneWarning,
-                                     rb.SilhouetteWarning)
+                                     rb.SilhouetteWarning, rb.ZeroGradientWarning)

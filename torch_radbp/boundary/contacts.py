@@ -10,9 +10,9 @@ edge is a silhouette, and what its shadow does then is counted in `shadows/under
 other, both are equal.
 
 Of an edge at which two triangles meet, each passes through the surface on the side on which the other one does not lie, and
-is seen from there alone. Where the two lie on either side of the surface, the body passes through it there. Where an edge
-lies right on an edge of what it touches, that has to go on beyond; where it does not, as between bodies that are flush, both
-edges are as visible as any. Edges at which more than two triangles meet are left as they are, too.
+is seen from there alone. Where the two lie on either side of the surface, the body passes through it, and the edge does not
+count at all. Where an edge lies right on an edge of what it touches, that has to go on beyond; where it does not, as between
+bodies that are flush, both edges are as visible as any. Edges at which more than two triangles meet are left as they are.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from torch_radbp.boundary.geometry import Geometry, in_world
 from torch_radbp.boundary.intersections import TOUCHING
 from torch_radbp.boundary.junctions import OBLIQUE
 from torch_radbp.boundary.pierced import shape_of
-from torch_radbp.boundary.segments import Segments, height_above, place_of
+from torch_radbp.boundary.segments import SeenFrom, Segments, height_above, place_of
 from torch_radbp.tensors.record import joined
-from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, rows
+from torch_radbp.tensors.vec import TINY, Vec3, cross, dot, interpolated, rows
 
 SAME = 1e-5  # of the largest coordinate, up to which middles of parts of an edge are one
 AT_SIDE = 1e-6  # barycentric coordinate up to which a segment lies on a side of its triangle
@@ -44,6 +44,7 @@ class Resting(NamedTuple):
     instance: Tensor | None  # (K,) int32 that shows it, as hits count; None: the scene has none
     start: Vec3  # (K,) where the part begins, world, float64
     end: Vec3
+    counts: Tensor  # (K,) float64, how much the edge counts there: by half; not at all if it passes through
 
 
 class Contacts(NamedTuple):
@@ -63,43 +64,55 @@ def contacts_of(geometry: Geometry, touching: Segments, ends: Tensor,
         ends: (S,) int64, how many triangles there are up to the end of each shape.
         edges_of_shape: the edges of one shape, by its number.
     """
-    corner, shape = 3 * touching.triangle + opposite_corner(touching), shape_of(ends, touching.triangle)
-    tip, count = torch.full_like(corner, -1), torch.zeros_like(corner)  # the other triangle's corner; triangles at the edge
-    for number in shape.unique().tolist():
-        own = (shape == number).nonzero().squeeze(1)
-        edges = edges_of_shape(number)
-        wanted, place = corner[own].unique(return_inverse=True)
-        for column, beyond in zip(edges.corner[:2], edges.opposite[1::-1]):
-            row, which = rows_at(column, wanted)
-            of_wanted = torch.zeros(2, len(wanted), dtype=corner.dtype, device=corner.device)
-            of_wanted[0, which], of_wanted[1, which] = edges.count[row], beyond[row]
-            fills = of_wanted[0][place] > 0
-            count[own[fills]], tip[own[fills]] = of_wanted[0][place][fills], of_wanted[1][place][fills]
+    number = opposite_corner(touching)
+    corner, key = 3 * touching.triangle + number, keys_of(3 * touching.triangle + number, touching.instance)
+    count, tip = across_edges(corner, shape_of(ends, touching.triangle), edges_of_shape)
     mine, passed = (place_of(geometry, *surface) for surface in ((touching.triangle, touching.instance),
                                                                  (touching.through, touching.shown_by)))
     beyond, = in_world(geometry, (tip.clamp_min(0),), touching.instance)
-    closed = count == 2
-    above = side_of(passed, [rows_of_corner(mine, corner % 3)])
-    across, folds = (torch.where(closed, side_of(plane, [beyond]), 0.0) for plane in (passed, mine))
-    reach = side_of(mine, passed)
-    pierces = closed & (across * above < 0.0)
-    facing = torch.where(closed & ~pierces, -folds, 0.0)
-    counts = torch.where(closed, pierces | (folds != 0.0), count == 1)
+    # Where the triangles at the edge lie, above or below the surface, and the second one, before or behind the first.
+    above, closed = side_of(passed, [rows_of_corner(mine, number)]), count == 2
+    of_second, folds = (torch.where(closed, side_of(plane, [beyond]), 0.0) for plane in (passed, mine))
+    pierces = of_second * above < 0.0
+    facing = torch.where(pierces, 0.0, -folds)
+    counts = (count == 1) | (closed & (pierces | (folds != 0.0)))
+    # Where the surface has an edge there, too, it must go on beyond.
     start, end = (interpolated(mine, place.x, place.y) for place in (touching.start, touching.end))
-    key = keys_of(corner, touching.instance)
-    wanted_side = torch.where(closed, facing, 1.0)
-    counts = counts & ((reach == 0.0) | (~pierces & (reach == wanted_side) & goes_on(key, start + end, reach)))
+    reach = side_of(mine, passed)
+    meets_edge = ~pierces & (reach == torch.where(closed, facing, 1.0)) & goes_on(key, start + end, reach)
+    kept = (counts & ((reach == 0.0) | meets_edge)).nonzero().squeeze(1)
+    if not len(kept):
+        return None
     once = torch.ones_like(reach) if touching.share is None else touching.share
-    segments = touching._replace(seen_from=Vec2(facing, above), share=2.0 * once)  # each counts by half
-    kept = counts.nonzero().squeeze(1)
-    return Contacts(*rows((segments, Resting(corner, touching.instance, start, end)), kept)) if len(kept) else None
+    segments = touching._replace(seen_from=SeenFrom(facing, above, ~pierces), share=torch.where(pierces, once, 2.0 * once))
+    return Contacts(*rows((segments, Resting(corner, touching.instance, start, end, 0.5 - 0.5 * pierces.double())), kept))
 
 
-def contacts_among(segments: Segments) -> Segments | None:
+def across_edges(corner: Tensor, shape: Tensor, edges_of_shape: Callable[[int], Edges]) -> tuple[Tensor, Tensor]:
+    """How many triangles meet at edges, and the vertex opposite in the second one, (K,) int32 each; -1 if there is none.
+
+    Args:
+        corner: (K,) int32, opposite the edges, among all corners.
+        shape: (K,) of these.
+        edges_of_shape: the edges of one shape, by its number.
+    """
+    count, tip = torch.zeros_like(corner), torch.full_like(corner, -1)
+    for number in shape.unique().tolist():
+        edges, own = edges_of_shape(number), (shape == number).nonzero().squeeze(1)
+        wanted, place = corner[own].unique(return_inverse=True)
+        of_wanted = torch.zeros_like(wanted), torch.full_like(wanted, -1)
+        for column, beyond in zip(edges.corner[:2], edges.opposite[1::-1]):
+            row, which = rows_at(column, wanted)
+            of_wanted[0][which], of_wanted[1][which] = edges.count[row], beyond[row]
+        count[own], tip[own] = (column[place] for column in of_wanted)
+    return count, tip
+
+
+def resting_among(segments: Segments) -> Segments | None:
     """Those of some segments at which edges lie on surfaces; None: there are none."""
     if segments.seen_from is None:
         return None
-    return rows(segments, (segments.seen_from.y != 0.0).nonzero().squeeze(1))  # of others it is 0
+    return rows(segments, segments.seen_from.rests.nonzero().squeeze(1))
 
 
 def keys_of(corner: Tensor, instance: Tensor | None) -> Tensor:
@@ -157,23 +170,23 @@ def rows_at(column: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class Parts(NamedTuple):
-    """P parts of edges."""
+    """P parts of edges, (P,) float64."""
 
-    start: Tensor  # (P,) float64, shares of the edges' lengths
+    start: Tensor  # shares of the edges' lengths
     end: Tensor
-    rests: Tensor  # (P,) bool: it lies on the surface of another body
+    counts: Tensor  # how much the part counts, less than 1 where it lies on the surface of another body
 
     def weight(self, along: Tensor) -> Tensor:
-        """How much places in some shares of the edges' lengths count, (P,): where they lie on other surfaces by half."""
-        return torch.where((along >= self.start) & (along <= self.end), torch.where(self.rests, 0.5, 1.0), 0.0)
+        """How much places in some shares of the edges' lengths count, (P,); 0 outside of the parts."""
+        return torch.where((along >= self.start) & (along <= self.end), self.counts, 0.0)
 
 
-def parts_of_edges(a: Vec3, b: Vec3, start: Vec3, end: Vec3, edge: Tensor) -> tuple[Tensor, Parts]:
+def parts_of_edges(a: Vec3, b: Vec3, resting: Resting, edge: Tensor) -> tuple[Tensor, Parts]:
     """The parts of edges that lie on something, and those that lie on nothing.
 
     Args:
         a, b: (K,) the ends of edges, world.
-        start, end: (K,) of parts that lie on something.
+        resting: (K,) parts that lie on something.
         edge: (K,) int64, the number of the edge; it may come up several times.
 
     Returns:
@@ -181,7 +194,7 @@ def parts_of_edges(a: Vec3, b: Vec3, start: Vec3, end: Vec3, edge: Tensor) -> tu
     """
     along = b - a
     length = dot(along, along).clamp_min(TINY)
-    shares = torch.stack([dot(point - a, along) / length for point in (start, end)]).clamp(0.0, 1.0)
+    shares = torch.stack([dot(point - a, along) / length for point in (resting.start, resting.end)]).clamp(0.0, 1.0)
     every = edge.unique()
     # One after the other on a line, each edge with its ends as parts that cover nothing.
     low = torch.cat([shares.amin(0) + 2.0 * edge, 2.0 * every, 2.0 * every + 1.0])
@@ -197,8 +210,9 @@ def parts_of_edges(a: Vec3, b: Vec3, start: Vec3, end: Vec3, edge: Tensor) -> tu
     covers &= torch.div(points[1:], 2.0, rounding_mode="floor") == torch.div(points[:-1], 2.0, rounding_mode="floor")
     low, high = points[:-1][covers], points[1:][covers]
     of_part = torch.div(low, 2.0, rounding_mode="floor")
-    rests = ~torch.isin(low, reached)
-    return of_part.long(), Parts(low - 2.0 * of_part, high - 2.0 * of_part, rests)
+    least = torch.ones_like(a.x).scatter_reduce(0, torch.searchsorted(every, edge), resting.counts, "amin")
+    counts = torch.where(torch.isin(low, reached), 1.0, least[torch.searchsorted(every, of_part.long())])
+    return of_part.long(), Parts(low - 2.0 * of_part, high - 2.0 * of_part, counts)
 
 
 def edges_in_parts(geometry: Geometry, edges: Edges, instance: Tensor | None,
@@ -223,9 +237,9 @@ def edges_in_parts(geometry: Geometry, edges: Edges, instance: Tensor | None,
     there = (edge >= 0).nonzero().squeeze(1)
     if not len(there):
         return None
-    edge, (_, _, start, end) = edge[there], rows(resting, there)
+    edge, resting = edge[there], rows(resting, there)
     a, b = in_world(geometry, (rows(edges.a, edge), rows(edges.b, edge)), rows(instance, edge))
-    part, parts = parts_of_edges(a, b, start, end, edge)
+    part, parts = parts_of_edges(a, b, resting, edge)
     whole = torch.ones_like(edges.a, dtype=torch.bool).index_fill(0, edge, False).nonzero().squeeze(1)
     none = torch.zeros_like(whole, dtype=torch.float64)
-    return torch.cat([whole, part]), joined([Parts(none, none + 1.0, none > 0.0), parts])
+    return torch.cat([whole, part]), joined([Parts(none, none + 1.0, none + 1.0), parts])

@@ -24,7 +24,7 @@ MOST_MEETING = 8  # triangles at an edge that are told apart
 class Edges(NamedTuple):
     """E edges of a mesh, and the triangles that meet there: of more than `MOST_MEETING` only so many."""
 
-    a: Tensor  # (E,) int32, one end, a row of the mesh's vertices: of those at the same place one stands for all
+    a: Tensor  # (E,) int32, one end, a row of the mesh's vertices, of the first triangle
     b: Tensor  # (E,) the other
     opposite: tuple[Tensor, ...]  # (E,) int32 each, the third vertex of each triangle; of fewer, the first again
     corner: tuple[Tensor, ...]  # (E,) int32 each, its number among all corners, three of each triangle in order
@@ -70,8 +70,9 @@ def spread(counts: Sequence[int], device: torch.device) -> Tensor | None:
 def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> Edges:
     """The edges of a mesh, or of some of its triangles.
 
-    Vertices at the same place count as one; degenerate triangles are skipped; an edge of one triangle ends at every vertex
-    that lies on it. The neighbours of the chosen triangles are found without sorting the whole mesh.
+    Vertices at the same place count as one, and an edge ends at those of its first triangle: others may be of shapes that
+    touch it and move otherwise. Degenerate triangles are skipped; an edge of one triangle ends at every vertex that lies on
+    it. The neighbours of the chosen triangles are found without sorting the whole mesh.
 
     Args:
         vertices: (V, 3), detached; may begin and end with vertices of other meshes.
@@ -113,7 +114,9 @@ def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> E
     corners = tuple(rows(sides.corner, side) for side in edges.side)
     alike = (edges.count > 1) & (rows(sides.forward, edges.side[0]) == rows(sides.forward, edges.side[1]))
     seam = None if label is None and not cut else (edges.count == 2) & ~have_same_ends(flat, *corners[:2])
-    ends = [edges.low, edges.high, *(rows(corner.flatten(), number) for number in corners)]
+    ends = [edges.low, edges.high, *(rows(flat, number) for number in corners)]
+    if label is not None:
+        ends[:2] = ends_of_side(flat, label, corners[0], edges)
     if vertex is not None:
         ends = [rows(vertex, end) for end in ends]
         corners = tuple(3 * rows(near.int(), torch.div(corner, 3, rounding_mode="floor")) + corner % 3 for corner in corners)
@@ -193,14 +196,33 @@ def met(sides: Sides, vertices: int) -> Meeting:
     return Meeting(low, high, side, count, order)
 
 
+def ends_of_side(flat: Tensor, label: Tensor, corner: Tensor, edges: Meeting) -> list[Tensor]:
+    """The vertices of triangles where edges end, (E,) int32 each; where the edge is a piece of a side, the edge's.
+
+    Args:
+        flat: (3 F,) int32, the vertices at all corners.
+        label: (V,) int32, for each vertex the first one at the same place.
+        corner: (E,) int32, the corners opposite the edges in these triangles.
+        edges: what ends there, by first vertices.
+    """
+    one, two = sides_ends(flat, corner)
+    return [torch.where(rows(label, one) == end, one, torch.where(rows(label, two) == end, two, end))
+            for end in (edges.low, edges.high)]
+
+
+def sides_ends(flat: Tensor, corner: Tensor) -> tuple[Tensor, Tensor]:
+    """The vertices of the sides opposite corners, (E,) int32 each; args as for `ends_of_side`."""
+    return (rows(flat, corner + torch.where(corner % 3 == 2, -2, 1).int()),
+            rows(flat, corner + torch.where(corner % 3 == 0, 2, -1).int()))
+
+
 def have_same_ends(flat: Tensor, one: Tensor, two: Tensor) -> Tensor:
     """True if the sides opposite two corners each, (E,) int32, of triangles have the same vertices; (E,) bool.
 
     Args:
         flat: (3 F,) int32, the vertices at all corners.
     """
-    (a, b), (c, d) = ((rows(flat, corner + torch.where(corner % 3 == 2, -2, 1).int()),
-                       rows(flat, corner + torch.where(corner % 3 == 0, 2, -1).int())) for corner in (one, two))
+    (a, b), (c, d) = (sides_ends(flat, corner) for corner in (one, two))
     return ((a == c) & (b == d)) | ((a == d) & (b == c))
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.geometry import Between, Corners, Geometry, positions
+from torch_radbp.boundary.geometry import Between, Corners, Geometry, largest_coordinate, positions
 from torch_radbp.boundary.places import (
     INTERSECTION,
     TEXTURE,
@@ -32,7 +32,17 @@ from torch_radbp.boundary.places import (
 )
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import joined as joined_records
-from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, rows
+from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, rows, unit_normal
+
+IN_PLANE = 1e-6  # share of the largest coordinate up to which viewers lie in a plane
+
+
+class SeenFrom(NamedTuple):
+    """From where S segments are seen, float64 but for the last."""
+
+    side: Tensor  # of the triangle that the segment is in: 1, -1; 0: from either
+    side_of_through: Tensor  # of the triangle that passes through, likewise
+    rests: Tensor  # (S,) bool: an edge lies on a surface there that it does not pass through
 
 
 class Segments(NamedTuple):
@@ -48,8 +58,7 @@ class Segments(NamedTuple):
     through: Tensor  # (S,) int32, the triangle that passes through there; -1: none does, a texture jumps
     shown_by: Tensor | None  # (S,) int32, the instance that shows that
     share: Tensor | None  # (S,) float64, how often a segment is among these, in the mean; None: once
-    seen_from: Vec2 | None = None  # (S,) the side of the triangle, and of the one that passes through, from which each is
-    # seen, 1 or -1; 0, None: either
+    seen_from: SeenFrom | None = None  # None: each from everywhere
 
     def corners(self, geometry: Geometry) -> Corners:
         """The vertices of the triangles, world, float64."""
@@ -59,10 +68,16 @@ class Segments(NamedTuple):
 def joined(parts: list[Segments]) -> Segments | None:
     """All of several segments; None: there are none."""
     if len(parts) > 1 and any(part.seen_from is not None for part in parts):
-        parts = [part if part.seen_from is not None else part._replace(seen_from=part.start * 0.0) for part in parts]
+        parts = [part if part.seen_from is not None else part._replace(seen_from=from_everywhere(part)) for part in parts]
     if len(parts) > 1 and any(part.share is not None for part in parts):
         parts = [part if part.share is not None else part._replace(share=torch.ones_like(part.start.x)) for part in parts]
     return joined_records(parts) if parts else None
+
+
+def from_everywhere(segments: Segments) -> SeenFrom:
+    """That segments are seen from everywhere."""
+    none = torch.zeros_like(segments.start.x)
+    return SeenFrom(none, none, torch.zeros_like(none, dtype=torch.bool))
 
 
 def segment_weight(geometry: Geometry, sight: Sight, segments: Segments) -> Tensor:
@@ -124,7 +139,7 @@ def segment_place(geometry: Geometry, sight: Sight, segments: Segments, lot: Lot
 
 
 def faces_viewer(geometry: Geometry, segments: Segments, corners: Corners, towards: Callable[[Vec3], Vec3]) -> Tensor:
-    """True for segments that are seen from where the viewer is, (N,) bool.
+    """True for segments that are seen from where the viewer is, (N,) bool; not from within planes, but for rounding.
 
     Args:
         geometry: of the scene, detached.
@@ -134,9 +149,10 @@ def faces_viewer(geometry: Geometry, segments: Segments, corners: Corners, towar
     """
     seen = None
     planes = corners, place_of(geometry, segments.through, segments.shown_by)
-    for plane, side in zip(planes, segments.seen_from):
-        normal = cross(plane[1] - plane[0], plane[2] - plane[0])
-        here = (side == 0.0) | (side * dot(normal, towards(plane[0])) > 0.0)
+    for plane, side in zip(planes, segments.seen_from[:2]):
+        normal, d = unit_normal(plane[1] - plane[0], plane[2] - plane[0]), towards(plane[0])
+        least = IN_PLANE * largest_coordinate(d, *plane)
+        here = (side == 0.0) | (side * dot(normal, d) > least)
         seen = here if seen is None else seen & here
     return seen
 

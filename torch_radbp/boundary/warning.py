@@ -10,7 +10,6 @@ silhouettes as seen from a light. They are searched for lights with a position o
 
 from __future__ import annotations
 
-import sys
 import warnings
 from collections.abc import Callable, Sequence
 
@@ -26,6 +25,7 @@ from torch_radbp.boundary.shadowing_lights import MOVE_LIGHTS, ShadowingLight, l
 from torch_radbp.boundary.silhouette import CameraSight, silhouettes_in_view
 from torch_radbp.boundary.unmapped import unmapped_textures
 from torch_radbp.boundary.without_rays import views_without_rays
+from torch_radbp.plugin.errors import level_of_the_caller
 from torch_radbp.raycast.caster_cache import same
 from torch_radbp.scene.material import followed, sampling_at
 from torch_radbp.scene.material_tables import one_sided
@@ -333,11 +333,3 @@ def flat(vertices: Tensor) -> bool:
     centred = vertices.double() - vertices.double().mean(0)
     squared_extent = torch.linalg.eigvalsh(centred.T @ centred)
     return bool(squared_extent[0] <= FLAT**2 * squared_extent[-1])
-
-
-def level_of_the_caller() -> int:
-    """The stack level of the nearest caller outside torch and this package, as `warnings.warn` counts it."""
-    frame, level = sys._getframe(1), 1
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").split(".")[0] in ("torch", "torch_radbp"):
-        frame, level = frame.f_back, level + 1
-    return level

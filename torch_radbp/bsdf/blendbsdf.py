@@ -94,12 +94,13 @@ class BlendKind(Kind):
         """The probability with which the second kind is sampled: its weight, within `LEAST_CHANCE` of 0 and 1.
 
         If the weight is `still`, it is 0 or 1 where the weight is: a kind without weight is not sampled. Surfaces may move
-        all the same: where a weight in [0, 1] has one of these values, its derivative by the place is zero.
+        all the same: where a weight in [0, 1] has one of these values, its derivative by the place is zero. Outside of
+        [0, 1] both kinds have a weight, one of them a negative one, and both are sampled.
         """
         chance = weight.clamp(LEAST_CHANCE, 1.0 - LEAST_CHANCE)
         if not self.still:
             return chance
-        return torch.where(weight < ROUNDING, 0.0, torch.where(weight > 1.0 - ROUNDING, 1.0, chance))
+        return torch.where(weight.abs() < ROUNDING, 0.0, torch.where((weight - 1.0).abs() < ROUNDING, 1.0, chance))
 
     def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
         weight, (of_first, of_second) = values[0].x, self.parts(values)
@@ -166,7 +167,7 @@ class BlendBSDF(BSDF):
     Parameters: `weight`, a texture in [0, 1]. Derivatives: with respect to its texels, and to the parameters of both
     materials. Each is sampled with the probability of its weight, but at least 0.02. Where the weight is 0 or 1, one is not
     sampled at all, unless derivatives with respect to the weight are asked for, which need both, or a `mesh_attribute` gives
-    it.
+    it: less noise of the same image. Weights a little outside, where an optimizer may step, continue the mixture linearly.
 
     What a blend scatters is exactly the mixture of what its materials scatter, ideal reflection and refraction included.
     Mitsuba 3.9.1 differs: where one material is smooth and the other reflects or refracts ideally, its image is some percent

@@ -14,11 +14,13 @@ from torch import Tensor
 from torch_radbp.bsdf.features import Number
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.microfacet import GGX
+from torch_radbp.plugin.domain import FRACTION
 from torch_radbp.tensors.vec import Vec3, attached
 from torch_radbp.texture.bitmap import LUMINANCE
 
 SMALLEST_ALPHA = 1e-3  # a smoother surface counts as this rough
 SMALLEST_ROUGHNESS = SMALLEST_ALPHA**0.5
+ROUGHNESS = FRACTION._replace(floor=SMALLEST_ROUGHNESS / 0.1**0.25)  # domain; the floor if facets are stretched most
 LEAST_SHARE = 0.02  # of a lobe's weight when lobes are chosen: one of weight zero is still sampled, and has a derivative
 DARKEST = 1e-6  # luminance below which a colour loses its tint
 SMALLEST_COSINE = 1e-6  # of a sum of two

@@ -59,7 +59,7 @@ class CheckedKind:
             raise TypeError(f"{self.where(method)} raised {type(error).__name__}: {error}{advice}") from error
 
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
-        found = self.call("eval_pdf", values, wi, wo, fixed_lobes)
+        found = self.call("eval_pdf", values, wi, wo, *((True,) if fixed_lobes else ()))  # asked of discrete lobes alone
         if not (isinstance(found, tuple) and len(found) == 2):
             got = f"{len(found)} results" if type(found) is tuple else f"a {type(found).__name__} alone"
             raise TypeError(f"{self.where('eval_pdf')} must return two results, the BSDF times the cosine and the density "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from torch_radbp.bsdf.burley import check_rates
+from torch_radbp.bsdf.burley import ROUGHNESS, check_rates
 from torch_radbp.bsdf.features import features_of
 from torch_radbp.bsdf.number import NumberOf, OwnNumber
 from torch_radbp.bsdf.principled_lobes import PrincipledKind
@@ -15,6 +15,7 @@ from torch_radbp.texture.rgb import as_texture
 # Parameters that cost nothing while they are zero, in the order of their values.
 FEATURES = ("anisotropic", "metallic", "spec_trans", "spec_tint", "sheen", "sheen_tint", "clearcoat", "clearcoat_gloss",
             "flatness")
+MOST_SPECULAR = 4.0  # an index of refraction of 3.6, more than what is transparent has
 PART_OF = {"sheen_tint": "sheen", "clearcoat_gloss": "clearcoat"}  # without which they do not matter
 
 
@@ -36,7 +37,8 @@ class Principled(BSDF):
         metallic: 1 is a metal, 0 plastic or glass.
         spec_trans: 1 is glass, 0 opaque; it makes a material that is not black from behind.
         eta: index of refraction inside over the one outside.
-        specular: instead of eta, 12.5 times the reflectance of the boundary from straight above; 0.5 by default.
+        specular: instead of eta, 12.5 times the reflectance of the boundary from straight above; 0.5 by default. Up to 4, as
+            some exporters write it: 1 is an index of refraction of 1.79, 2 of 2.33.
         spec_tint: by how much reflections of what is no metal have the tint of `base_color`.
         sheen: reflection at grazing angles, as of cloth.
         sheen_tint: by how much it has the tint of `base_color`.
@@ -79,8 +81,8 @@ class Principled(BSDF):
         check_rates(self.rates(), "main_specular_sampling_rate")
 
     def domains(self) -> dict[str, Domain]:
-        return {"base_color": REFLECTANCE, "roughness": FRACTION, **{name: FRACTION for name in FEATURES},
-                "eta": NUMBER._replace(low=0.0, low_is_in=False), "specular": NUMBER._replace(low=0.0, high=1.0)}
+        return {"base_color": REFLECTANCE, "roughness": ROUGHNESS, **{name: FRACTION for name in FEATURES},
+                "eta": NUMBER._replace(low=0.0, low_is_in=False), "specular": NUMBER._replace(low=0.0, high=MOST_SPECULAR)}
 
     def rates(self) -> dict[str, float]:
         """How often the diffuse base, the main boundary and the clearcoat are sampled, by attribute."""

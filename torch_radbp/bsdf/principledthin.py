@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.burley import (
+    ROUGHNESS,
     at_least_some,
     base_profile,
     check_rates,
@@ -48,6 +49,7 @@ from torch_radbp.texture.rgb import as_texture
 FEATURES = ("eta", "anisotropic", "spec_trans", "spec_tint", "sheen", "sheen_tint", "flatness", "diff_trans")
 PART_OF = {"eta": "spec_trans", "anisotropic": "spec_trans", "sheen_tint": "sheen", "spec_tint": "spec_trans"}
 GLOSSY_REFLECTION, GLOSSY_TRANSMISSION, DIFFUSE_REFLECTION, DIFFUSE_TRANSMISSION = range(4)  # lobes
+LEAST_TRANSMITTED = 0.3  # of the roughness, with which light passes: that at an index of refraction of 1
 RATES = ("specular_reflectance_sampling_rate", "specular_transmittance_sampling_rate", "diffuse_reflectance_sampling_rate",
          "diffuse_transmittance_sampling_rate")
 
@@ -212,7 +214,8 @@ class PrincipledThin(BSDF):
         check_rates({name: getattr(self, name) for name in RATES}, "diffuse_reflectance_sampling_rate")
 
     def domains(self) -> dict[str, Domain]:
-        return {"base_color": REFLECTANCE, "roughness": FRACTION, **{name: FRACTION for name in FEATURES},
+        return {"base_color": REFLECTANCE, **{name: FRACTION for name in FEATURES},
+                "roughness": ROUGHNESS._replace(floor=ROUGHNESS.floor / LEAST_TRANSMITTED),
                 "diff_trans": Domain(low=0.0, high=2.0), "eta": Domain(low=0.0, low_is_in=False, limit=LARGEST_AMOUNT)}
 
     @property

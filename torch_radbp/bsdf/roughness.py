@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from torch_radbp.bsdf.microfacet import DISTRIBUTIONS
+from torch_radbp.bsdf.microfacet import DISTRIBUTIONS, SMALLEST_ALPHA
 from torch_radbp.bsdf.number import NumberOf
 from torch_radbp.plugin import BSDF, Texture, boolean, nearest
 from torch_radbp.plugin.domain import AMOUNT
 from torch_radbp.texture.rgb import as_texture
 
-ROUGHNESS = {"alpha": AMOUNT, "alpha_u": AMOUNT, "alpha_v": AMOUNT}  # domains
+ROUGHNESS = dict.fromkeys(("alpha", "alpha_u", "alpha_v"), AMOUNT._replace(floor=SMALLEST_ALPHA))  # domains
 
 
 def check_distribution(distribution: str) -> str:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, above, chance_of_lobe, reflects
-from torch_radbp.bsdf.microfacet import MicrofacetKind, half_vector
+from torch_radbp.bsdf.microfacet import SMALLEST_ALPHA, MicrofacetKind, half_vector
 from torch_radbp.bsdf.number import ComputedNumbers, OwnNumber
 from torch_radbp.bsdf.plastic import Plastic, coat_or_base, coated, specular_chance
 from torch_radbp.bsdf.rough_coat import SUMS, abscissa, coat_of
@@ -112,7 +112,7 @@ class RoughPlastic(Plastic):
                               *(ComputedNumbers(self, "coat", first) for first in range(0, SUMS, 3)))
 
     def domains(self) -> dict[str, Domain]:
-        return {"alpha": NUMBER._replace(low=0.0, limit=LARGEST_AMOUNT), **super().domains()}
+        return {"alpha": NUMBER._replace(low=0.0, limit=LARGEST_AMOUNT, floor=SMALLEST_ALPHA), **super().domains()}
 
     def coat(self) -> Tensor:
         """(SUMS,) numbers that describe the coat, attached to `alpha` and `eta`."""

@@ -8,45 +8,47 @@ Two estimates of the same derivative image are rendered, in R independent batche
 The images of a difference share their samples, which removes most of the noise and does not change the expectation, even
 where the integrand jumps: each is an unbiased image. Forward mode uses other samples, so that the two estimates are
 independent, and an error that depends on the samples cannot hide in both. At the end of a parameter's domain the differences
-go to the side that is inside, through three images.
+go to the side that is inside, through three images, to the same order; none is rendered outside (`check.stencil`).
 
 Where an edge moves over the border between two pixels, a pixel has a kink: one derivative before it, another after it, and
 the differences are a mean of both. So if geometry moves, the second difference I(theta + h d) - 2 I(theta) + I(theta - h d)
 is looked at, too. Where it is not noise, half of it over h is how far differences to one side lie from those to both, and so
 much of an error is put down to the step.
 
+What else the step h does to the differences shows by half of it: an error of theirs shrinks to a quarter, or to a half where
+the image bends sharply, and one of the derivative stays. So if it shrinks by more than noise explains, the step was too
+large, and nothing is said of the derivative.
+
 The backward pass is compared with forward mode on the same samples, where <w, J_1> = <VJP_1(w), d> must hold to rounding.
 """
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from numbers import Real
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.func import functional_call
 from torch.nn.functional import interpolate
 
 from torch_radbp.boundary import SilhouetteWarning
-from torch_radbp.check.outcome import BIASED, GradientCheck, Question, judge
+from torch_radbp.check.outcome import BIASED, TOO_LARGE, GradientCheck, Question, judge, said_of_floor, said_of_step
 from torch_radbp.check.statistics import Cotangent, Samples, compare
+from torch_radbp.check.stencil import Place, floor_of, inside
 from torch_radbp.plugin import finite, integer
 from torch_radbp.public_call import arguments_of, check_arguments, public_call
 from torch_radbp.rendering.jvp import rendering_with_tangent
 from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.rendering.settings import TERMS, SensorChoice, checked_seed
 from torch_radbp.scene import Scene
-from torch_radbp.scene.pack_cache import PackCache
-from torch_radbp.scene.parameters import check_parameters
 
 BATCHES = 16
 FEWEST_BATCHES = 8  # with fewer, a standard error is itself too uncertain
 RELATIVE_STEP = 0.02  # a product of 8 reflectances is a polynomial whose central difference is then 0.4% off
-FINER = 8.0  # by which a step is divided if geometry moves and nothing else explains an error
-PARTS = (1.0, 0.25, 1 / 16)  # of that, if it leaves a narrow domain
+FINER = 8.0  # by which a step is divided if it is too large, or geometry moves and nothing else explains an error
+TRIES = 3  # steps, of which each is so much finer
 NEXT_SEED = 0x1000193
 DIRECTIONS = ("random", "ones")
 STILL = ("value", "data", "scale")  # attributes that move nothing: textures, and factors of emitters
@@ -65,14 +67,15 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
         name: of the parameter, as in `scene.get_parameter`.
         direction: along which the parameter moves: a tensor of its shape; "ones"; or "random", numbers from 0.5 to 1.5, so
             that no symmetry can hide an error and nothing cancels. None: "ones" for a single number, else "random". The
-            two named directions leave the last row of (4, 4) transforms alone.
+            named directions leave the last row of (4, 4) transforms alone, and are negative for entries at the upper end of
+            their range, if others are at the lower one.
         spp: samples per pixel of each of the two estimates, over all batches (rounded up to a multiple of `batches`).
         seed: of the random numbers; the same seed gives the same outcome.
         step: h, to both sides, in units of `direction`; where that leaves the domain of the parameter, 2 h to one side.
             None: a step that moves the largest entry of the parameter by about 2%, or by 0.02 if the parameter is zero, or
-            less if the domain is narrow; an eighth of that if geometry moves and nothing else explains an error. Where
-            geometry moves, larger steps have less noise, but a larger error of their own from the curvature of the image;
-            halving the step reduces that error to a quarter.
+            less if the domain is narrow; an eighth of that, or a 64th, if it is too large, and an eighth if geometry moves
+            and nothing else explains an error. Where geometry moves, larger steps have less noise, but a larger error of
+            their own from the curvature of the image; halving the step reduces that error to a quarter.
         sensors: index or name of the sensor to render, or several of them; None: all.
         batches: independent repetitions, from which standard errors are estimated; at least 8.
         progress: called with the renderings done and all renderings to do.
@@ -87,6 +90,7 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
     """
     check_arguments(check_gradient, settings, arguments_of(check_gradient, Renderer.__init__))
     renderer = Renderer(scene, **{"share_samples": True} | settings)
+    renderer.gradient_watch.told = True  # that a derivative is zero is what the result says
     parameter = scene.get_parameter(name).detach()
     seed = checked_seed("seed", seed)
     spp, batches = integer("spp", spp, 1), integer("batches", batches, 1)
@@ -94,10 +98,22 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
         raise ValueError(f"batches must be at least {FEWEST_BATCHES}, so that standard errors can be trusted, got {batches}")
     d = checked_direction(name, parameter, direction)
     finite(f"parameter {name!r}", parameter)
-    h, stencil = inside(scene, name, parameter, d, step)
+    place = inside(scene, name, d, checked_step(parameter, d, step), chosen=step is not None,
+                   turns=direction is None or isinstance(direction, str))
     moves = what_it_sets(name) not in STILL
-    measurement = Measurement(renderer, f"scene.{name}", parameter, d, h, stencil, moves, -(-spp // batches), seed, sensors,
-                              progress)
+    for tried in range(TRIES if step is None else 1):
+        finer = place._replace(step=place.step / FINER**tried)
+        result = outcome(Measurement(renderer, f"scene.{name}", parameter, finer, moves, -(-spp // batches), seed, sensors,
+                                     progress), name, batches)
+        if result.verdict != TOO_LARGE and not (result.verdict == BIASED and moves and tried == 0):
+            break
+    floor = floor_of(scene, name)
+    return said_of_floor(result, floor) if result.verdict in (BIASED, TOO_LARGE) and (parameter < floor).any() else result
+
+
+def outcome(measurement: Measurement, name: str, batches: int) -> GradientCheck:
+    """What independent batches say of a derivative, and of the step of its differences."""
+    step, stencil, direction = measurement.place
     measurement.total = (batches + 1) * len(measurement.offsets) + 2 * batches + 3
     image, tangent = measurement.forward(batches + 1)
     reference = measurement.difference(0).value
@@ -105,31 +121,20 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
     tangents = [tangent, *(measurement.forward(k)[1] for k in range(batches + 2, 2 * batches + 1))]
     # The rounding of the pixels makes their difference uncertain, even where there is no noise.
     eps = torch.finfo(image.dtype).eps
-    rounding = eps * sum(map(abs, stencil.weights)) * torch.stack([found.size for found in differences]).amax(0) / h
+    rounding = eps * sum(map(abs, stencil.weights)) * torch.stack([found.size for found in differences]).amax(0) / step
     samples = Samples(torch.stack([found.value for found in differences]), torch.stack(tangents), rounding,
-                      torch.stack([found.bend for found in differences]) if moves else None)
-    cotangents = informative_cotangents(reference, seed)
+                      torch.stack([found.bend for found in differences]) if measurement.bends else None)
+    cotangents = informative_cotangents(reference, measurement.seed)
     backward = measurement.backward(batches + 1, [cotangent.image for cotangent in cotangents])
-    comparison = compare(samples, cotangents, backward, eps)
-    question = Question(name, d, h, stencil.words, measurement.spp * batches, batches, seed, moves, left_out(renderer))
-    result = judge(question, comparison)
-    if step is None and moves and result.verdict == BIASED:  # perhaps by the step that was chosen
-        return check_gradient(scene, name, direction=d, spp=spp, seed=seed, step=h / FINER, sensors=sensors, batches=batches,
-                              progress=progress, **settings)
-    return result
-
-
-class Stencil(NamedTuple):
-    """Three places in steps from the parameter, evenly apart, whose weighted images are a derivative times the step."""
-
-    words: str
-    offsets: tuple[int, int, int]
-    weights: tuple[float, float, float]
-
-
-BOTH_SIDES = Stencil("to both sides", (-1, 0, 1), (-0.5, 0.0, 0.5))
-STENCILS = (BOTH_SIDES, Stencil("to one side", (0, 1, 2), (-1.5, 2.0, -0.5)),
-            Stencil("to one side", (-2, -1, 0), (0.5, -2.0, 1.5)))
+    question = Question(name, direction, step, stencil.words, measurement.spp * batches, batches, measurement.seed,
+                        measurement.bends, left_out(measurement.renderer))
+    result = judge(question, compare(samples, cotangents, backward, eps))
+    if result.verdict != BIASED:
+        return result
+    finer = measurement.with_step(step / 2)
+    halved = torch.stack([finer.difference(k).value for k in range(1, batches + 1)])
+    return said_of_step(question, result, *(compare(of, cotangents, backward, eps) for of in (
+        samples._replace(difference=halved, rounding=2 * rounding), samples.changed(halved))))
 
 
 class Difference(NamedTuple):
@@ -143,14 +148,19 @@ class Difference(NamedTuple):
 class Measurement:
     """Renderings of a scene with one of its parameters moved."""
 
-    def __init__(self, renderer: Renderer, name: str, value: Tensor, direction: Tensor, step: float, stencil: Stencil,
-                 bends: bool, spp: int, seed: int, sensors: SensorChoice,
-                 progress: Callable[[int, int], None] | None):
-        self.renderer, self.name, self.value, self.direction, self.step = renderer, name, value, direction, step
+    def __init__(self, renderer: Renderer, name: str, value: Tensor, place: Place, bends: bool, spp: int, seed: int,
+                 sensors: SensorChoice, progress: Callable[[int, int], None] | None):
+        self.renderer, self.name, self.value = renderer, name, value
+        self.step, stencil, self.direction = self.place = place
         self.weights, self.bends = dict(zip(stencil.offsets, stencil.weights)), bends
         self.offsets = [offset for offset, weight in self.weights.items() if weight or bends]
         self.spp, self.seed, self.sensors = spp, seed, sensors
         self.progress, self.done, self.total = progress, 0, 0
+
+    def with_step(self, step: float) -> Measurement:
+        """Differences by another step, of the same batches."""
+        return Measurement(self.renderer, self.name, self.value, self.place._replace(step=step), False, self.spp, self.seed,
+                           self.sensors, None)
 
     def arguments(self, number: int) -> dict:
         """The arguments of the rendering of batch `number`; different batches share no samples."""
@@ -167,8 +177,9 @@ class Measurement:
         images = {}
         with torch.no_grad():
             for offset in self.offsets:
-                moved = parameters | {self.name: self.value + offset * self.step * self.direction}
-                images[offset] = functional_call(self.renderer, moved, kwargs=self.arguments(number)).double()
+                moved = (self.value + offset * self.step * self.direction).requires_grad_()  # sampled as if differentiated
+                images[offset] = functional_call(self.renderer, parameters | {self.name: moved},
+                                                 kwargs=self.arguments(number)).double()
         self.count(len(images))
         value = sum(self.weights[offset] * image for offset, image in images.items()) / self.step
         bend = None
@@ -248,48 +259,6 @@ def checked_step(parameter: Tensor, direction: Tensor, step: float | None) -> fl
     if not 0 < step < float("inf"):
         raise ValueError(f"step must be greater than 0 and finite, got {step}; leave it out to have one chosen")
     return float(step)
-
-
-def inside(scene: Scene, name: str, parameter: Tensor, direction: Tensor, step: float | None) -> tuple[float, Stencil]:
-    """The step, and where from there images are taken, all of them in the domain of the parameter.
-
-    Raises:
-        ValueError: if there are no such places.
-    """
-    largest = checked_step(parameter, direction, step)
-    first = None
-    for h in [largest * part for part in (PARTS if step is None else (1.0,))]:
-        for stencil in STENCILS:
-            out = [why for offset in stencil.offsets
-                   if (why := outside(scene, name, parameter + offset * h * direction)) is not None]
-            if not out:
-                return h, stencil
-            first = first or out[0]
-    advice = "give a smaller step" if step is not None else "give another direction, which leads into it"
-    raise ValueError(f"differences of {name!r} by steps of {largest:.3g} along this direction leave its domain to both "
-                     f"sides; {advice} ({first})")
-
-
-def outside(scene: Scene, name: str, value: Tensor) -> str | None:
-    """Why a value of a parameter is not in its domain; None: it is."""
-    with torch.no_grad(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            functional_call(DomainOf(scene), {f"scene.{name}": value})
-        except ValueError as error:
-            return str(error).partition("; ")[0]
-    return None
-
-
-class DomainOf(nn.Module):
-    """Calls the checks that a rendering of all sensors begins with."""
-
-    def __init__(self, scene: Scene):
-        super().__init__()
-        self.scene = scene
-
-    def forward(self) -> None:
-        check_parameters(self.scene, PackCache(), list(self.scene.named_sensors))
 
 
 def left_out(renderer: Renderer) -> list[str]:

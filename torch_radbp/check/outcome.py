@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from torch import Tensor
@@ -11,9 +11,11 @@ from torch import Tensor
 from torch_radbp.check.statistics import STEP_ERROR, Comparison, Projection
 
 AGREES, BIASED, SILHOUETTES, TOO_NOISY = "agrees", "biased", "biased, probably by silhouettes", "too noisy"
+TOO_LARGE, AT_FLOOR = "too large a step", "at a floor"
 
 MOST_Z = 4.0  # of a projection; by chance about once in a thousand with 16 batches
 DETECT = 0.05  # the relative error that must not go unnoticed
+SHRINKS = 0.6  # an error of differences shrinks to 1/4 or 1/2 by half of the step, one of the derivative stays
 MOST_ROUNDINGS = 1e4  # of the dtype's epsilon, between forward and backward pass: sums in another order
 
 
@@ -45,7 +47,7 @@ class GradientCheck:
         seed: of the random numbers.
         comparison: the images (`difference`, `jvp`, `standard_error`, `z`, each (B, 3, H, W) float64 on the scene's device)
             and the figures (`pixels`, `tiles`, `projections`).
-        verdict: "agrees", "biased", "biased, probably by silhouettes" or "too noisy".
+        verdict: "agrees", "biased", "biased, probably by silhouettes", "too noisy", "too large a step" or "at a floor".
         explanation: a sentence that says why, and what to do.
         detectable: the smallest relative error of the derivative that would have been detected.
     """
@@ -110,13 +112,55 @@ def judge(asked: Question, comparison: Comparison) -> GradientCheck:
     if its tiles are off by more than chance allows and by more than 1%; the 1% is allowed for the step of the finite
     differences, and what they bend by. It is biased, too, if it is not finite, or if forward mode and the backward pass
     disagree. Silhouettes are named if the renderer has said that it leaves some out. It is too noisy if an error of 5% could
-    have gone undetected.
+    have gone undetected. Whether the step makes the error of one that is biased, `said_of_step` finds out.
     """
     informative = comparison.projections[1]
     surest = min(comparison.projections if informative.bend else [informative], key=hidden)
     verdict, explanation = verdict_on(comparison, asked, surest)
     *question, _, _ = asked
     return GradientCheck(*question, comparison, verdict, explanation, hidden(surest))
+
+
+def said_of_step(asked: Question, result: GradientCheck, halved: Comparison, change: Comparison) -> GradientCheck:
+    """A biased outcome, or that its step is too large, if the differences make the error and not the derivative.
+
+    Args:
+        asked: what led to it.
+        result: of differences by the whole step.
+        halved: of differences by half of the step, from the same samples.
+        change: of the differences, compared with none.
+    """
+    changes = is_off(change) or any(abs(projection.z) > MOST_Z for projection in change.projections)
+    before, after = largest_error(result.comparison, result.comparison), largest_error(result.comparison, halved)
+    if not changes or not abs(after) < SHRINKS * abs(before):
+        return result
+    return replace(result, verdict=TOO_LARGE, explanation=(
+        f"differences by this step are off by {before:+.1%}, and by half of it {after:+.1%}, so that they make the error, "
+        f"not the derivative; use a smaller step (step={asked.step / 8:.2g})"))
+
+
+def said_of_floor(result: GradientCheck, floor: float) -> GradientCheck:
+    """A biased outcome of a parameter that is below a floor of its plugin."""
+    return replace(result, verdict=AT_FLOOR, explanation=(
+        f"values below {floor:.3g} may count as larger ones, with the derivatives that these have, so that optimizers can "
+        f"leave the end of the range again; differences do not show that. Check the derivative at {floor:.3g} or more"))
+
+
+def is_off(comparison: Comparison) -> bool:
+    """True if tiles are off by more than chance allows."""
+    return comparison.tiles.mean_square_z > comparison.tiles.limit
+
+
+def largest_error(by: Comparison, of: Comparison) -> float:
+    """The relative error, in a comparison, of the projection that is worst in another one; of tiles if none is off there."""
+    off = off_projections(by)
+    worst = by.projections.index(max(off, key=lambda projection: abs(projection.z))) if off else None
+    return of.tiles.relative_bias if worst is None else of.projections[worst].relative_error
+
+
+def off_projections(comparison: Comparison) -> list[Projection]:
+    """The projections that are off by more than chance and the step allow."""
+    return [p for p in comparison.projections if abs(p.z) > MOST_Z and abs(p.relative_error) > STEP_ERROR]
 
 
 def hidden(projection: Projection) -> float:
@@ -141,16 +185,15 @@ def verdict_on(comparison: Comparison, asked: Question, surest: Projection) -> t
     if not comparison.difference.any() and not comparison.jvp.any():
         return TOO_NOISY, ("both derivatives are zero everywhere, so that nothing is compared: what this sensor sees does "
                            "not depend on the parameter; choose another direction, sensor or max_depth")
-    off = [p for p in comparison.projections if abs(p.z) > MOST_Z and abs(p.relative_error) > STEP_ERROR]
-    tiles = comparison.tiles
-    if off or (tiles.mean_square_z > tiles.limit and tiles.relative_bias > STEP_ERROR):
+    off, tiles = off_projections(comparison), comparison.tiles
+    if off or (is_off(comparison) and tiles.relative_bias > STEP_ERROR):
         worst = max(off, key=lambda projection: abs(projection.z)) if off else None
         where = (f"off by {worst.relative_error:+.1%} ({worst.z:+.1f} standard errors) on {worst.name}" if worst
                  else f"off by {tiles.relative_bias:.1%} in tiles of the image, though not in sum")
         held = f"half of the squared error lies in {comparison.pixels.concentration:.1%} of the pixels"
         if asked.left_out:
             return SILHOUETTES, f"{where}; {held}. The renderer leaves out a part: {'; '.join(asked.left_out)}"
-        step = "If the error shrinks with a smaller step, the step was too large"
+        step = "By half of the step the differences are off as well"
         if asked.moves:
             return BIASED, (f"{where}; {held}. The renderer does not know of anything that it leaves out; without a warning "
                             f"it leaves out edges that surfaces see by reflection, and shadows of a mask's holes. {step}")

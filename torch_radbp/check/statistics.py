@@ -33,6 +33,10 @@ class Samples(NamedTuple):
     rounding: Tensor  # (B, 3, H, W) standard error of `difference` by rounding
     bend: Tensor | None = None  # (R, B, 3, H, W) what differences to one side are off by on average; None: not looked at
 
+    def changed(self, halved: Tensor) -> Samples:
+        """Zero, and beside it the change of differences by half of the step, whose images share their samples."""
+        return Samples(torch.zeros_like(halved), halved - self.difference, 3 * self.rounding)
+
 
 class Cotangent(NamedTuple):
     """An image onto which derivative images are projected."""

@@ -207,7 +207,7 @@ class Envmap(Light):
     to all.
 
     Args:
-        filename: EXR, HDR, PFM, PNG, JPEG, BMP or TGA. Either this or `bitmap`.
+        filename: EXR, HDR, PFM, PNG, JPEG, BMP, TGA, WebP or TIFF. Either this or `bitmap`.
         bitmap, data: (H, W), (H, W, 1) or (H, W, 3) linear values, or bytes (uint8) in sRGB; both names mean the same.
         scale: multiplies the image.
         mis_compensation: sample only texels brighter than the average, and leave the rest to BSDF sampling (Karlik et al.

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,13 +13,15 @@ from torch_radbp.emitter.attributes import Scaled, colour, weight
 from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.emitter.kind import NEAREST, Light, ShadowSource
 from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes, direction
-from torch_radbp.plugin import Matrix4, Texture, register
+from torch_radbp.plugin import Matrix4, Texture, register, warn_of_radians
 from torch_radbp.plugin.domain import AMOUNT, NUMBER, POSE, Domain
 from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.tensors.vec import Frame, Vec2, Vec3, normalize
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.transforms import transform
 
+ROUNDING = 1e-4  # by which the beam of a file may be wider than its cone
+NARROWEST = 1e-3  # fall-off of a light that ends sharply in a file, over its cutoff
 CUTOFF = NUMBER._replace(low=0.0, high=180.0, low_is_in=False, unit=" degrees")
 
 
@@ -78,6 +80,7 @@ class Spot(Light):
         beam_width = 0.75 * cutoff_angle if beam_width is None else beam_width
         if not 0 < cutoff_angle <= 180:
             raise ValueError(f"cutoff_angle must be more than 0 and at most 180 degrees, got {cutoff_angle}")
+        warn_of_radians("cutoff_angle", cutoff_angle)
         if not 0 <= beam_width < cutoff_angle:
             raise ValueError(f"beam_width must be at least 0 and less than the cutoff_angle of {cutoff_angle} degrees, got "
                              f"{beam_width}")
@@ -90,6 +93,16 @@ class Spot(Light):
         self.freeze("beam_width", torch.tensor(float(beam_width), dtype=dtype))
         self.freeze("to_world", transform("to_world", to_world))
         self.sampling_weight = weight(sampling_weight)
+
+    @classmethod
+    def of_file(cls, arguments: dict[str, Any], note: Callable[[str], None]) -> dict[str, Any]:
+        """A beam as wide as the cone, as exporters write light that ends sharply, gets the narrowest fall-off there is."""
+        cutoff, beam = (arguments.get(name, default) for name, default in (("cutoff_angle", 20.0), ("beam_width", None)))
+        if not isinstance(beam, float) or not isinstance(cutoff, float) or not cutoff <= beam <= cutoff * (1.0 + ROUNDING):
+            return arguments
+        note(f"beam_width, which is not less than cutoff_angle, is read as {1.0 - NARROWEST:g} times that: light that ended "
+             "sharply would have no derivative")
+        return {**arguments, "beam_width": cutoff * (1.0 - NARROWEST)}
 
     def domains(self) -> dict[str, Domain]:
         widest = CUTOFF if self.texture is None else CUTOFF._replace(high=90.0, high_is_in=False)

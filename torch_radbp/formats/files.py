@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import unicodedata
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -58,6 +59,27 @@ def check_source(path: str | os.PathLike) -> None:
     if os.path.isdir(path):
         raise IsADirectoryError(f"{path}: is a folder, not a file")
     if not os.path.exists(path):
-        raise FileNotFoundError(f"{path}: file not found")
+        like = otherwise_spelled(path)
+        raise FileNotFoundError(f"{path}: file not found{f'; did you mean {like}?' if like else ''}")
     if not os.path.isfile(path):
         raise OSError(f"{path}: is not an ordinary file")
+
+
+def otherwise_spelled(path: str | os.PathLike) -> Path | None:
+    """The path that is there and differs from this one in upper and lower case, or in how accents are coded; or None."""
+    place = Path(Path(path).anchor)
+    for part in Path(path).parts[len(place.parts):]:
+        if not os.path.lexists(place / part):
+            try:
+                part = next((name for name in sorted(os.listdir(place)) if folded(name) == folded(part)), None)
+            except OSError:
+                part = None
+            if part is None:
+                return None
+        place /= part
+    return place if place.is_file() else None
+
+
+def folded(name: str) -> str:
+    """A name without the difference of upper and lower case, and of composed and decomposed accents."""
+    return unicodedata.normalize("NFC", name).casefold()

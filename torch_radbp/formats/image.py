@@ -1,13 +1,11 @@
-"""Images: EXR through OpenEXR; PNG, JPEG, BMP and TGA through Pillow; HDR and PFM. In memory they are linear float32."""
+"""Images: EXR through OpenEXR; PNG, JPEG, BMP, TGA, WebP and TIFF through Pillow; HDR and PFM. In memory: linear float32."""
 
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 import torch
@@ -17,26 +15,28 @@ from torch import Tensor
 from torch_radbp.formats.atomic import replacing
 from torch_radbp.formats.exr import read_exr, write_exr
 from torch_radbp.formats.files import opened, unknown_kind
+from torch_radbp.formats.memory import memory_for
 from torch_radbp.formats.pfm import read_pfm
-from torch_radbp.formats.png import check_pixel_data
+from torch_radbp.formats.picture_size import check_size
+from torch_radbp.formats.pillow import read_pixels
 from torch_radbp.formats.radiance import read_radiance
 
 READABLE = {".exr": "EXR", ".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".bmp": "BMP", ".tga": "TGA", ".hdr": "HDR",
-            ".pfm": "PFM"}
+            ".pfm": "PFM", ".webp": "WEBP", ".tif": "TIFF", ".tiff": "TIFF"}
 WRITABLE = (".exr", ".png")
 LINEAR = ("EXR", "HDR", "PFM")
 SIGNATURES = {"EXR": b"\x76\x2f\x31\x01", "PNG": b"\x89PNG\r\n\x1a\n", "JPEG": b"\xff\xd8\xff", "BMP": b"BM",
-              "HDR": b"#?", "PFM": (b"PF", b"Pf"), "TGA": b""}  # TGA has none
-MAX_PIXELS = 2**27  # 16384 x 8192
-JPEG_PIXELS = 512  # that a byte of a JPEG file can stand for: 8 x 8 of them take a bit at least
+              "HDR": b"#?", "PFM": (b"PF", b"Pf"), "WEBP": b"RIFF",
+              "TIFF": (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), "TGA": b""}  # TGA has none
 
 
 def read_image(path: str | os.PathLike, raw: bool = False) -> Tensor:
     """Reads an image.
 
     EXR: half and float, all compressions; channels R, G, B or Y, also inside a layer (`beauty.R`). HDR: Radiance's RGBE.
-    PFM: grey and colour. PNG, JPEG, BMP and TGA: grey, colour and palette, 8 or 16 bits. Alpha is dropped in every format,
-    without multiplying by it.
+    PFM: grey and colour. PNG, JPEG, BMP, TGA, WebP and TIFF: grey, colour and palette, 8 or 16 bits. Alpha is dropped in
+    every format, without multiplying by it. Pixels are as they are stored, whatever the orientation in EXIF data; that of
+    a TIFF file is part of its format, and counts.
 
     Args:
         path: the file; its extension says what it is.
@@ -50,22 +50,28 @@ def read_image(path: str | os.PathLike, raw: bool = False) -> Tensor:
         IsADirectoryError: if it is a folder.
         ValueError: on unknown extensions, damaged files, files cut short or of another format than their extension says,
             EXR files without a colour, and images of more than `MAX_PIXELS` pixels.
+        MemoryError: names the file, if there is not enough memory.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in READABLE:
         raise ValueError(unknown_kind(path, "image", READABLE))
     kind = READABLE[suffix]
     _check_signature(path, kind)
+    with memory_for(path):
+        image = torch.from_numpy(np.ascontiguousarray(_pixels(path, kind), dtype=np.float32))
+        return image if raw or kind in LINEAR else srgb_to_linear(image)
+
+
+def _pixels(path: str | os.PathLike, kind: str) -> np.ndarray:
+    """(H, W, 1 or 3) values of a file as they are coded; raises as `read_image`."""
     try:
-        pixels = READERS[kind](path) if kind in READERS else _read_with_pillow(path, kind)
+        return READERS[kind](path) if kind in READERS else colours(read_pixels(path, kind))
     except MemoryError:
         raise
     except Exception as error:  # the libraries raise whatever their decoders stumble over
         inner = isinstance(error, (LookupError, ArithmeticError, UnicodeError))  # whose messages speak of their own code
         reason = "its content is damaged" if inner else " ".join(str(error).split())
         raise ValueError(f"{path}: cannot be read as {kind}: {reason}") from error
-    image = torch.from_numpy(np.ascontiguousarray(pixels, dtype=np.float32))
-    return image if raw or kind in LINEAR else srgb_to_linear(image)
 
 
 def save_image(path: str | os.PathLike, image: Tensor, channels: Mapping[str, Tensor] | None = None, *,
@@ -174,77 +180,9 @@ def _check_signature(path: str | os.PathLike, kind: str) -> None:
     raise ValueError(f"{path}: cannot be read as {kind}: the file {found}")
 
 
-def check_size(width: int, height: int) -> None:
-    """Raises ValueError if an image is empty or larger than what is read."""
-    if not 0 < width * height <= MAX_PIXELS:
-        raise ValueError(f"an image may have 1 to {MAX_PIXELS} pixels, this one has {width} x {height}")
-
-
-def open_picture(source: str | os.PathLike | BinaryIO, kind: str, held: int) -> Image.Image:
-    """A picture of one of Pillow's kinds, whose pixels are not decoded yet.
-
-    Args:
-        source: the file.
-        kind: such as JPEG.
-        held: how many bytes it has.
-
-    Raises:
-        ValueError: if it is larger than what is read, or than what its bytes can hold.
-    """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # below our own limit, too
-        try:
-            picture = Image.open(source, formats=(kind,))
-        except Image.DecompressionBombError:
-            raise ValueError(f"an image may have 1 to {MAX_PIXELS} pixels, this one has more") from None
-    try:
-        check_size(*picture.size)
-        check_held(kind, *picture.size, held)
-    except ValueError:
-        picture.close()
-        raise
-    return picture
-
-
-def check_held(kind: str, width: int, height: int, held: int) -> None:
-    """Raises ValueError if a JPEG file of `held` bytes is too short for its pixels; the decoder would fill in grey."""
-    if kind == "JPEG" and width * height > JPEG_PIXELS * held:
-        raise ValueError(f"its {width} x {height} pixels cannot be in {held} bytes; is the file cut short?")
-
-
-def _read_with_pillow(path: str | os.PathLike, kind: str) -> np.ndarray:
-    """(H, W, C) values in [0, 1]."""
-    with open_picture(path, kind, os.path.getsize(path)) as file:
-        file.verify()  # the check sums of PNG, which reading ignores
-    if kind == "PNG":
-        with opened(path) as file:
-            check_pixel_data(file)
-    high = _decode(path, kind)
-    if high.dtype == np.uint16:
-        return high[:, :, None] / np.float32(65535)
-    low = _decode(path, kind, low_bytes=True)
-    if low is not None:
-        return (high * np.float32(256) + low) / np.float32(65535)
-    return high / np.float32(255)
-
-
-def _decode(path: str | os.PathLike, kind: str, low_bytes: bool = False) -> np.ndarray | None:
-    """(H, W) 16-bit grey, or (H, W, 1 or 3) bytes: of 16-bit colour the high ones, or the low ones if asked.
-
-    Pillow keeps 8 bits of 16-bit colour, the first of each pair of bytes. Told that the pairs are little-endian, it
-    keeps the second. Returns None if low bytes are asked of an image that has none.
-    """
-    with open_picture(path, kind, os.path.getsize(path)) as file:
-        wide = bool(file.tile) and file.tile[0].args in ("RGB;16B", "RGBA;16B")
-        if low_bytes and not wide:
-            return None
-        if low_bytes:
-            file.tile = [tile._replace(args=tile.args.replace("16B", "16L")) for tile in file.tile]
-        if file.mode.startswith("I"):
-            return np.asarray(file).astype(np.uint16)
-        grey = file.mode in ("1", "L", "LA")
-        pixels = np.asarray(file.convert("L" if grey else "RGB"))
-    return pixels[:, :, None] if grey else pixels
+def colours(pixels: np.ndarray) -> np.ndarray:
+    """(H, W, 1 or 3) of (H, W, 1 to 4) pixels, whose alpha comes last."""
+    return pixels[:, :, :3 if pixels.shape[2] > 2 else 1]
 
 
 READERS: dict[str, Callable[[str | os.PathLike], np.ndarray]] = {

@@ -8,6 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from torch_radbp.formats.leniency import Repairs
+
+FEW_CORNERS = "the face has fewer than 3 corners, and is left out"
 SHORTEST_NORMAL, LONGEST_NORMAL = 1e-12, 1e12  # beyond these the direction is lost in float32
 
 
@@ -16,7 +19,7 @@ class MeshArrays(NamedTuple):
 
     vertices: np.ndarray  # (V, 3) float64
     faces: np.ndarray  # (F, 3) int64
-    normals: np.ndarray | None  # (V, 3) float64, as in the file: not normalised
+    normals: np.ndarray | None  # (V, 3) float64, as in the file: not normalised; 0 where it has none that is usable
     uv: np.ndarray | None  # (V, 2) float64, as in the file: `flip_tex_coords` is the plugin's business
     attributes: Mapping[str, np.ndarray] = MappingProxyType({})  # (V, 1 or 3) vertex_NAME, (F, 1 or 3) face_NAME, float64
 
@@ -47,11 +50,43 @@ def check_finite(name: str, values: np.ndarray, place: Callable[[int], str]) -> 
                          "infinite")
 
 
-def check_normals(normals: np.ndarray, place: Callable[[int], str]) -> None:
-    """Raises ValueError with the `place` of the first normal without a direction; Mitsuba's OBJ reader does the same."""
+def used_by(faces: np.ndarray, rows: int) -> np.ndarray:
+    """(rows,) True for the vertices, of 0 to `rows` - 1, that a face uses."""
+    used = np.zeros(rows, bool)
+    used[faces] = True
+    return used
+
+
+def usable_positions(vertices: np.ndarray, used: np.ndarray, place: Callable[[int], str]) -> np.ndarray:
+    """The positions; those that are not finite and that no face uses lie at the first that a face does.
+
+    Raises:
+        ValueError: names the `place` of the first that is not finite of those that faces use.
+    """
+    check_finite("vertices", np.where(used[:, None], vertices, 0.0), place)
+    bad = ~np.isfinite(vertices).all(axis=1)
+    return replaced(vertices, bad, vertices[np.argmax(used)], bad, place,
+                    "the position is not finite; no face uses the vertex, and it is moved to another")
+
+
+def usable_normals(normals: np.ndarray, used: np.ndarray, place: Callable[[int], str]) -> np.ndarray:
+    """The normals, 0 where one has no direction; tells those that faces use, at their `place`."""
     length = np.linalg.norm(normals, axis=1)
     bad = ~((length >= SHORTEST_NORMAL) & (length <= LONGEST_NORMAL))
-    if bad.any():
-        first = int(np.argmax(bad))
-        raise ValueError(f"{place(first)}: a normal must have a length between {SHORTEST_NORMAL:g} and {LONGEST_NORMAL:g}, "
-                         f"got {length[first]:g}; give face_normals or recompute_normals to do without the file's normals")
+    return replaced(normals, bad, np.zeros(3), bad & used, place,
+                    "the normal has no direction (zero or not finite), and is made from the triangles around")
+
+
+def usable_uv(uv: np.ndarray, used: np.ndarray, place: Callable[[int], str]) -> np.ndarray:
+    """Texture coordinates, (0, 0) where they are not finite; tells those that faces use, at their `place`."""
+    bad = ~np.isfinite(uv).all(axis=1)
+    return replaced(uv, bad, np.zeros(2), bad & used, place, "the texture coordinate is not finite, and read as (0, 0)")
+
+
+def replaced(values: np.ndarray, bad: np.ndarray, by: np.ndarray, told: np.ndarray, place: Callable[[int], str],
+             what: str) -> np.ndarray:
+    """`values` with `by` in the `bad` rows; tells the rows `told`."""
+    if told.any():
+        with Repairs() as repairs:
+            repairs.add_rows(np.flatnonzero(told).tolist(), place, what)
+    return np.where(bad[:, None], by, values) if bad.any() else values

@@ -1,11 +1,12 @@
-"""Reads Wavefront OBJ files, strictly: whatever is malformed is an error with its line.
+"""Reads Wavefront OBJ files: whatever is malformed is an error with its line; what is left out or repaired is told.
 
-An own reader, since trimesh's is lenient (texture indices out of range drop all coordinates, faces of two corners vanish, an
+An own reader, since trimesh's is silent (texture indices out of range drop all coordinates, faces of two corners vanish, an
 index of 0 counts as 1) and takes 4.0 s and 741 MB for a million triangles with normals and uv where this one takes 2.3 s and
 250 MB (`python -m benchmarks.mesh_files`).
 
-All objects, groups and materials become one mesh, as in Mitsuba, and lines and points (`l`, `p`) are no surface. Where
-Mitsuba 3.9 leaves memory unset (a file in which some faces have normals or uv and others none) this is an error.
+All objects, groups and materials become one mesh, as in Mitsuba, and lines and points (`l`, `p`) are no surface. Where some
+faces have normals or uv and others none, for which Mitsuba 3.9 leaves memory unset, the others have normals made from the
+triangles around, and the uv (0, 0).
 
 Reference: the Object Files (.obj) chapter of the Wavefront Advanced Visualizer manual, appendix B1.
 """
@@ -16,14 +17,20 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from torch_radbp.formats.mesh_arrays import MeshArrays, check_normals, fans
+from torch_radbp.formats.leniency import Repairs
+from torch_radbp.formats.mesh_arrays import FEW_CORNERS, MeshArrays, fans, usable_normals, usable_uv, used_by
 from torch_radbp.formats.text_lines import Lines, decimals, read_lines
 from torch_radbp.plugin import nearest
 
 IGNORED = frozenset("o g s mg l p usemtl mtllib usemap maplib lod bevel c_interp d_interp shadow_obj trace_obj".split())
+# Statements of free-form geometry, as Rhino writes it; these three are what is left out with them.
+FREE_FORM = frozenset("curv curv2 surf".split())
+OF_FREE_FORM = frozenset("vp cstype deg bmat step parm trim hole scrv sp con end res ctech stech".split())
 COUNTS = {"v": (3, 4, 6, 7), "vt": (2, 3), "vn": (3,)}  # x y z [w] [r g b]; u v [w]; x y z
 WIDTHS = {"v": 3, "vt": 2, "vn": 3}  # the numbers that are kept
 NOUNS = {"v": "vertex", "vt": "texture coordinate", "vn": "normal"}
+LACKING = {"vt": "corners without a texture coordinate are read at (0, 0)",
+           "vn": "corners without a normal have one made from the triangles around"}
 SLASH = ord("/")
 LARGEST_INDEX = 2**31
 
@@ -45,15 +52,15 @@ def read_obj(file: BinaryIO, place: str, want_normals: bool = True) -> MeshArray
         want_normals: False leaves out the file's normals, whatever they are.
 
     Raises:
-        ValueError: names file and line of what is malformed, out of range, or not finite.
+        ValueError: names file and line of what is malformed or out of range, or of a position that is not finite.
     """
     rows: dict[str, list[np.ndarray]] = {keyword: [np.empty((0, width))] for keyword, width in WIDTHS.items()}
     places: dict[str, list[np.ndarray]] = {keyword: [] for keyword in WIDTHS}
-    seen = dict.fromkeys(WIDTHS, 0)
+    seen, wanted = dict.fromkeys(WIDTHS, 0), [keyword for keyword in WIDTHS if want_normals or keyword != "vn"]
     faces = []
     for lines in read_lines(file, place, comments=True):
         kinds = _kinds(lines, place)
-        for keyword in WIDTHS:
+        for keyword in wanted:
             chosen = np.flatnonzero(kinds == keyword.encode())
             if len(chosen):
                 rows[keyword].append(_rows(lines, chosen, keyword, place))
@@ -64,17 +71,20 @@ def read_obj(file: BinaryIO, place: str, want_normals: bool = True) -> MeshArray
             faces.append(_faces(lines, chosen, before, place))
         for keyword in WIDTHS:
             seen[keyword] += int(np.count_nonzero(kinds == keyword.encode()))
-    if not faces:
+    merged = _merged(faces) if faces else None
+    if merged is None or not len(merged.counts):
         raise ValueError(f"{place}: the mesh has {seen['v']} vertices and no faces (lines like \"f 1 2 3\")")
-    merged = _merged(faces)
     values = {keyword: np.concatenate(found) for keyword, found in rows.items()}
     if not want_normals:
         merged.corners["vn"][:] = -1
     for keyword in WIDTHS:
         _check_range(merged, keyword, len(values[keyword]), place)
-    if (merged.corners["vn"] >= 0).any():
-        numbers = np.concatenate(places["vn"])
-        check_normals(values["vn"], lambda row: f"{place}, line {numbers[row]}")
+    for keyword, usable in (("vt", usable_uv), ("vn", usable_normals)):
+        index = merged.corners[keyword]
+        if (index >= 0).any():
+            used, numbers = used_by(index[index >= 0], len(values[keyword])), np.concatenate(places[keyword])
+            values[keyword] = usable(values[keyword], used, lambda row, numbers=numbers: f"{place}, line {numbers[row]}")
+            values[keyword] = _completed(merged, keyword, values[keyword], place)
     return _mesh(merged, values)
 
 
@@ -89,7 +99,10 @@ def _kinds(lines: Lines, place: str) -> np.ndarray:
     for index in np.flatnonzero(~geometry):
         word = words[index]
         keyword = lines.text[lines.starts[word]:lines.ends[word]].tobytes().decode("utf-8", "backslashreplace")
-        if keyword not in IGNORED:
+        if keyword in FREE_FORM:
+            with Repairs() as repairs:
+                repairs.add(f"{place}, line {lines.numbers[index]}", "a curve or free-form surface is left out")
+        elif keyword not in IGNORED and keyword not in OF_FREE_FORM:
             raise ValueError(f"{place}, line {lines.numbers[index]}: {lines.word(word)} does not begin a line that is "
                              f"supported; {nearest(keyword[:40], [*WIDTHS, 'f', *IGNORED])}")
     return np.where(geometry, kinds, b"")
@@ -111,17 +124,19 @@ def _rows(lines: Lines, chosen: np.ndarray, keyword: str, place: str) -> np.ndar
         wanted = " or ".join(map(str, COUNTS[keyword]))
         raise ValueError(f"{place}, line {lines.numbers[chosen[index]]}: a {NOUNS[keyword]} ({keyword}) has {wanted} "
                          f"numbers, got {counts[index]}")
-    values = lines.values(words, place)
+    values = lines.values(words, place, finite=keyword == "v")
     return values[(np.cumsum(counts) - counts)[:, None] + np.arange(WIDTHS[keyword])]
 
 
 def _faces(lines: Lines, chosen: np.ndarray, before: dict[str, np.ndarray], place: str) -> Faces:
     """The `f` lines among `lines`; `before`: how many rows of each kind come before each, for relative indices."""
     words, counts = _words_after_keyword(lines, chosen)
-    if (counts < 3).any():
-        index = int(np.argmax(counts < 3))
-        raise ValueError(f"{place}, line {lines.numbers[chosen[index]]}: a face needs at least 3 corners, got "
-                         f"{counts[index]}")
+    whole = counts >= 3
+    if not whole.all():
+        with Repairs() as repairs:
+            repairs.add_rows(lines.numbers[chosen[~whole]].tolist(), lambda line: f"{place}, line {line}", FEW_CORNERS)
+        chosen, before = chosen[whole], {keyword: rows[whole] for keyword, rows in before.items()}
+        words, counts = _words_after_keyword(lines, chosen)
     # Divide the corners at their slashes: the parts of corner i are first[i] to last[i].
     starts, ends = lines.starts[words], lines.ends[words]
     is_slash = lines.text == SLASH
@@ -185,20 +200,26 @@ def _merged(faces: list[Faces]) -> Faces:
 
 
 def _check_range(faces: Faces, keyword: str, count: int, place: str) -> None:
-    """Raises ValueError if an index is `count` or above, or if some corners have one of this kind and others none."""
+    """Raises ValueError if an index is `count` or above."""
     index = faces.corners[keyword]
-
-    def line(bad: np.ndarray) -> int:
-        return int(np.repeat(faces.lines, faces.counts)[np.argmax(bad)])
-
     if index.max() >= count:
-        bad = index >= count
-        raise ValueError(f"{place}, line {line(bad)}: the {NOUNS[keyword]} index {index[np.argmax(bad)] + 1} is out of "
-                         f"range, the file has {count} ({keyword})")
-    if index.min() < 0 <= index.max():
-        advice = "; give face_normals or recompute_normals to do without" if keyword == "vn" else ""
-        raise ValueError(f"{place}, line {line(index < 0)}: corners without a {NOUNS[keyword]}, while others have one; give "
-                         f"all of them one, or none{advice}")
+        first = int(np.argmax(index >= count))
+        line = int(np.repeat(faces.lines, faces.counts)[first])
+        raise ValueError(f"{place}, line {line}: the {NOUNS[keyword]} index {index[first] + 1} is out of range, the file "
+                         f"has {count} ({keyword})")
+
+
+def _completed(faces: Faces, keyword: str, values: np.ndarray, place: str) -> np.ndarray:
+    """`values` with a row of zeros for the corners that have no index into them, which is set; tells their faces."""
+    index = faces.corners[keyword]
+    lacking = index < 0
+    if not lacking.any():
+        return values
+    with Repairs() as repairs:
+        rows = np.flatnonzero(np.maximum.reduceat(lacking, np.cumsum(faces.counts) - faces.counts))
+        repairs.add_rows(rows.tolist(), lambda row: f"{place}, line {faces.lines[row]}", LACKING[keyword])
+    index[lacking] = len(values)
+    return np.concatenate([values, np.zeros((1, values.shape[1]))])
 
 
 def _mesh(faces: Faces, values: dict[str, np.ndarray]) -> MeshArrays:

@@ -1,8 +1,8 @@
-"""Reads and writes Stanford PLY files: ascii and binary of both byte orders; strictly.
+"""Reads and writes Stanford PLY files: ascii and binary of both byte orders.
 
-An own reader, since trimesh's is lenient (files cut short load with the vertices that are there) and takes 0.8 s and 303 MB
+An own reader, since trimesh's is silent (files cut short load with the vertices that are there) and takes 0.8 s and 303 MB
 for a million triangles where this one takes 0.12 s and 113 MB (`python -m benchmarks.mesh_files`). As in Mitsuba, a file
-longer than its header says is an error.
+longer than its header says is an error. What is left out or repaired is told.
 
 Reference: Greg Turk 1994, "The PLY Polygon File Format".
 """
@@ -16,9 +16,18 @@ from typing import BinaryIO
 import numpy as np
 
 from torch_radbp.formats.atomic import replacing
-from torch_radbp.formats.mesh_arrays import MeshArrays, check_finite, check_normals, fans
+from torch_radbp.formats.leniency import Repairs
+from torch_radbp.formats.mesh_arrays import (
+    FEW_CORNERS,
+    MeshArrays,
+    fans,
+    usable_normals,
+    usable_positions,
+    usable_uv,
+    used_by,
+)
 from torch_radbp.formats.ply_ascii import AsciiTables
-from torch_radbp.formats.ply_attributes import attributes_in, channels_of
+from torch_radbp.formats.ply_attributes import attributes_in, channels_of, linear_colours
 from torch_radbp.formats.ply_binary import BinaryTables
 from torch_radbp.formats.ply_header import Header, read_header
 
@@ -31,7 +40,7 @@ def read_ply(file: BinaryIO, place: str, want_normals: bool = True) -> MeshArray
     """The mesh in a PLY file, vertices in the file's order.
 
     Normals are the properties nx, ny, nz, texture coordinates u, v or s, t or texture_u, texture_v; attributes are those of
-    `ply_attributes`. Other properties and other elements are not used.
+    `ply_attributes`, colours that are integers in sRGB. Other properties and other elements are not used.
 
     Args:
         file: opened in binary mode.
@@ -53,19 +62,31 @@ def read_ply(file: BinaryIO, place: str, want_normals: bool = True) -> MeshArray
             body.lists(element, None)
     body.finish()
     mesh = _mesh(columns, corners, counts, want_normals, body.where, place)
-    return mesh._replace(attributes={**_attributes("vertex", columns, body.where),
-                                     **_attributes("face", of_faces, body.where, counts)})
+    vertex, face = ({p.name: p.kind for p in element.properties} for name in ("vertex", "face")
+                    for element in header.elements if element.name == name)
+    return mesh._replace(attributes={**_attributes("vertex", columns, vertex, body.where),
+                                     **_attributes("face", of_faces, face, body.where, (counts - 2).clip(0))})
 
 
-def _attributes(element: str, columns: dict[str, np.ndarray], where: Callable[[str, int], str],
-                counts: np.ndarray | None = None) -> dict[str, np.ndarray]:
-    """The attributes of an element, (rows, 1 or 3) each; of polygons with `counts` corners, one row for each triangle."""
-    found = {}
+def _attributes(element: str, columns: dict[str, np.ndarray], kinds: dict[str, str], where: Callable[[str, int], str],
+                triangles: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """The attributes of an element, (rows, 1 or 3) each; of polygons, one row for each of their `triangles`.
+
+    One that has values that are not finite is left out. `kinds`: of the properties, as numpy writes them.
+    """
+    attributes = {}
     for name, channels in attributes_in(columns).items():
         values = np.stack([columns[channel].astype(np.float64) for channel in channels], axis=1)
-        check_finite(name, values, lambda row: where(element, row))
-        found[f"{element}_{name}"] = values if counts is None else np.repeat(values, counts - 2, axis=0)
-    return found
+        if name == "color" or name.endswith("_color"):
+            values = linear_colours(values, [kinds[channel] for channel in channels])
+        bad = ~np.isfinite(values).all(axis=1)
+        if bad.any():
+            with Repairs() as repairs:
+                repairs.add_rows(np.flatnonzero(bad).tolist(), lambda row: where(element, row),
+                                 f"the attribute {element}_{name} is left out: it is not finite")
+            continue
+        attributes[f"{element}_{name}"] = values if triangles is None else np.repeat(values, triangles, axis=0)
+    return attributes
 
 
 def _check_elements(header: Header, place: str) -> str:
@@ -87,11 +108,11 @@ def _check_elements(header: Header, place: str) -> str:
         missing = [name for name in names if name not in scalars]
         if missing and (names == POSITION or len(missing) < len(names)):
             raise ValueError(f"{place}: element vertex lacks {', '.join(missing)} of {', '.join(names)}")
-    lists = {p.name: p.kind for p in face.properties if p.count is not None}
+    lists = [p.name for p in face.properties if p.count is not None]
     if "texcoord" in lists:
         raise ValueError(f"{place}: texture coordinates are stored per face; export them per vertex (u, v)")
     found = [name for name in CORNERS if name in lists]
-    if len(found) != 1 or lists[found[0]][0] == "f":
+    if len(found) != 1:
         raise ValueError(f"{place}: element face needs one list of integers called {' or '.join(CORNERS)}, got "
                          f"{', '.join(lists) or 'no list'}")
     return found[0]
@@ -107,20 +128,27 @@ def _mesh(columns: dict[str, np.ndarray], corners: np.ndarray, counts: np.ndarra
     uv = stacked(next((names for names in UV if names[0] in columns), UV[0]))
     if len(vertices) == 0 or len(counts) == 0:
         raise ValueError(f"{place}: the mesh has {len(vertices)} vertices and {len(counts) or 'no'} faces")
-    for name, values in (("vertices", vertices), ("normals", normals), ("uv", uv)):
-        if values is not None:
-            check_finite(name, values, lambda row: where("vertex", row))
-    if normals is not None:
-        check_normals(normals, lambda row: where("vertex", row))
-    if (counts < 3).any():
-        row = int(np.argmax(counts < 3))
-        raise ValueError(f"{where('face', row)}: a face needs at least 3 corners, got {int(counts[row])}")
     bad = (corners < 0) | (corners >= len(vertices)) | (corners % 1 != 0)
     if bad.any():
         row = int(np.searchsorted(np.cumsum(counts), np.argmax(bad), side="right"))
         raise ValueError(f"{where('face', row)}: faces must index vertices 0 to {len(vertices) - 1}, got "
                          f"{corners[np.argmax(bad)]:.17g}")
-    return MeshArrays(vertices, fans(corners.astype(np.int64), counts), normals, uv)
+    few = counts < 3
+    if few.any():
+        with Repairs() as repairs:
+            repairs.add_rows(np.flatnonzero(few).tolist(), lambda row: where("face", row), FEW_CORNERS)
+        corners, counts = corners[np.repeat(~few, counts)], counts[~few]
+    if len(counts) == 0:
+        raise ValueError(f"{place}: the mesh has no face of 3 corners or more")
+    faces = fans(corners.astype(np.int64), counts)
+    used = used_by(faces, len(vertices))
+
+    def place_of(row: int) -> str:
+        return where("vertex", row)
+
+    return MeshArrays(usable_positions(vertices, used, place_of), faces,
+                      None if normals is None else usable_normals(normals, used, place_of),
+                      None if uv is None else usable_uv(uv, used, place_of))
 
 
 def write_ply(path: str | os.PathLike, mesh: MeshArrays) -> None:

@@ -51,7 +51,8 @@ class AsciiTables:
         blocks = [np.empty((0, width))]
         for lines in self.take(element):
             self.check_width(element, lines, np.diff(lines.first), np.full(lines.rows, width))
-            blocks.append(lines.values(np.arange(lines.first[0], lines.first[-1]), self.place).reshape(-1, width))
+            values = lines.values(np.arange(lines.first[0], lines.first[-1]), self.place, finite=False)
+            blocks.append(values.reshape(-1, width))
         table = np.concatenate(blocks)
         return {p.name: table[:, column] for column, p in enumerate(element.properties)}
 
@@ -60,7 +61,7 @@ class AsciiTables:
         entries, counts = [np.empty(0)], [np.empty(0, np.int64)]
         others = {p.name: [np.empty(0)] for p in element.properties if p.count is None and wanted is not None}
         for lines in self.take(element):
-            values = lines.values(np.arange(lines.first[0], lines.first[-1]), self.place)
+            values = lines.values(np.arange(lines.first[0], lines.first[-1]), self.place, finite=False)
             begin, words = lines.first[:-1] - lines.first[0], np.diff(lines.first)
             read = np.zeros_like(words)  # of each row, how many of its words are accounted for
             for name, _, count in element.properties:

@@ -3,11 +3,19 @@
     r, g, b or red, green, blue             color
     NAME_r, NAME_g, NAME_b or NAME_r        NAME_color, of three channels or one
     NAME_x, NAME_y, NAME_z or NAME_x        NAME, likewise; and with 1, 2, 3, and with 0, 1, 2
+
+Colours of a floating-point type are linear, as in Mitsuba. Those of an integer type are bytes (0 to 255), of ushort 0 to
+65535, in sRGB, as MeshLab, CloudCompare, Open3D and COLMAP write them; Mitsuba takes the bytes as they are, with a warning.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import torch
+
+from torch_radbp.formats.image import srgb_to_linear
 
 COLOURS = (("r", "g", "b"), ("red", "green", "blue"))
 POSTFIXES = {("r", "g", "b"): "_color", ("x", "y", "z"): "", ("1", "2", "3"): "", ("0", "1", "2"): ""}
@@ -38,3 +46,11 @@ def channels_of(name: str, count: int) -> tuple[str, ...]:
     if name == "color" and count == 3:
         return COLOURS[0]
     return tuple(f"{name}_{postfix}" for postfix in ("1", "2", "3"))[:count]
+
+
+def linear_colours(values: np.ndarray, kinds: Sequence[str]) -> np.ndarray:
+    """(N, C) colours of properties of some kinds, as numpy writes them, as linear ones: those of integers are in sRGB."""
+    if any(kind[0] == "f" for kind in kinds):
+        return values
+    most = np.array([65535.0 if kind == "u2" else 255.0 for kind in kinds])
+    return srgb_to_linear(torch.from_numpy(values / most)).numpy()

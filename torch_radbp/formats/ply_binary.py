@@ -8,7 +8,7 @@ import numpy as np
 
 from torch_radbp.formats.ply_header import Element
 
-STRUCT_CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I"}
+STRUCT_CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
 
 
 class BinaryTables:
@@ -129,9 +129,9 @@ class BinaryTables:
         if offset + count.size > len(self.data):
             raise self.cut_short(element, row)
         length = count.unpack_from(self.data, offset)[0]
-        if length < 0:
+        if not length >= 0 or length % 1 != 0:
             raise ValueError(f"{self.where(element.name, row)}: a list cannot have {length} entries")
-        return length
+        return int(length)
 
     def cut_short(self, element: Element, row: int) -> ValueError:
         """The error to raise where the file ends inside of an element."""

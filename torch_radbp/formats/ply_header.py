@@ -12,7 +12,7 @@ TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2"
          "double": "f8", "float64": "f8"}
 BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 LONGEST_LINE = 4096
-ROWS = re.compile(r"\d{1,12}")
+ROWS = re.compile(r"(\d{1,12})(\.0*)?")
 
 
 class Property(NamedTuple):
@@ -84,11 +84,12 @@ def _byte_order(words: list[str]) -> str:
 
 
 def _element(words: list[str], before: list[Element]) -> Element:
-    if len(words) != 3 or not ROWS.fullmatch(words[2]):
+    rows = ROWS.fullmatch(words[2]) if len(words) == 3 else None
+    if rows is None:
         raise ValueError(f"expected \"element name rows\", got {' '.join(words)!r}")
     if words[1] in [element.name for element in before]:
         raise ValueError(f"the element {words[1]!r} is given twice")
-    return Element(words[1], int(words[2]), [])
+    return Element(words[1], int(rows[1]), [])
 
 
 def _add_property(words: list[str], elements: list[Element]) -> None:
@@ -101,8 +102,6 @@ def _add_property(words: list[str], elements: list[Element]) -> None:
     for kind in types:
         if kind not in TYPES:
             raise ValueError(f"{kind!r} is not a type of PLY; {nearest(kind, TYPES)}")
-    if is_list and TYPES[types[0]][0] == "f":
-        raise ValueError(f"the number of entries of a list must be of an integer type, got {types[0]}")
     if name in [known.name for known in elements[-1].properties]:
         raise ValueError(f"the property {name!r} of element {elements[-1].name!r} is given twice")
     elements[-1].properties.append(Property(name, TYPES[types[-1]], TYPES[types[0]] if is_list else None))

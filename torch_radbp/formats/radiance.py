@@ -15,10 +15,11 @@ import numpy as np
 
 from torch_radbp.formats.files import opened
 
-SIZE = re.compile(rb"-Y (\d{1,9}) \+X (\d{1,9})")
+LINE_END = re.compile(rb"\r?\n")
+AXES = re.compile(rb"\s*[-+][XY]\s")
+SIZE = re.compile(rb"\s*-Y\s+(\d{1,9})\s+\+X\s+(\d{1,9})\s*")
 FORMAT = b"32-bit_rle_rgbe"
 LONGEST_HEADER = 1 << 16
-NEWLINE = b"\n"
 MARK = b"\x02\x02"  # begins a row whose runs are encoded, channel by channel
 WIDTHS = range(8, 1 << 15)  # of rows that can be encoded
 
@@ -34,12 +35,11 @@ def read_radiance(path: str | os.PathLike, check_size: Callable[[int, int], None
         ValueError: on another format than RGBE from top left to bottom right, and on files cut short or damaged.
     """
     with opened(path) as file:
-        width, height = _size(file.read(LONGEST_HEADER))
+        width, height, place = _size(file.read(LONGEST_HEADER))
         check_size(width, height)
         file.seek(0)
         data = file.read()
     found: list[np.ndarray] = []  # (R, 4, W) rows
-    place = SIZE.search(data).end() + 1
     for row in range(height):
         if data[place:place + 2] == MARK and width in WIDTHS and data[place + 2] < 128:
             found.append(np.empty((1, 4, width), dtype=np.uint8))
@@ -56,16 +56,26 @@ def read_radiance(path: str | os.PathLike, check_size: Callable[[int, int], None
     return np.ascontiguousarray(values.transpose(0, 2, 1), dtype=np.float32)
 
 
-def _size(header: bytes) -> tuple[int, int]:
-    """Width and height of the picture that a header describes."""
-    lines, _, rest = header.partition(b"\n\n")
-    formats = [line.removeprefix(b"FORMAT=").strip() for line in lines.split(b"\n") if line.startswith(b"FORMAT=")]
+def _size(header: bytes) -> tuple[int, int, int]:
+    """Width and height of the picture that a header describes, and the byte at which its pixels begin.
+
+    The line with the size ends the header; which line ends, blanks, empty lines and variables come before does not matter.
+    """
+    formats, place = [], 0
+    for end in LINE_END.finditer(header):
+        line, place = header[place:end.start()], end.end()
+        if line.startswith(b"FORMAT="):
+            formats.append(line.removeprefix(b"FORMAT=").strip())
+        if AXES.match(line):
+            break
+    else:
+        line = b""
     if formats != [FORMAT]:
         raise ValueError(f"its format must be {FORMAT.decode()}, got {', '.join(map(repr, formats)) or 'none'}")
-    size = SIZE.fullmatch(rest.partition(b"\n")[0])
+    size = SIZE.fullmatch(line)
     if size is None:
-        raise ValueError(f"its size must read -Y height +X width, got {rest.partition(NEWLINE)[0][:40]!r}")
-    return int(size[2]), int(size[1])
+        raise ValueError(f"its size must read -Y height +X width, got {line[:40]!r}")
+    return int(size[2]), int(size[1]), place
 
 
 def _decode_row(data: bytes, place: int, row: np.ndarray) -> int:

@@ -1,4 +1,4 @@
-"""Reads serialized meshes, the compressed format of Mitsuba: versions 3 and 4; strictly.
+"""Reads serialized meshes, the compressed format of Mitsuba: versions 3 and 4.
 
 A file holds one mesh or several, each a header of two 16-bit numbers and a stream that zlib has compressed: flags, a name
 (version 4), the numbers of vertices and triangles, and the tables. At the end of the file are the offsets of all meshes (64
@@ -16,7 +16,14 @@ from typing import BinaryIO
 
 import numpy as np
 
-from torch_radbp.formats.mesh_arrays import MeshArrays, check_finite, check_normals
+from torch_radbp.formats.mesh_arrays import (
+    MeshArrays,
+    check_finite,
+    usable_normals,
+    usable_positions,
+    usable_uv,
+    used_by,
+)
 
 MAGIC, VERSIONS = 0x041C, (3, 4)
 HEADER = struct.Struct("<HH")
@@ -68,14 +75,16 @@ def checked(tables: dict[str, np.ndarray], faces: np.ndarray, want_normals: bool
             where: Callable[[str, int], str]) -> MeshArrays:
     """The mesh of the tables of its vertices, (V, 2 or 3) each, and its faces, (F, 3); errors say `where`."""
     tables = {name: values.astype(np.float64) for name, values in tables.items() if name != "normals" or want_normals}
-    for name, values in tables.items():
-        check_finite(name, values, lambda row: where("vertex", row))
-    if "normals" in tables:
-        check_normals(tables["normals"], lambda row: where("vertex", row))
     bad, last = faces >= len(tables["vertices"]), len(tables["vertices"]) - 1
     if bad.any():
         row = int(np.argmax(bad.any(axis=1)))
         raise ValueError(f"{where('face', row)}: faces must index vertices 0 to {last}, got {int(faces[row].max())}")
+    used = used_by(faces, last + 1)
+    for name, usable in (("vertices", usable_positions), ("normals", usable_normals), ("uv", usable_uv)):
+        if name in tables:
+            tables[name] = usable(tables[name], used, lambda row: where("vertex", row))
+    if "colours" in tables:
+        check_finite("colours", tables["colours"], lambda row: where("vertex", row))
     colours = {"vertex_color": tables["colours"]} if "colours" in tables else {}
     return MeshArrays(tables["vertices"], faces.astype(np.int64), tables.get("normals"), tables.get("uv"), colours)
 

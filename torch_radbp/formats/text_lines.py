@@ -16,9 +16,10 @@ BLOCK = 1 << 18  # whose arrays fit into a processor's cache: twice as fast as 4
 LONGEST_LINE = 1 << 20
 NEWLINE = b"\n"
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
-COMMENT = re.compile(rb"#[^\n]*")
+COMMENT = re.compile(rb"#(?!(?<=1\.#)(QNAN|SNAN|IND|INF))[^\n]*")  # but for 1.#QNAN, as Windows writes NaN
 CONTINUATION = re.compile(rb"\\[ \t\r]*\n")
 DECIMAL = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+NOT_FINITE = re.compile(rb"[+-]?(nan(\(\w*\))?|inf(inity)?|1\.#(qnan|snan|ind|inf)\w*)", re.IGNORECASE)  # of C, of Windows
 FAST_LENGTH = 18  # words up to this long have mantissas that int64 can hold
 POWERS = 10.0 ** np.arange(FAST_LENGTH + 1)
 
@@ -50,11 +51,12 @@ class Lines(NamedTuple):
         """The number of the line that has a word."""
         return int(self.numbers[np.searchsorted(self.first, index, side="right") - 1])
 
-    def values(self, words: np.ndarray, place: str) -> np.ndarray:
+    def values(self, words: np.ndarray, place: str, finite: bool = True) -> np.ndarray:
         """The numbers that the chosen words stand for; `place` is the file, for messages.
 
         Args:
             words: (N,) indices into `starts`.
+            finite: False also takes what stands for NaN and infinity, for the caller to look at.
 
         Returns:
             (N,) float64, correctly rounded.
@@ -63,6 +65,10 @@ class Lines(NamedTuple):
             ValueError: names file and line of the first word that is not a finite decimal number.
         """
         values, valid = decimals(self.text, self.starts[words], self.ends[words])
+        for index in () if finite else np.flatnonzero(~valid):
+            word = self.text[self.starts[words[index]]:self.ends[words[index]]].tobytes()
+            valid[index] = bool(NOT_FINITE.fullmatch(word) or DECIMAL.fullmatch(word))
+            values[index] = np.nan
         if not valid.all():
             index = words[np.argmin(valid)]
             raise ValueError(f"{place}, line {self.line_of_word(index)}: expected a finite number, got {self.word(index)}")

@@ -8,12 +8,15 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from torch import nn
 
 import torch_radbp.io.absent  # noqa: F401 (registers why plugins are missing)
+from torch_radbp.formats.files import otherwise_spelled
+from torch_radbp.formats.leniency import Repairs
 from torch_radbp.io.attribute_values import convert, is_list, is_named, options, plugin_categories, shown, with_article
 from torch_radbp.io.bitmap_object import is_bitmap_object, linear_values
 from torch_radbp.io.colour_values import colour_value, is_colour
@@ -111,8 +114,12 @@ class _Builder:
             raise self.error((integrators[1],), root[integrators[1]], "the scene already has an integrator; keep one")
         integrator = children.pop(integrators[0]) if integrators else None
         warn_of_poles(children)
-        if self.losses.found:
-            warnings.warn(said(list(self.losses)), SceneWarning, stacklevel=5)
+        if losses := list(self.losses):
+            with Repairs() as repairs:
+                strict = repairs.strict
+            if strict:
+                raise SceneError(said(losses))
+            warnings.warn(said(losses), SceneWarning, stacklevel=5)
         try:
             return Scene(children, integrator=integrator)
         except ValueError as error:
@@ -152,6 +159,9 @@ class _Builder:
             if self.depth > MAX_DEPTH:
                 raise self.error(path, value, f"objects are nested more than {MAX_DEPTH} deep, references followed")
             arguments = self.arguments(path, value, cls)
+            if isinstance(value, XMLObject):
+                with Repairs() as repairs:
+                    arguments = cls.of_file(arguments, partial(repairs.add, self.place(path, value)))
             self.depth -= 1
             try:
                 self.built[path] = cls(**with_arrays(arguments, self.looks) if cls is TensorMesh else arguments)
@@ -287,7 +297,8 @@ class _Builder:
         found = find_file(name, folders)
         if found is None:
             looked = ", ".join(str(folder.resolve()) for folder in folders)
-            raise ValueError(f"{key} {shown(name)} not found; looked in {looked}")
+            like = next(filter(None, (otherwise_spelled(folder / name) for folder in folders)), None)
+            raise ValueError(f"{key} {shown(name)} not found; looked in {looked}{f'; did you mean {like}?' if like else ''}")
         return str(found)
 
     def colour(self, key: str, value: dict[str, Any], node: dict[str, Any], cls: type[Plugin]) -> Any:

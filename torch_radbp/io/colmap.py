@@ -1,6 +1,6 @@
 """Reads the cameras of a COLMAP model: cameras and images, .txt or .bin.
 
-Reference: COLMAP's documentation, "Output Format" and "Camera Models".
+Reference: COLMAP's documentation, "Output Format" and "Camera Models", and its source, `src/colmap/sensor/models.h`.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from torch_radbp.formats.files import opened
+from torch_radbp.formats.picture_size import MAX_PIXELS
 from torch_radbp.formats.text_lines import BYTE_ORDER_MARK
 from torch_radbp.io.colmap_binary import binary_cameras, binary_images
 from torch_radbp.io.opencv import LARGEST, SMALLEST, Intrinsics, pose_of, sensor_of
 from torch_radbp.plugin import ReconstructionFilter, SceneError, nearest
 from torch_radbp.public_call import public_call
-from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated
+from torch_radbp.sensor.calibrated import BROWN_CONRADY, FIELD_OF_VIEW, FISHEYE, THIN_PRISM_FISHEYE, Calibrated
 
 MODELS = {  # the parameters in their order; f is both focal lengths
     "SIMPLE_PINHOLE": (BROWN_CONRADY, ("f", "cx", "cy")),
@@ -29,7 +30,14 @@ MODELS = {  # the parameters in their order; f is both focal lengths
     "OPENCV": (BROWN_CONRADY, ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")),
     "FULL_OPENCV": (BROWN_CONRADY, ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")),
     "OPENCV_FISHEYE": (FISHEYE, ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")),
+    "SIMPLE_FISHEYE": (FISHEYE, ("f", "cx", "cy")),
+    "FISHEYE": (FISHEYE, ("fx", "fy", "cx", "cy")),
+    "SIMPLE_RADIAL_FISHEYE": (FISHEYE, ("f", "cx", "cy", "k1")),
+    "RADIAL_FISHEYE": (FISHEYE, ("f", "cx", "cy", "k1", "k2")),
+    "THIN_PRISM_FISHEYE": (THIN_PRISM_FISHEYE, ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "sx1", "sy1")),
+    "FOV": (FIELD_OF_VIEW, ("fx", "fy", "cx", "cy", "omega")),
 }
+STRAIGHT = 1e-6  # radians of an omega, with which FOV is a pinhole up to rounding
 
 
 @public_call
@@ -127,12 +135,18 @@ def read_cameras(lines: Iterable[Line]) -> dict[str, Intrinsics]:
         size = line.numbers(2, 4, "width and height")
         if min(size) < 1 or any(side != int(side) for side in size):
             raise line.fail(f"width and height must be whole numbers of at least 1, got {' '.join(line.words[2:4])}")
+        if size[0] * size[1] > MAX_PIXELS:
+            raise line.fail(f"an image may have 1 to {MAX_PIXELS} pixels, this one has {size[0]:g} x {size[1]:g}")
         values = dict(zip(parameters, line.numbers(4, None, "parameters")))
         focal = [values.pop(key, None) for key in ("fx", "fy")]
         fx, fy = [values.pop("f")] * 2 if "f" in values else focal
         if min(fx, fy) < SMALLEST:
             raise line.fail(f"focal lengths must be greater than 0, got {min(fx, fy):g}")
         cx, cy = values.pop("cx") - 0.5, values.pop("cy") - 0.5
+        if "omega" in values:  # of either sign, or 0: the formula is even
+            if not abs(values["omega"]) < math.pi:
+                raise line.fail(f"omega must be less than pi radians, got {values['omega']:g}")
+            values["omega"] = max(abs(values["omega"]), STRAIGHT)
         cameras[name] = Intrinsics(int(size[0]), int(size[1]), fx, fy, cx, cy, model=lens, coefficients=values)
     return cameras
 

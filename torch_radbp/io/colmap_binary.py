@@ -17,7 +17,8 @@ from torch_radbp.plugin import SceneError
 # Models and how many parameters they have, in the order of their numbers.
 MODELS = (("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8), ("OPENCV_FISHEYE", 8),
           ("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4), ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12),
-          ("RAD_TAN_THIN_PRISM_FISHEYE", 16))
+          ("RAD_TAN_THIN_PRISM_FISHEYE", 16), ("SIMPLE_DIVISION", 4), ("DIVISION", 5), ("SIMPLE_FISHEYE", 3), ("FISHEYE", 4),
+          ("EUCM", 6), ("EQUIRECTANGULAR", 2))
 POINT_BYTES = 24  # of an observation: x, y and the number of a point
 LONGEST_NAME = 4096  # bytes
 

@@ -125,8 +125,8 @@ class Meshes:
 
     def warn(self) -> None:
         """Warns of what trimesh cannot say."""
-        if self.losses.found:
-            warnings.warn(f"trimesh: {said(list(self.losses))}", SceneWarning, stacklevel=4)
+        if losses := list(self.losses):
+            warnings.warn(f"trimesh: {said(losses)}", SceneWarning, stacklevel=4)
 
 
 def array_of(values: Tensor) -> np.ndarray:

@@ -55,13 +55,12 @@ def scene_from_trimesh(source: trimesh.Trimesh | trimesh.Scene, *, resolution: i
     """
     if not is_trimesh(source):
         raise TypeError(f"a scene is made of a trimesh.Scene or a trimesh.Trimesh, got {shown(source)}")
-    given = {"resolution": resolution, "spp": spp, "max_depth": max_depth, "light": light, "camera": camera,
-             "strict": strict}
+    given = {"resolution": resolution, "spp": spp, "max_depth": max_depth, "light": light, "camera": camera}
     chosen = options(SOURCE, {name: value for name, value in given.items() if value is not None})
-    return built(lambda: read_scene(source, chosen))
+    return built(lambda: read_scene(source, chosen, strict), strict)
 
 
-def read_scene(source: trimesh.Trimesh | trimesh.Scene, chosen: Options) -> Scene:
+def read_scene(source: trimesh.Trimesh | trimesh.Scene, chosen: Options, strict: bool) -> Scene:
     """The scene, in torch's default dtype."""
     losses, names = Losses(), Names()
     children: dict[str, Plugin] = {}
@@ -82,7 +81,7 @@ def read_scene(source: trimesh.Trimesh | trimesh.Scene, chosen: Options) -> Scen
             children[names.free("camera")] = seen(source, chosen, float(np.abs([low, high]).max()))
         added = complete(children, names, (low, high), chosen)
         said_of = [*losses, *added]
-        if losses.found and chosen.strict:
+        if strict and list(losses):
             raise SceneError(f"{SOURCE}: {said(list(losses))}")
         if said_of:
             warnings.warn(f"{SOURCE}: {said(said_of)}", SceneWarning, stacklevel=6)

@@ -129,7 +129,7 @@ def shape_of_mesh(source: trimesh.Trimesh | trimesh.Scene) -> TensorMesh:
     """
     losses = Losses()
     shape = TensorMesh(**with_arrays({"mesh": source}, Looks(losses, Names(), {})))
-    if losses.found:
+    if list(losses):
         warnings.warn(f"{SOURCE}: {said(list(losses))}", SceneWarning, stacklevel=5)
     return shape.to(torch.get_default_dtype())
 

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.losses.images import check_images
-from torch_radbp.losses.masked import masked_mean
+from torch_radbp.losses.masked import counted, masked_mean
 from torch_radbp.plugin import positive
 
 
@@ -20,7 +20,7 @@ def two_buffer_log_l2(image_a: Tensor, image_b: Tensor, target: Tensor, mask: Te
 
     Args:
         image_a, image_b: (B, 3, H, W) linear, attached; of two seeds.
-        target: (B, 3, H, W).
+        target: (B, 3, H, W); NaN and infinity do not count where the mask is 0.
         mask: (B, 1, H, W) or (B, 3, H, W) weights of at least 0; None: all pixels count the same.
         epsilon: what counts as black.
 
@@ -28,10 +28,12 @@ def two_buffer_log_l2(image_a: Tensor, image_b: Tensor, target: Tensor, mask: Te
         A scalar.
 
     Raises:
-        ValueError: if the shapes or devices differ, or epsilon is not positive.
+        ValueError: if the shapes or devices differ, the mask is negative, the target is not finite where it counts, or
+            epsilon is not positive.
         TypeError: for another dtype than float32 and float64.
     """
     check_images(image_a=image_a, image_b=image_b, target=target)
+    target = counted(target, mask)
     least = positive("epsilon", epsilon)
     a, b, wanted = (torch.log(image.clamp_min(0) + least) for image in (image_a, image_b, target))
     return masked_mean((a - wanted) * (b - wanted), mask)

@@ -7,7 +7,8 @@ from collections.abc import Callable
 from torch import Tensor
 
 from torch_radbp.losses.exchange import exchanged
-from torch_radbp.losses.images import check_floats, check_images
+from torch_radbp.losses.images import check_images
+from torch_radbp.losses.masked import counted
 
 
 def lpips(image_a: Tensor, image_b: Tensor, target: Tensor, module: Callable[[Tensor, Tensor], Tensor],
@@ -23,7 +24,7 @@ def lpips(image_a: Tensor, image_b: Tensor, target: Tensor, module: Callable[[Te
 
     Args:
         image_a, image_b: (B, 3, H, W), attached; of two seeds; as they are seen, coded as sRGB or behind an `rb.ToneCurve`.
-        target: (B, 3, H, W), the same.
+        target: (B, 3, H, W), the same; NaN and infinity do not count where the mask is 0.
         module: a distance of two batches of images, of any shape; it should be in evaluation mode.
         mask: (B, 1, H, W) weights in [0, 1]; outside of it the target stands in the place of the images. None: all count.
 
@@ -31,7 +32,7 @@ def lpips(image_a: Tensor, image_b: Tensor, target: Tensor, module: Callable[[Te
         A scalar.
 
     Raises:
-        ValueError: if the shapes or devices differ.
+        ValueError: if the shapes or devices differ, the mask is negative, or the target is not finite where it counts.
         TypeError: for another dtype than float32 and float64, or if `module` cannot be called.
 
     Reference: Zhang et al. 2018, "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric".
@@ -40,8 +41,7 @@ def lpips(image_a: Tensor, image_b: Tensor, target: Tensor, module: Callable[[Te
     if not callable(module):
         raise TypeError(f"module must be a distance of two batches of images, such as lpips.LPIPS(), got "
                         f"{type(module).__name__}")
-    if mask is not None:
-        check_floats("mask", mask)
+    target = counted(target, mask)
 
     def distance(image: Tensor, target: Tensor) -> Tensor:
         seen = image if mask is None else mask * image + (1 - mask) * target

@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from torch_radbp.losses.images import check_images
-from torch_radbp.losses.masked import masked_mean
+from torch_radbp.losses.masked import counted, masked_mean
 from torch_radbp.plugin import positive
 
 
@@ -22,7 +22,7 @@ def two_buffer_relative_l2(image_a: Tensor, image_b: Tensor, target: Tensor, mas
 
     Args:
         image_a, image_b: (B, 3, H, W) linear, attached; of two seeds.
-        target: (B, 3, H, W).
+        target: (B, 3, H, W); NaN and infinity do not count where the mask is 0.
         mask: (B, 1, H, W) or (B, 3, H, W) weights of at least 0; None: all pixels count the same.
         epsilon: is added to the squared image; the square of what counts as black.
 
@@ -30,12 +30,14 @@ def two_buffer_relative_l2(image_a: Tensor, image_b: Tensor, target: Tensor, mas
         A scalar.
 
     Raises:
-        ValueError: if the shapes or devices differ, or epsilon is not positive.
+        ValueError: if the shapes or devices differ, the mask is negative, the target is not finite where it counts, or
+            epsilon is not positive.
         TypeError: for another dtype than float32 and float64.
 
     Reference: Lehtinen et al. 2018, "Noise2Noise", section 3.3.
     """
     check_images(image_a=image_a, image_b=image_b, target=target)
+    target = counted(target, mask)
     least = positive("epsilon", epsilon)
     weight_a, weight_b = (1 / (image.detach().square() + least) for image in (image_a, image_b))
     a, b = image_a - target, image_b - target

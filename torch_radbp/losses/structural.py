@@ -5,8 +5,8 @@ from __future__ import annotations
 from torch import Tensor
 
 from torch_radbp.losses.exchange import exchanged
-from torch_radbp.losses.images import check_floats, check_images
-from torch_radbp.losses.masked import masked_mean
+from torch_radbp.losses.images import check_images
+from torch_radbp.losses.masked import counted, masked_mean
 
 
 def ssim(image_a: Tensor, image_b: Tensor, target: Tensor, mask: Tensor | None = None, window: int = 11,
@@ -18,7 +18,7 @@ def ssim(image_a: Tensor, image_b: Tensor, target: Tensor, mask: Tensor | None =
 
     Args:
         image_a, image_b: (B, 3, H, W), attached; of two seeds; as they are seen, such as behind an `rb.ToneCurve`.
-        target: (B, 3, H, W).
+        target: (B, 3, H, W); NaN and infinity do not count where the mask is 0.
         mask: (B, 1, H, W) weights in [0, 1]; None: all pixels count the same. Outside of it the target stands in the
             place of the images, so that windows across its border do not see what is masked.
         window: pixels of the side of the window, odd.
@@ -28,7 +28,7 @@ def ssim(image_a: Tensor, image_b: Tensor, target: Tensor, mask: Tensor | None =
         A scalar in [0, 1].
 
     Raises:
-        ValueError: if the shapes or devices differ.
+        ValueError: if the shapes or devices differ, the mask is negative, or the target is not finite where it counts.
         TypeError: for another dtype than float32 and float64.
 
     Reference: Wang et al. 2004, "Image Quality Assessment: From Error Visibility to Structural Similarity".
@@ -36,8 +36,7 @@ def ssim(image_a: Tensor, image_b: Tensor, target: Tensor, mask: Tensor | None =
     import kornia  # takes a second to import
 
     check_images(image_a=image_a, image_b=image_b, target=target)
-    if mask is not None:
-        check_floats("mask", mask)
+    target = counted(target, mask)
 
     def dissimilarity(image: Tensor, target: Tensor) -> Tensor:
         seen = image if mask is None else mask * image + (1 - mask) * target

@@ -42,13 +42,16 @@ def remesh(mesh: Mesh, remesher: Callable | trimesh.Trimesh, optimizer: torch.op
         optimizer: what holds parameters of the mesh; None: nothing does.
 
     Raises:
-        TypeError: if it is no mesh with vertex positions.
+        TypeError: if it is no mesh with vertex positions, or the remesher can neither be called nor is a mesh.
         ValueError: if what the remesher returns is none, or the positions have another parametrisation than `LargeSteps`.
 
     Reference: Botsch and Kobbelt 2004, "A Remeshing Approach to Multiresolution Modeling", for what a remesher does.
     """
     if not isinstance(mesh, Mesh):
         raise TypeError(f"remesh takes a mesh with vertex_positions, got {type(mesh).__name__}")
+    if not callable(remesher) and not is_trimesh(remesher):
+        raise TypeError("remesher must be a function of vertices and faces, or a trimesh.Trimesh, got "
+                        f"{type(remesher).__name__}")
     steps, held = large_steps_of(mesh), parameters_of(mesh)
     faces, positions = mesh.faces.cpu(), mesh.vertex_positions.detach().double().cpu()
     place, count = welded(positions)
@@ -56,7 +59,7 @@ def remesh(mesh: Mesh, remesher: Callable | trimesh.Trimesh, optimizer: torch.op
     if is_trimesh(remesher):
         vertices, triangles = in_the_place(mesh, remesher)
     else:
-        vertices, triangles = tensors_of(remesher(places.numpy(), place[faces].numpy()))
+        vertices, triangles = checked_mesh(remesher(places.numpy(), place[faces].numpy()))
     at_vertices = closest_points(vertices, positions, faces)
     at_faces = closest_points(vertices[triangles].mean(1), positions, faces)
 
@@ -84,12 +87,35 @@ def remesh(mesh: Mesh, remesher: Callable | trimesh.Trimesh, optimizer: torch.op
                      (lambda rows: at_places.of_vertices(rows, place[faces])) if smooth else partial(carried, name))
 
 
-def tensors_of(made: Any) -> tuple[Tensor, Tensor]:
-    """(V, 3) vertices and (F, 3) faces that a remesher has made, as float64 and int64."""
-    vertices, triangles = (made.vertices, made.faces) if is_trimesh(made) else made
-    vertices, triangles = (torch.as_tensor(np.array(part) if isinstance(part, np.ndarray) else part)
-                           for part in (vertices, triangles))
-    return vertices.detach().cpu().double(), triangles.cpu().long()
+def checked_mesh(returned: Any) -> tuple[Tensor, Tensor]:
+    """Vertices, (V, 3) float64, and faces, (F, 3) int64, that a remesher returned, or of a mesh of trimesh.
+
+    Raises:
+        ValueError: if they are none: another number or shape, NaN or infinity, faces of vertices that do not exist.
+    """
+    says = "the remesher must return vertices (V, 3) and faces (F, 3)"
+    if is_trimesh(returned) and hasattr(returned, "faces"):  # which a scene has not
+        returned = (returned.vertices, returned.faces)
+    if not isinstance(returned, (tuple, list)) or len(returned) != 2:
+        got = f"{len(returned)} values" if isinstance(returned, (tuple, list)) else type(returned).__name__
+        raise ValueError(f"{says}, got {got}")
+    try:
+        vertices, faces = (torch.as_tensor(np.array(part) if isinstance(part, np.ndarray) else part).detach().cpu()
+                           for part in returned)
+    except (TypeError, ValueError, RuntimeError):
+        raise ValueError(f"{says}, got {' and '.join(type(part).__name__ for part in returned)}") from None
+    if any(part.ndim != 2 or part.shape[1] != 3 or len(part) == 0 for part in (vertices, faces)):
+        raise ValueError(f"{says}, one or more of each, got {tuple(vertices.shape)} and {tuple(faces.shape)}")
+    if vertices.is_complex() or faces.is_floating_point() or faces.is_complex() or faces.dtype == torch.bool:
+        raise ValueError(f"{says}, numbers and whole numbers, got {vertices.dtype} and {faces.dtype}")
+    if not vertices.isfinite().all():
+        bad = int((~vertices.isfinite()).any(1).sum())
+        raise ValueError(f"the remesher returned {bad} of {len(vertices)} vertices that are NaN or infinite")
+    faces = faces.long()
+    if not 0 <= int(faces.min()) <= int(faces.max()) < len(vertices):
+        raise ValueError(f"the remesher returned faces of the vertices {int(faces.min())} to {int(faces.max())}; there are "
+                         f"{len(vertices)}, from 0 to {len(vertices) - 1}")
+    return vertices.double(), faces
 
 
 def in_the_place(mesh: Mesh, made: trimesh.Trimesh) -> tuple[Tensor, Tensor]:
@@ -97,7 +123,7 @@ def in_the_place(mesh: Mesh, made: trimesh.Trimesh) -> tuple[Tensor, Tensor]:
 
     Those of the mesh are where it was loaded, and its faces as they were before `flip_normals`.
     """
-    vertices, triangles = tensors_of(made)
+    vertices, triangles = checked_mesh(made)
     place, count = welded(vertices)
     vertices = torch.zeros(count, 3, dtype=torch.float64).index_copy_(0, place, vertices)
     back = torch.linalg.inv(mesh.motion().detach().double().cpu())

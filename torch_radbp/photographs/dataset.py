@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.utils.data import Dataset, default_collate
 
+from torch_radbp.formats.leniency import Repairs
+from torch_radbp.formats.memory import memory_for
 from torch_radbp.io.colmap import cameras_from_colmap
-from torch_radbp.io.nerf import cameras_from_nerf
+from torch_radbp.io.nerf import nerf_cameras
 from torch_radbp.photographs.area_average import area_average
+from torch_radbp.photographs.cameras import checked_size, named_as_in_a_scene, scaled_to_files
 from torch_radbp.photographs.folders import colmap_pictures, nerf_pictures
 from torch_radbp.photographs.image_cache import ImageCache
 from torch_radbp.photographs.picture import (
@@ -22,7 +26,6 @@ from torch_radbp.photographs.picture import (
     checked_curve,
     name_of,
     read_picture,
-    size_of,
 )
 from torch_radbp.photographs.size_batches import SizeBatches
 from torch_radbp.plugin import integer, nearest, positive
@@ -30,7 +33,6 @@ from torch_radbp.scene.scene import Scene
 from torch_radbp.sensor.kind import ProjectiveCamera
 
 CACHE = 1 << 30  # bytes
-ROUNDING = 1  # pixel by which the size of a scaled file may differ from the scaled size
 
 
 class Photograph(NamedTuple):
@@ -58,10 +60,12 @@ class Photographs(Dataset[Photograph]):
         for batch in torch.utils.data.DataLoader(photographs, batch_size=4, shuffle=True):
             rendering = renderer(seed=step, sensors=batch.sensors)        # (4, 3, H, W), as batch.image
 
-    Items are `Photograph`s. Images are linear: 8- and 16-bit PNG, JPEG, BMP and TGA are decoded by `curve`, EXR, HDR and
-    PFM are linear already. An alpha channel is the mask, and the image is what is seen over `background`: colours of PNG
-    and TGA are multiplied by alpha, those of EXR are already. A mask that is given besides multiplies that of alpha, and
-    leaves the image as it is. EXIF data, orientation included, are not read: calibrations go by the stored pixels.
+    Items are `Photograph`s. Images are linear: PNG and TIFF of 8 and 16 bits, JPEG, WebP, BMP and TGA are decoded by
+    `curve`, EXR, HDR and PFM are linear already. An alpha channel is the mask, and the image is what is seen over
+    `background`: colours are multiplied by alpha, but for those of EXR, which are already. A mask that is given besides
+    multiplies that of alpha, and leaves the image as it is, but for NaN and infinity, which become 0 where it is 0. Alpha is
+    cut to [0, 1], beyond which filters with negative lobes leave some. EXIF data, orientation included, are not read:
+    calibrations go by the stored pixels.
 
     Overexposed pixels say only that there was more light: the mask is to be 0 there and two pixels around, as far as the
     film's filter spreads a lamp that is far brighter than white.
@@ -105,69 +109,63 @@ class Photographs(Dataset[Photograph]):
         self.pictures = [
             Picture(as_source(f"images[{k}]", image, 3), None if mask is None else as_source(f"masks[{k}]", mask, 1))
             for k, (image, mask) in enumerate(zip(images, masks))]
-        self.sizes = [self.checked_size(name, picture) for name, picture in zip(self.names, self.pictures)]
+        self.sizes = [checked_size(name, self.cameras[name], picture) for name, picture in zip(self.names, self.pictures)]
 
     @classmethod
     def from_nerf(cls, path: str | os.PathLike, *, images: str | os.PathLike | None = None,
                   masks: str | os.PathLike | None = None, scale: float = 1.0, curve: str | float = "srgb",
-                  background: float | Sequence[float] = 0.0, cache_bytes: int = CACHE, **attributes: Any) -> Photographs:
+                  background: float | Sequence[float] = 0.0, cache_bytes: int = CACHE, missing: str = "skip",
+                  strict: bool = False, **attributes: Any) -> Photographs:
         """The photographs of a NeRF data set, as instant-ngp, nerfstudio and the Blender scenes write it.
 
         Args:
-            path: of transforms.json; its `file_path` and `mask_path` are relative to its folder.
+            path: of transforms.json; its `file_path`, which may lack the extension, and `mask_path` are relative to its
+                folder.
             images: another folder with files of the same names, such as "images_4".
             masks: a folder of masks, as of `from_colmap`, in place of `mask_path`.
             scale: of the files, relative to the size that the cameras say: 0.25 for "images_4". To reduce them, take
                 `at_scale`.
             curve, background, cache_bytes: as of `Photographs`.
+            missing: what to do with frames whose image is not there: "skip" them, with a warning, or "error".
+            strict: raise errors instead of warnings of what is left out or repaired.
             **attributes: as of `rb.cameras_from_nerf`, such as `rfilter`.
 
         Raises:
             SceneError, ValueError, FileNotFoundError: as `rb.cameras_from_nerf` and `Photographs`.
         """
-        pictures = nerf_pictures(path, images, masks)
-        cameras = scaled_to_files(cameras_from_nerf(path, **attributes), pictures, scale)
-        return cls([each.image for each in pictures], cameras, [each.mask for each in pictures], curve=curve,
-                   background=background, cache_bytes=cache_bytes)
+        with Repairs(strict):
+            files = nerf_pictures(Path(path), images, masks, missing)
+            cameras = nerf_cameras(Path(path), files, missing="error", **attributes)  # for each file one
+            pictures = list(files.values())
+        return cls([each.image for each in pictures], scaled_to_files(cameras, pictures, scale),
+                   [each.mask for each in pictures], curve=curve, background=background, cache_bytes=cache_bytes)
 
     @classmethod
     def from_colmap(cls, folder: str | os.PathLike, images: str | os.PathLike, *, masks: str | os.PathLike | None = None,
                     scale: float = 1.0, curve: str | float = "srgb", background: float | Sequence[float] = 0.0,
-                    cache_bytes: int = CACHE, **attributes: Any) -> Photographs:
+                    cache_bytes: int = CACHE, missing: str = "skip", strict: bool = False,
+                    **attributes: Any) -> Photographs:
         """The photographs of a COLMAP model.
 
         Args:
             folder: of the model, such as "sparse/0".
-            images: folder of the images.
+            images: folder of the images; if none is there, they may be one folder further up or down, which is told.
             masks: folder of the masks: of view.jpg view.jpg.png, as COLMAP has it, view.png or view.jpg.
             scale: of the files, relative to the size that the cameras say: 0.25 for "images_4". To reduce them, take
                 `at_scale`.
             curve, background, cache_bytes: as of `Photographs`.
+            missing, strict: as of `from_nerf`.
             **attributes: as of `rb.cameras_from_colmap`, such as `rfilter`.
 
         Raises:
             SceneError, ValueError, FileNotFoundError: as `rb.cameras_from_colmap` and `Photographs`.
         """
-        cameras = cameras_from_colmap(folder, **attributes)
-        pictures = colmap_pictures(cameras, images, masks)
+        with Repairs(strict):
+            cameras = cameras_from_colmap(folder, **attributes)
+            files = colmap_pictures(folder, cameras, images, masks, missing)
+        cameras, pictures = {name: cameras[name] for name in files}, list(files.values())
         return cls([each.image for each in pictures], scaled_to_files(cameras, pictures, scale),
                    [each.mask for each in pictures], curve=curve, background=background, cache_bytes=cache_bytes)
-
-    def checked_size(self, name: str, picture: Picture) -> tuple[int, int]:
-        """Width and height of a photograph, which are those of its camera's film and of its mask."""
-        width, height = size_of(picture.image)
-        film = self.cameras[name].film
-        if (width, height) != (film.crop_width, film.crop_height):
-            scale = width / film.crop_width
-            reduced = scale < 1 and abs(height - scale * film.crop_height) <= ROUNDING
-            advice = f"if the files were reduced, say scale={scale:.4g}" if reduced else "is it the image of that camera?"
-            raise ValueError(f"{name_of(picture.image)} has {width} x {height} pixels, and its camera {name!r} "
-                             f"{film.crop_width} x {film.crop_height}; {advice}")
-        if picture.mask is not None and size_of(picture.mask) != (width, height):
-            found = size_of(picture.mask)
-            raise ValueError(f"the mask {name_of(picture.mask)} has {found[0]} x {found[1]} pixels, and its image "
-                             f"{width} x {height}")
-        return width, height
 
     def __len__(self) -> int:
         return len(self.names)
@@ -181,8 +179,24 @@ class Photographs(Dataset[Photograph]):
         return Photograph(image.clone(), mask.clone(), self.names[view], view)
 
     def read(self, view: int) -> tuple[Tensor, Tensor]:
-        """Image and mask of a photograph, at the size of its camera's film now."""
-        image, mask = read_picture(self.pictures[view], self.curve, self.background)
+        """Image and mask of a photograph, at the size of its camera's film now.
+
+        Raises:
+            ValueError: if its file has another size than when the data set was made, and as `read_picture`.
+            MemoryError: names the file, if there is not enough memory.
+        """
+        picture = self.pictures[view]
+        with memory_for(name_of(picture.image)):
+            image, mask = read_picture(picture, self.curve, self.background)
+            return self.at_size(view, image, mask)
+
+    def at_size(self, view: int, image: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        """Image and mask, which must have the size of the file, at the size of the camera's film now."""
+        picture = self.pictures[view]
+        if (size := (image.shape[2], image.shape[1])) != self.sizes[view]:
+            was = self.sizes[view]
+            raise ValueError(f"{name_of(picture.image)} has {size[0]} x {size[1]} pixels now, and had {was[0]} x {was[1]} "
+                             f"when these photographs were made; make them anew")
         film = self.cameras[self.names[view]].film
         return tuple(area_average(part, film.crop_width, film.crop_height) for part in (image, mask))
 
@@ -259,41 +273,3 @@ def collate(photographs: list[Photograph]) -> Photograph:
     if len(sizes) != 1:
         raise ValueError(f"a batch must have photographs of one size, (height, width), got {sorted(sizes)}")
     return default_collate(photographs)
-
-
-def named_as_in_a_scene(cameras: Mapping[str, Any]) -> dict[str, ProjectiveCamera]:
-    """Cameras by the names that a scene gives them.
-
-    Raises:
-        TypeError: if one is no camera of one image.
-        ValueError: if two have one name.
-    """
-    named: dict[str, ProjectiveCamera] = {}
-    for name, camera in cameras.items():
-        if not isinstance(camera, ProjectiveCamera):
-            raise TypeError(f"the camera {name!r} must be a sensor of one image, such as rb.camera_from_opencv gives, got "
-                            f"{type(camera).__name__}")
-        name = name.replace(".", "_")
-        if name in named:
-            raise ValueError(f"two cameras are called {name!r} in a scene, where dots become underscores; rename one")
-        named[name] = camera
-    return named
-
-
-def scaled_to_files(cameras: Mapping[str, ProjectiveCamera], pictures: Sequence[Picture],
-                    scale: float) -> dict[str, ProjectiveCamera]:
-    """Cameras of whole images for files that were reduced, whose sizes may be rounded either way.
-
-    Raises:
-        ValueError: if a file does not have about the scaled size.
-    """
-    if positive("scale", scale) == 1:
-        return dict(cameras)
-    found = {}
-    for (name, camera), picture in zip(cameras.items(), pictures):
-        size, whole = size_of(picture.image), (camera.film.width, camera.film.height)
-        if any(abs(side - scale * full) > ROUNDING for side, full in zip(size, whole)):
-            raise ValueError(f"{name_of(picture.image)} has {size[0]} x {size[1]} pixels, and its camera {whole[0]} x "
-                             f"{whole[1]}, which is {whole[0] * scale:g} x {whole[1] * scale:g} with scale={scale:g}")
-        found[name] = camera.resized(*size)
-    return found

@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torch_radbp.tensors.torch_internals import transforms
+
 
 def check_images(images: Tensor) -> None:
     """Raises ValueError unless `images` are (B, 3, H, W), TypeError unless they are floats."""
@@ -13,6 +15,13 @@ def check_images(images: Tensor) -> None:
         raise TypeError(f"images must be a tensor of floating point numbers, got {got}")
     if images.ndim != 4 or images.shape[1] != 3:
         raise ValueError(f"images must have shape (B, 3, H, W), got {tuple(images.shape)}")
+
+
+def check_numbers(images: Tensor) -> None:
+    """Raises ValueError if `images` have NaN, which has no place on a curve; torch's transforms hide the values."""
+    if not transforms() and images.isnan().any():
+        raise ValueError(f"images have {int(images.isnan().sum())} values that are NaN, which no tone curve codes; put "
+                         f"numbers where the mask is 0")
 
 
 def view_indices(views: int | Tensor, images: Tensor, count: int) -> Tensor:

@@ -17,6 +17,8 @@ from torch_radbp.plugin import nearest
 CURVES = {"srgb": srgb_to_linear, "linear": lambda values: values}
 ASSOCIATED = ("EXR",)  # their colours are multiplied by alpha already
 
+MASK_ROUNDING = 1e-3  # of masks in half precision, which a filter has smoothed
+
 Source = Path | Tensor
 
 
@@ -85,7 +87,8 @@ def read_picture(picture: Picture, curve: str | float, background: Tensor) -> tu
         background: (3,) linear, behind what alpha lets through.
 
     Raises:
-        ValueError: names a file whose values are not finite, or whose size is not that of its image.
+        ValueError: names a file whose values are not finite where they count, or a mask that is not in [0, 1] or has another
+            size than its image.
     """
     if isinstance(picture.image, Tensor):
         image, alpha = picture.image.float(), None
@@ -94,14 +97,32 @@ def read_picture(picture: Picture, curve: str | float, background: Tensor) -> tu
     if alpha is not None:
         over = image if READABLE[picture.image.suffix.lower()] in ASSOCIATED else image * alpha
         image = over + (1 - alpha) * background[:, None, None]
-    mask = torch.ones_like(image[:1]) if alpha is None else alpha[None]
+    if alpha is not None and not alpha.isfinite().all():
+        raise ValueError(f"{name_of(picture.image)}: its alpha has values that are NaN or infinite; mend it first")
+    mask = torch.ones_like(image[:1]) if alpha is None else alpha[None].clamp(0, 1)
     if picture.mask is not None:
-        mask = mask * read_mask(picture.mask)
-    bad = int((~image.isfinite()).sum()) + int((~mask.isfinite()).sum())
+        given = read_mask(picture.mask)
+        if given.shape[1:] != image.shape[1:]:
+            raise ValueError(f"the mask {name_of(picture.mask)} has {given.shape[2]} x {given.shape[1]} pixels, and its "
+                             f"image {image.shape[2]} x {image.shape[1]}")
+        mask = mask * in_range(name_of(picture.mask), given)
+    finite = image.isfinite()
+    image, bad = image.where(finite | (mask > 0), 0.0), int((~finite & (mask > 0)).sum())
     if bad:
-        raise ValueError(f"{name_of(picture.image)}: {bad} values of the image or its mask are NaN or infinite; mend it "
-                         f"first")
-    return image.contiguous(), mask.clamp(0, 1).contiguous()
+        raise ValueError(f"{name_of(picture.image)}: {bad} values of the image are NaN or infinite; mend it first, or give "
+                         f"a mask that is 0 there")
+    return image.contiguous(), mask.contiguous()
+
+
+def in_range(name: str, mask: Tensor) -> Tensor:
+    """A mask in [0, 1], cut to it if it is outside by rounding.
+
+    Raises:
+        ValueError: if it is outside by more, or has NaN.
+    """
+    if not ((mask >= -MASK_ROUNDING) & (mask <= 1 + MASK_ROUNDING)).all():
+        raise ValueError(f"{name} must be in [0, 1], how much of a pixel counts, got {mask.min():.4g} to {mask.max():.4g}")
+    return mask.clamp(0, 1)
 
 
 def read_mask(source: Source) -> Tensor:

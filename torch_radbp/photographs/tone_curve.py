@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from torch_radbp.formats.image import linear_to_srgb, srgb_to_linear
-from torch_radbp.photographs.linear_images import check_images
+from torch_radbp.photographs.linear_images import check_images, check_numbers
 from torch_radbp.plugin import integer, nearest
 
 STARTS = {"srgb": (linear_to_srgb, srgb_to_linear), "identity": (lambda values: values, lambda values: values)}
@@ -76,9 +76,10 @@ class ToneCurve(nn.Module):
             (B, 3, H, W), attached to images and parameters.
 
         Raises:
-            ValueError: for another shape.
+            ValueError: for another shape, and for NaN.
         """
         check_images(images)
+        check_numbers(images)
         x = STARTS[self.start][0](images)
         piece = self.piece_of(x, inverse=False)
         share = (x.clamp(0, 1) - piece.left) * self.log_heights.shape[1]
@@ -90,6 +91,7 @@ class ToneCurve(nn.Module):
     def inverse(self, values: Tensor, views: int | Tensor | None = None) -> Tensor:
         """The exposures that give these values of files: what `forward` undoes; arguments and results as there."""
         check_images(values)
+        check_numbers(values)
         piece, count = self.piece_of(values, inverse=True), self.log_heights.shape[1]
         above = values.clamp(0, 1) - piece.low
         bend = above * (piece.first + piece.last - 2 * piece.slope)

@@ -7,7 +7,7 @@ constructor is its schema: the loader, `radbp info` and the writer read attribut
 from __future__ import annotations
 
 import typing
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from torch import Tensor, nn
@@ -48,6 +48,11 @@ class Plugin(nn.Module):
     def share(self, name: str) -> None:
         """Keeps the child `name` as a reference only, because it is registered (and named) elsewhere."""
         self.shared[name] = self._modules.pop(name)
+
+    @classmethod
+    def of_file(cls, arguments: dict[str, Any], note: Callable[[str], None]) -> dict[str, Any]:
+        """Arguments of the constructor as a file gives them, repaired where exporters round; `note` takes what was done."""
+        return arguments
 
     def as_written(self, attribute: str) -> Any:
         """The value of an attribute as a file of the scene has it."""

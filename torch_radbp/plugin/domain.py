@@ -16,7 +16,7 @@ from torch import Tensor
 LARGEST_AMOUNT = 1e18  # beyond it, squares overflow in float32
 LARGEST_REFLECTANCE = 1e6  # of one bounce; the products of several are finite in float32
 LARGEST_COORDINATE = 1e12  # beyond it, squared areas overflow in float32, and shapes vanish
-LEEWAY = 0.02  # how far a value may leave its range, as finite differences do, such as those of `check_gradient`
+LEEWAY = 0.02  # how far a value may leave its range, as steps of optimizers and of finite differences do
 FLATTEST = 1e-6  # least volume of a pose's axes, relative to a box with the same edges; rounding of float32 alone makes 1e-7
 SMALLEST_VOLUME = 1e-30  # least volume of a pose's axes; areas of smaller objects underflow in float32
 SHORTEST_AXIS = 1e-11  # of a pose; `vec.normalize` leaves vectors shorter than 1e-12 as they are
@@ -31,6 +31,7 @@ class Domain(NamedTuple):
     low_is_in: bool = True
     high_is_in: bool = True
     limit: float = math.inf  # of the magnitude, for the sake of float32
+    floor: float = -math.inf  # what is smaller may count as this, with the derivative there: optimizers leave the end again
     is_reflectance: bool = False  # fractions of light; values above 1 make more light than arrives, and are warned of
     unit: str = ""
     is_index: bool = False  # rows of a table, int64

@@ -1,8 +1,9 @@
-"""The errors of a scene description, and how messages list what is known."""
+"""The errors and warnings of a scene description, how messages list what is known, and where warnings point to."""
 
 from __future__ import annotations
 
 import difflib
+import sys
 from collections.abc import Iterable
 
 
@@ -17,10 +18,10 @@ class SceneWarning(UserWarning):
     """A scene description that is read in another way than its author may have meant."""
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
-    """A sentence that lists the known names, the most similar first."""
+def nearest(name: str, known: Iterable[str], alike: float = 0.5) -> str:
+    """A sentence that lists the known names, the most similar first: those that are `alike`, 1 for the same."""
     known = sorted(known)
-    close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    close = difflib.get_close_matches(name, known, n=3, cutoff=alike)
     hint = f"did you mean {' or '.join(repr(c) for c in close)}? " if close else ""
     return f"{hint}known: {', '.join(known) or 'none'}"
 
@@ -28,3 +29,11 @@ def nearest(name: str, known: Iterable[str]) -> str:
 def with_article(noun: str) -> str:
     """"an emitter", "a bsdf"."""
     return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
+
+
+def level_of_the_caller() -> int:
+    """The stack level of the nearest caller outside torch and this package, as `warnings.warn` counts it."""
+    frame, level = sys._getframe(1), 1
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").split(".")[0] in ("torch", "torch_radbp"):
+        frame, level = frame.f_back, level + 1
+    return level

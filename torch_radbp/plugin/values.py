@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import operator
+import warnings
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
+
+from torch_radbp.plugin.errors import SceneWarning, level_of_the_caller
+
+NARROW = 2.0  # degrees; few views and beams are narrower, and many angles in radians are less
 
 
 def finite(name: str, value: Any, shape: tuple[int, ...] | None = None) -> Tensor:
@@ -83,3 +89,10 @@ def positive(name: str, value: float) -> float:
     if not (value > 0 and value < float("inf")):
         raise ValueError(f"{name} must be greater than 0 and finite, got {value}")
     return float(value)
+
+
+def warn_of_radians(name: str, degrees: float) -> None:
+    """Warns of an angle in degrees that is so small that radians may have been meant."""
+    if degrees < NARROW:
+        warnings.warn(f"{name} is in degrees, got {degrees:g}, which is very narrow: if radians were meant, give "
+                      f"{math.degrees(degrees):.4g}", SceneWarning, stacklevel=level_of_the_caller())

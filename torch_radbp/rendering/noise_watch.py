@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.warning import level_of_the_caller
+from torch_radbp.plugin.errors import level_of_the_caller
 
 
 class RepeatedNoiseWarning(UserWarning):
@@ -21,9 +21,9 @@ class NoiseWatch:
     def __init__(self):
         self.versions: dict[str, int] = {}
 
-    def look(self, parameters: Mapping[str, Tensor]) -> None:
-        """Is told of a call without a seed; `parameters`: those that derivatives are wanted of."""
-        if not parameters or not torch.is_grad_enabled():
+    def look(self, seed: int | None, parameters: Mapping[str, Tensor]) -> None:
+        """Is told of the seed of a call, and of the parameters that derivatives are wanted of."""
+        if seed is not None or not parameters or not torch.is_grad_enabled():
             return
         versions = {name: parameter._version for name, parameter in parameters.items()}
         if any(self.versions.get(name, version) != version for name, version in versions.items()):

@@ -50,11 +50,13 @@ from torch_radbp.rendering.settings import (
 )
 from torch_radbp.rendering.shots import WindowChoice, shots_of
 from torch_radbp.rendering.stages import EAGER, compiled
+from torch_radbp.rendering.zero_gradients import GradientWatch
 from torch_radbp.scene import Scene
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.pack_cache import PackCache
-from torch_radbp.scene.parameters import check_names, differentiable_in
+from torch_radbp.scene.parameters import check_names
 from torch_radbp.scene.tensors import SceneTensors, proposal_of
+from torch_radbp.scene.wanted import wanted_parameters
 from torch_radbp.sensor.rays import given_rays
 from torch_radbp.tensors.differentiated import detached, primal
 
@@ -133,7 +135,7 @@ class Renderer(nn.Module):
         self.adjoint_is_chosen = adjoint is not None
         self.casters = KeptCaster()
         self.cache, self.cache_for_aovs = PackCache(), PackCache()
-        self.jump_watch = JumpWatch()
+        self.jump_watch, self.gradient_watch = JumpWatch(), GradientWatch()
         self.planner, self.noise_watch, self.memory = MemoryPlanner(), NoiseWatch(), ZeroedMemory()
         check_settings(self)
 
@@ -202,15 +204,14 @@ class Renderer(nn.Module):
                                       dict(self.named_parameters()))
         outputs = None if aovs is None else self.outputs(aovs)
         call = self.prepare(seed, sensors, spp, seed_grad, aovs is not None, window)
-        if seed is None:
-            self.noise_watch.look(call.parameters)
+        self.noise_watch.look(seed, call.parameters)
         edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1], aovs is not None)
         if outputs is not None:
             call = call._replace(quantities=beside_image(tuple(dict.fromkeys(outputs.values()))))
         images = rendered(call)
         channels = None if outputs is None else images[:, 3:].detach()
         images = images if outputs is None else images[:, :3].clone(memory_format=torch.contiguous_format)
-        images = self.with_terms(images, edges, call)
+        images = self.gradient_watch.watched(self.with_terms(images, edges, call), call)
         return images if outputs is None else (images, self.quantities(call, edges, outputs, channels))
 
     def with_terms(self, images: Tensor, edges: EdgesOfCall, call: RenderCall) -> Tensor:
@@ -251,10 +252,10 @@ class Renderer(nn.Module):
         rays = given_rays(origins, directions, self.scene.dtype, self.scene.device)
         call = self.prepared([Shot(rays, OF_NO_SENSOR, rays.film.window())], seed, self.spp if spp is None else spp,
                              seed_grad, beside={"origins": origins, "directions": directions})
-        if seed is None:
-            self.noise_watch.look(call.parameters)
+        self.noise_watch.look(seed, call.parameters)
         edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1])
-        return self.with_terms(rendered(call), edges, call)[0, :, :, 0].t().clone(memory_format=torch.contiguous_format)
+        image = self.with_terms(rendered(call), edges, call)[0, :, :, 0].t()
+        return self.gradient_watch.watched(image.clone(memory_format=torch.contiguous_format), call)
 
     @public_call
     def aovs(self, names: Sequence[str] | None = None, seed: int | None = None, sensors: SensorChoice = None,
@@ -336,9 +337,7 @@ class Renderer(nn.Module):
         device = self.scene.device
         workers = threads() if device.type == "cpu" else 1
         fused = self.runs_compiled()
-        roots = [*((name, sensor) for name, sensor in named.items() if sensor in seen), ("", self.scene)]
-        parameters = dict(pair for name, root in roots for pair in cache.structure(differentiable_in, root, name))
-        parameters |= {name: value for name, value in beside.items() if value.requires_grad}
+        parameters = wanted_parameters(self.scene, seen, cache, beside)
         record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
         windows = [shot.window for shot in shots]

@@ -47,8 +47,8 @@ def leaves(texture: Texture) -> Iterator[Texture]:
         yield texture
 
 
-def check_attributes(scene: Scene, cache: PackCache) -> None:
-    """Checks the attributes that textures read.
+def check_attributes(scene: Scene, cache: PackCache, leeway: float = LEEWAY) -> None:
+    """Checks the attributes that textures read; `leeway` as of `Domain.check_range`.
 
     Raises:
         ValueError: if a shape lacks one, or one has values that the texture must not have there.
@@ -59,7 +59,7 @@ def check_attributes(scene: Scene, cache: PackCache) -> None:
                 values = attribute(scene, shape, name).detach()
                 values = values * texture.scale.detach().to(values)
                 least, greatest = cache(extremes, cache.frozen((id(shape), id(texture), name), values))
-                domain.check_range(f"{scene.name_of(shape)}.{name}", values, least, greatest, LEEWAY)
+                domain.check_range(f"{scene.name_of(shape)}.{name}", values, least, greatest, leeway)
                 domain.warn(f"{scene.name_of(shape)}.{name}", greatest)
 
 

@@ -27,7 +27,8 @@ from torch_radbp.texture.module_function import Use
 
 DTYPES = (torch.float32, torch.float64)
 NOT_FINITE = "; a smaller learning rate or bounds may keep it finite"
-OUTSIDE = "; keep it inside, with .clamp_() after each step or with a parametrisation"
+OUTSIDE = ("; keep it inside, with scene.clamp_() after each step, rb.optim.bounded(optimizer, scene), or a parametrisation "
+           "such as rb.optim.Sigmoid")
 
 
 class Held(NamedTuple):
@@ -129,13 +130,14 @@ def note_uses(plugins: list[tuple[str, Plugin]]) -> None:
             texture.use = use
 
 
-def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str]) -> None:
+def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str], leeway: float = LEEWAY) -> None:
     """Checks the current parameters of a scene. The values of modules are checked where they are computed.
 
     Args:
         scene: as it is now.
         cache: what is known from the last rendering.
         seen: the names of the sensors that are rendered; the others are not looked at.
+        leeway: as of `Domain.check_range`.
 
     Raises:
         ValueError: naming the first that has a wrong shape, is not finite, is out of range, or is not a valid pose.
@@ -154,10 +156,10 @@ def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str]) -> N
                 domain.check_shape(f"parameter {name!r}", values[name])
         for name, held in found.items():
             value = primal(values[name]) if differentiated(values[name]) else cache.frozen(name, values[name])
-            cache(check_values, name, value, tuple(dict.fromkeys(held.domains)))
+            cache(check_values, name, value, tuple(dict.fromkeys(held.domains)), leeway)
 
 
-def check_values(name: str, value: Tensor, domains: tuple[Domain, ...]) -> None:
+def check_values(name: str, value: Tensor, domains: tuple[Domain, ...], leeway: float) -> None:
     """Raises ValueError unless the values of a parameter, detached, are in all of some domains.
 
     Warns of reflectances above 1.
@@ -165,7 +167,7 @@ def check_values(name: str, value: Tensor, domains: tuple[Domain, ...]) -> None:
     least, greatest = torch.stack(value.aminmax()).double().tolist()
     finite = abs(least) < torch.inf and abs(greatest) < torch.inf
     for domain in domains:
-        domain.check_range(f"parameter {name!r}", value, least, greatest, LEEWAY, OUTSIDE if finite else NOT_FINITE)
+        domain.check_range(f"parameter {name!r}", value, least, greatest, leeway, OUTSIDE if finite else NOT_FINITE)
         domain.warn(f"parameter {name!r}", greatest)
         if domain.is_pose:
             domain.check_pose(f"parameter {name!r}: {name.rpartition('.')[2]}", value)
@@ -205,16 +207,6 @@ def strays_of(prefix: str, module: nn.Module, renderer: nn.Module | None = None)
     if type(module) not in {Scene, *registered()} and module is not renderer:
         return []
     return [f"{prefix}.{name}".removeprefix(".") for name, value in attributes.items() if isinstance(value, Tensor)]
-
-
-def differentiable_in(root: nn.Module, prefix: str = "") -> list[tuple[str, Tensor]]:
-    """The parameters, each once, of a sensor of this name or of a scene without its sensors, that require a gradient."""
-    found: dict[int, tuple[str, Tensor]] = {}
-    for name, module in modules_in(root, prefix, set(root.named_sensors.values()) if isinstance(root, Scene) else ()):
-        for attribute, value in module._parameters.items():
-            if value is not None and value.requires_grad:
-                found.setdefault(id(value), (f"{name}.{attribute}".removeprefix("."), value))
-    return list(found.values())
 
 
 @cache

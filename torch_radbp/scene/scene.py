@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
@@ -203,6 +203,31 @@ class Scene(nn.Module):
         except AttributeError as error:
             names = dict(self.named_parameters())
             raise AttributeError(f"the scene has no parameter {target!r}; {nearest(target, names)}") from error
+
+    def clamp_(self, names: str | Iterable[str] | None = None) -> Scene:
+        """Brings parameters into their ranges, in place; for loops, after each step of an optimizer.
+
+        Renderings raise ValueError for a value that is out of its range, such as a reflectance that an optimizer has moved
+        below 0. Reflectances end at 1 here, though a rendering takes larger ones; where all parameters are clamped, those
+        that require no gradient may stay larger. Ends that are not in a range, such as 0 and 180 degrees of a field of view,
+        are kept away from by a thousandth. What is parametrised is assigned to, so that its parametrisation takes the value
+        over. NaN and infinite values stay, for the next rendering to tell; poses have no range.
+        `rb.optim.bounded(optimizer, scene)` does this after each step, of what the optimizer holds.
+
+        Args:
+            names: of some parameters, as `get_parameter` has them, or of one; None: all.
+
+        Returns:
+            The scene.
+
+        Raises:
+            AttributeError: if there is no such parameter; the message lists the nearest names.
+            RuntimeError: if a value out of its range is that of a parametrisation without `right_inverse`.
+        """
+        from torch_radbp.scene.bounds import clamp  # which knows this class
+
+        clamp(self, names)
+        return self
 
     def name_of(self, plugin: nn.Module) -> str:
         """The full name of a submodule, or its type if it is not part of the scene."""

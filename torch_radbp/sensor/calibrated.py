@@ -11,15 +11,17 @@ from torch import Tensor
 
 from torch_radbp.plugin import Film, Matrix4, Plugin, Sampler, nearest, positive, register
 from torch_radbp.plugin.domain import NUMBER, Domain
-from torch_radbp.sensor.distortion import BrownConrady, Distortion, KannalaBrandt
+from torch_radbp.sensor.distortion import BrownConrady, Distortion, FieldOfView, KannalaBrandt, ThinPrismFisheye
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
 from torch_radbp.sensor.kind import ProjectiveCamera, ProjectiveKind, number
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.tensors.vec import Frame, Ray, Vec2, Vec3, dot, normalize
 
 FOCAL_LENGTH = NUMBER._replace(low=0.0, low_is_in=False, unit=" pixels")
-BROWN_CONRADY, FISHEYE = "brown_conrady", "fisheye"
-COEFFICIENTS = {BROWN_CONRADY: BrownConrady._fields, FISHEYE: KannalaBrandt._fields}
+OMEGA = NUMBER._replace(low=0.0, high=math.pi, low_is_in=False, high_is_in=False, unit=" radians")
+BROWN_CONRADY, FISHEYE, THIN_PRISM_FISHEYE, FIELD_OF_VIEW = "brown_conrady", "fisheye", "thin_prism_fisheye", "field_of_view"
+LENSES: dict[str, type[Distortion]] = {BROWN_CONRADY: BrownConrady, FISHEYE: KannalaBrandt,
+                                       THIN_PRISM_FISHEYE: ThinPrismFisheye, FIELD_OF_VIEW: FieldOfView}
 GRID = 17  # directions across the image, of which the bounds of a view are found
 POINTS = 33  # on a segment that are tested for being in view
 SQUARE = 1e-6  # relative difference of fx and fy of square pixels
@@ -58,6 +60,7 @@ class CalibratedKind(ProjectiveKind):
     """Rays meet in a point, in directions that the distortion decides."""
 
     fisheye: bool
+    everywhere: bool  # every pixel has a direction, so that rays have no weights
 
     def sample_ray(self, lens: CalibratedLens, position: Vec2, aperture: None) -> tuple[Ray, Tensor | None]:
         local, seen = lens.distortion.direction(lens.point(position))
@@ -160,6 +163,15 @@ class Calibrated(ProjectiveCamera):
 
         (x', y') = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) (x, y) / r
 
+    `distortion="thin_prism_fisheye"`, COLMAP's THIN_PRISM_FISHEYE, with (a, b) = theta (x, y) / r, theta^2 = a^2 + b^2:
+
+        x' = a (1 + k1 theta^2 + ... + k4 theta^8) + 2 p1 a b + p2 (theta^2 + 2 a^2) + sx1 theta^2
+        y' = b (1 + k1 theta^2 + ... + k4 theta^8) + p1 (theta^2 + 2 b^2) + 2 p2 a b + sy1 theta^2
+
+    `distortion="field_of_view"`, COLMAP's FOV (Devernay and Faugeras), for what is less than a right angle off the axis:
+
+        (x', y') = atan(2 r tan(omega / 2)) / (omega r) (x, y)
+
     A pixel into which no direction is projected is black.
 
     Parameters: `to_world` (4, 4); `fx`, `fy`, `cx`, `cy`, `skew` (), pixels of the whole image; and those coefficients that
@@ -169,21 +181,24 @@ class Calibrated(ProjectiveCamera):
         fx, fy: focal lengths, pixels; `fy` is `fx` if it is not given.
         cx, cy: the principal point; by default the middle of the image, (width - 1) / 2 and (height - 1) / 2.
         skew: of the pixels' columns.
-        distortion: brown_conrady or fisheye.
-        k1, k2, k3, k4, k5, k6, p1, p2: coefficients of the distortion, a fisheye's up to k4.
+        distortion: brown_conrady, fisheye, thin_prism_fisheye or field_of_view.
+        k1, k2, k3, k4, k5, k6, p1, p2, sx1, sy1: coefficients of the distortion; a fisheye has k1 to k4, and one with a thin
+            prism p1, p2, sx1 and sy1 as well.
+        omega: radians, between 0 and pi; of field_of_view, which needs it.
         near_clip, far_clip: distances between which surfaces are seen, along the viewing axis; of a fisheye, from the eye.
         shutter_open, shutter_close: accepted, but without effect on a camera without motion.
     """
 
-    optional_parameters: ClassVar = BrownConrady._fields  # that there are if they are given
+    optional_parameters: ClassVar = (*BrownConrady._fields, "sx1", "sy1", "omega")  # that there are if they are given
     in_pixels: ClassVar = ("fx", "fy", "cx", "cy", "skew")
 
     def __init__(self, *, fx: float, fy: float | None = None, cx: float | None = None, cy: float | None = None,
                  skew: float = 0.0, distortion: str = BROWN_CONRADY, k1: float | None = None, k2: float | None = None,
                  k3: float | None = None, k4: float | None = None, k5: float | None = None, k6: float | None = None,
-                 p1: float | None = None, p2: float | None = None, to_world: Matrix4 | None = None,
-                 near_clip: float = 1e-2, far_clip: float = 1e4, shutter_open: float = 0.0, shutter_close: float = 0.0,
-                 film: Film | None = None, sampler: Sampler | None = None):
+                 p1: float | None = None, p2: float | None = None, sx1: float | None = None, sy1: float | None = None,
+                 omega: float | None = None, to_world: Matrix4 | None = None, near_clip: float = 1e-2,
+                 far_clip: float = 1e4, shutter_open: float = 0.0, shutter_close: float = 0.0, film: Film | None = None,
+                 sampler: Sampler | None = None):
         super().__init__()
         self.place(to_world, near_clip, far_clip, film, sampler)
         self.shutter_open, self.shutter_close = shutter_open, shutter_close
@@ -192,22 +207,25 @@ class Calibrated(ProjectiveCamera):
         self.freeze("cx", number((self.film.width - 1) / 2 if cx is None else cx))
         self.freeze("cy", number((self.film.height - 1) / 2 if cy is None else cy))
         self.freeze("skew", number(skew))
-        if distortion not in COEFFICIENTS:
-            raise ValueError(f"distortion {distortion!r} is not known; {nearest(distortion, COEFFICIENTS)}")
+        if distortion not in LENSES:
+            raise ValueError(f"distortion {distortion!r} is not known; {nearest(distortion, LENSES)}")
         self.distortion = distortion
-        given = {"k1": k1, "k2": k2, "k3": k3, "k4": k4, "k5": k5, "k6": k6, "p1": p1, "p2": p2}
+        given = {"k1": k1, "k2": k2, "k3": k3, "k4": k4, "k5": k5, "k6": k6, "p1": p1, "p2": p2, "sx1": sx1, "sy1": sy1,
+                 "omega": omega}
+        if distortion == FIELD_OF_VIEW and omega is None:
+            raise ValueError(f"a {FIELD_OF_VIEW} lens needs omega, radians between 0 and pi; 0.01 is hardly any distortion")
         for name, value in given.items():
             if value is None:
                 setattr(self, name, None)
                 continue
-            if name not in COEFFICIENTS[distortion]:
+            if name not in LENSES[distortion]._fields:
                 raise ValueError(f"a {distortion} lens has no coefficient {name}; it has "
-                                 f"{', '.join(COEFFICIENTS[distortion])}")
+                                 f"{', '.join(LENSES[distortion]._fields)}")
             self.freeze(name, number(value))
 
     def domains(self) -> dict[str, Domain]:
         return super().domains() | {"fx": FOCAL_LENGTH, "fy": FOCAL_LENGTH} | dict.fromkeys(
-            ("cx", "cy", "skew", *self.optional_parameters), NUMBER)
+            ("cx", "cy", "skew", *self.optional_parameters), NUMBER) | {"omega": OMEGA}
 
     @torch.no_grad()
     def rescale(self, x: float, y: float) -> None:
@@ -216,13 +234,19 @@ class Calibrated(ProjectiveCamera):
         for parameter, factor in ((self.cx, x), (self.cy, y)):  # from the centre of the first pixel, not its corner
             parameter.add_(0.5).mul_(factor).sub_(0.5)
 
+    @property
+    def is_fisheye(self) -> bool:
+        """True if the lens may see further than a right angle off its axis."""
+        return LENSES[self.distortion].is_fisheye
+
     def kind(self) -> CalibratedKind:
-        return CalibratedKind(self.distortion == FISHEYE)
+        undistorted = all(getattr(self, name) is None for name in self.optional_parameters)
+        return CalibratedKind(self.is_fisheye, undistorted and self.distortion == BROWN_CONRADY)
 
     def lens(self) -> CalibratedLens:
         matrix = self.to_world
         left, up, ahead = (normalize(Vec3.of(matrix[:3, k])) for k in range(3))
-        model = KannalaBrandt if self.distortion == FISHEYE else BrownConrady
+        model = LENSES[self.distortion]
         return CalibratedLens(
             axes=Frame(-left, -up, ahead), origin=Vec3.of(matrix[:3, 3]), fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy,
             skew=self.skew, width=matrix.new_tensor(float(self.film.width)),
@@ -239,14 +263,14 @@ class Calibrated(ProjectiveCamera):
     def beyond_perspective(self) -> list[str]:
         """What a `perspective` lacks to be this sensor: coefficients, skew, fisheye, pixels that are not square."""
         beyond = [name for name in self.optional_parameters if getattr(self, name) is not None and getattr(self, name) != 0]
-        beyond += ["skew"] * bool(self.skew != 0) + ["fisheye"] * (self.distortion == FISHEYE)
+        beyond += ["skew"] * bool(self.skew != 0) + ["fisheye"] * self.is_fisheye
         return beyond + ["fx other than fy"] * (abs(float(self.fx / self.fy) - 1.0) > SQUARE)
 
     def as_perspective(self) -> Perspective:
         """A `perspective` with the pose, fx and the principal point of this sensor, without what that lacks."""
         width, height = self.film.width, self.film.height
         fx, cx, cy = (float(value) for value in (self.fx, self.cx, self.cy))
-        sensor = Perspective(fov=1.0, near_clip=self.near_clip, far_clip=self.far_clip, shutter_open=self.shutter_open,
+        sensor = Perspective(fov=45.0, near_clip=self.near_clip, far_clip=self.far_clip, shutter_open=self.shutter_open,
                              shutter_close=self.shutter_close, film=self.film, sampler=self.sampler).to(self.fx.dtype)
         values = {"to_world": self.to_world, "x_fov": math.degrees(2.0 * math.atan(width / (2.0 * fx))),
                   "principal_point_offset_x": 0.5 - (cx + 0.5) / width,
@@ -257,6 +281,6 @@ class Calibrated(ProjectiveCamera):
         return sensor
 
     def view(self) -> str:
-        if self.distortion == FISHEYE:
-            return f"fisheye, {float(self.fx):.4g} px"
+        if self.distortion != BROWN_CONRADY:
+            return f"{self.distortion.replace('_', ' ')}, {float(self.fx):.4g} px"
         return f"{math.degrees(2 * math.atan(self.film.width / (2 * float(self.fx)))):.2f} deg"

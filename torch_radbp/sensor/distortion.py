@@ -8,12 +8,15 @@ Axes are OpenCV's: x to the right, y down, z ahead.
 
 References: Brown 1966, "Decentering Distortion of Lenses"; Kannala and Brandt 2006, "A Generic Camera Model and Calibration
 Method for Conventional, Wide-Angle, and Fish-Eye Lenses", equation 6; OpenCV's documentation of `calib3d` (the rational form
-and the order of coefficients).
+and the order of coefficients); Devernay and Faugeras 2001, "Straight lines have to be straight", equation 15 (the field of
+view); Weng, Cohen and Herniou 1992, "Camera Calibration with Distortion Models and Accuracy Evaluation" (thin prisms);
+COLMAP's `src/colmap/sensor/models.h` (FOV, THIN_PRISM_FISHEYE).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -26,11 +29,13 @@ HALF_CIRCLE = 3.1415  # radians off the axis, at which a fisheye ends
 TINY = 1e-24
 
 Coefficient = Tensor | None  # () or absent, which is 0
+Lens = TypeVar("Lens", bound=tuple)  # the coefficients of a map of the plane
 
 
 class BrownConrady(NamedTuple):
     """Radial distortion by a quotient of polynomials, and tangential distortion."""
 
+    is_fisheye = False  # True: reaches further than a right angle off the axis
     k1: Coefficient = None
     k2: Coefficient = None
     k3: Coefficient = None
@@ -53,51 +58,49 @@ class BrownConrady(NamedTuple):
         """
         if all(coefficient is None for coefficient in self):
             return Vec3(point.x, point.y, torch.ones_like(point.x)), None
-        held, target = BrownConrady(*(None if k is None else k.detach() for k in self)), point.map(torch.Tensor.detach)
-        x = target
-        for _ in range(STEPS):
-            x = newton(x, brown_conrady(held, x), target)
-        there = brown_conrady(held, x)
-        off = torch.maximum((there.value.x - target.x).abs(), (there.value.y - target.y).abs())
-        size = 1.0 + torch.maximum(target.x.abs(), target.y.abs())
-        seen = (off < SOLVED * size) & (there.determinant > 0) & (there.xx > 0)
-        x = x.map(lambda part: torch.where(seen, part, 0.0))
-        solved, mask = newton(x, brown_conrady(self, x), point), seen.to(x.x.dtype)
+        solved, seen = inverted(brown_conrady, self, point, point)
+        mask = seen.to(solved.x.dtype)
         return Vec3(solved.x * mask, solved.y * mask, torch.ones_like(solved.x)), seen
 
 
 class Linearized(NamedTuple):
-    """A map of the plane at (N,) points: attached value, detached Jacobian, which is symmetric."""
+    """A map of the plane at (N,) points: attached value, detached Jacobian."""
 
     value: Vec2
-    xx: Tensor
-    xy: Tensor
+    xx: Tensor  # derivative of the value's x by x
+    xy: Tensor  # of its x by y
+    yx: Tensor
     yy: Tensor
 
     @property
     def determinant(self) -> Tensor:
-        return self.xx * self.yy - self.xy * self.xy
+        return self.xx * self.yy - self.xy * self.yx
 
 
 def brown_conrady(lens: BrownConrady, at: Vec2) -> Linearized:
     """The distorted points, and how they change with the undistorted ones."""
-    x, y = at
-    square = x * x + y * y
+    square = at.x * at.x + at.y * at.y
     above, slope_above = polynomial(square, (lens.k1, lens.k2, lens.k3))
     below, slope_below = polynomial(square, (lens.k4, lens.k5, lens.k6))
     radial = above / below
-    slope = ((slope_above - radial * slope_below) / below).detach()  # by the squared radius
+    return decentred(at, radial, ((slope_above - radial * slope_below) / below).detach(), lens.p1, lens.p2)
+
+
+def decentred(at: Vec2, radial: Tensor, slope: Tensor, p1: Coefficient, p2: Coefficient) -> Linearized:
+    """Points scaled by a function of their squared radius, whose derivative is `slope`, with tangential distortion."""
+    x, y = at
+    square = x * x + y * y
     value_x, value_y, fixed = x * radial, y * radial, radial.detach()
     xx, xy, yy = fixed + 2.0 * x * x * slope, 2.0 * x * y * slope, fixed + 2.0 * y * y * slope
-    if lens.p1 is not None:
-        p = lens.p1.detach()
-        value_x, value_y = value_x + 2.0 * lens.p1 * x * y, value_y + lens.p1 * (square + 2.0 * y * y)
+    if p1 is not None:
+        p = p1.detach()
+        value_x, value_y = value_x + 2.0 * p1 * x * y, value_y + p1 * (square + 2.0 * y * y)
         xx, xy, yy = xx + 2.0 * p * y, xy + 2.0 * p * x, yy + 6.0 * p * y
-    if lens.p2 is not None:
-        p = lens.p2.detach()
-        value_x, value_y = value_x + lens.p2 * (square + 2.0 * x * x), value_y + 2.0 * lens.p2 * x * y
+    if p2 is not None:
+        p = p2.detach()
+        value_x, value_y = value_x + p2 * (square + 2.0 * x * x), value_y + 2.0 * p2 * x * y
         xx, xy, yy = xx + 6.0 * p * x, xy + 2.0 * p * y, yy + 2.0 * p * x
-    return Linearized(Vec2(value_x, value_y), xx, xy, yy)
+    return Linearized(Vec2(value_x, value_y), xx, xy, xy, yy)
 
 
 def polynomial(s: Tensor, coefficients: tuple[Coefficient, ...]) -> tuple[Tensor, Tensor]:
@@ -116,12 +119,31 @@ def newton(x: Vec2, there: Linearized, target: Vec2) -> Vec2:
     a, b = there.value.x - target.x, there.value.y - target.y
     determinant = there.determinant.detach()
     scale = 1.0 / torch.where(determinant.abs() > TINY, determinant, 1.0)
-    return Vec2(x.x - (there.yy * a - there.xy * b) * scale, x.y - (there.xx * b - there.xy * a) * scale)
+    return Vec2(x.x - (there.yy * a - there.xy * b) * scale, x.y - (there.xx * b - there.yx * a) * scale)
+
+
+def inverted(plane_map: Callable[[Lens, Vec2], Linearized], lens: Lens, point: Vec2, start: Vec2) -> tuple[Vec2, Tensor]:
+    """The points, near those to start from, that a map of the plane brings to (N,) points, attached to the lens and to them.
+
+    Returns:
+        Them, and True where there is one: where none, or only one from beyond a fold of the map, any finite point.
+    """
+    held, target = type(lens)(*(None if k is None else k.detach() for k in lens)), point.map(torch.Tensor.detach)
+    x = start.map(torch.Tensor.detach)
+    for _ in range(STEPS):
+        x = newton(x, plane_map(held, x), target)
+    there = plane_map(held, x)
+    off = torch.maximum((there.value.x - target.x).abs(), (there.value.y - target.y).abs())
+    size = 1.0 + torch.maximum(target.x.abs(), target.y.abs())
+    seen = (off < SOLVED * size) & (there.determinant > 0) & (there.xx > 0)
+    x = x.map(lambda part: torch.where(seen, part, 0.0))
+    return newton(x, plane_map(lens, x), point), seen
 
 
 class KannalaBrandt(NamedTuple):
     """A fisheye: the distance from the middle of the image is a polynomial of the angle to the axis."""
 
+    is_fisheye = True
     k1: Coefficient = None
     k2: Coefficient = None
     k3: Coefficient = None
@@ -163,4 +185,79 @@ class KannalaBrandt(NamedTuple):
         return theta * value, value + 2.0 * square * slope
 
 
-Distortion = BrownConrady | KannalaBrandt
+class ThinPrismFisheye(NamedTuple):
+    """A fisheye whose image plane is distorted further, by tangential distortion and a thin prism."""
+
+    is_fisheye = True
+    k1: Coefficient = None
+    k2: Coefficient = None
+    k3: Coefficient = None
+    k4: Coefficient = None
+    p1: Coefficient = None
+    p2: Coefficient = None
+    sx1: Coefficient = None
+    sy1: Coefficient = None
+
+    def distorted(self, d: Vec3) -> Vec2:
+        """Where the rays of (N,) directions meet the image plane."""
+        return thin_prism(self, KannalaBrandt().distorted(d)).value
+
+    def direction(self, point: Vec2) -> tuple[Vec3, Tensor]:
+        """The directions, of unit length, whose rays meet the image plane at (N,) points; attached to both.
+
+        Returns:
+            Them, and True where there is one less than half a circle off the axis: where none, the axis.
+        """
+        radius = torch.sqrt((point.x * point.x + point.y * point.y).clamp_min(TINY))
+        scale = (0.5 * HALF_CIRCLE / radius).clamp_max(1.0)  # as KannalaBrandt begins
+        solved, seen = inverted(thin_prism, self, point, point.map(lambda part: part * scale))
+        theta = torch.sqrt((solved.x * solved.x + solved.y * solved.y).clamp_min(TINY))
+        seen = seen & (theta < HALF_CIRCLE)
+        mask = seen.to(theta.dtype)
+        across = torch.sin(theta) / theta * mask
+        return Vec3(solved.x * across, solved.y * across, torch.cos(theta * mask)), seen
+
+
+def thin_prism(lens: ThinPrismFisheye, at: Vec2) -> Linearized:
+    """The distorted points, and how they change with those of the equidistant fisheye."""
+    square = at.x * at.x + at.y * at.y
+    radial, slope = polynomial(square, (lens.k1, lens.k2, lens.k3, lens.k4))
+    there = decentred(at, radial, slope.detach(), lens.p1, lens.p2)
+    if lens.sx1 is not None:
+        s = 2.0 * lens.sx1.detach()
+        there = there._replace(value=there.value._replace(x=there.value.x + lens.sx1 * square), xx=there.xx + s * at.x,
+                               xy=there.xy + s * at.y)
+    if lens.sy1 is not None:
+        s = 2.0 * lens.sy1.detach()
+        there = there._replace(value=there.value._replace(y=there.value.y + lens.sy1 * square), yx=there.yx + s * at.x,
+                               yy=there.yy + s * at.y)
+    return there
+
+
+class FieldOfView(NamedTuple):
+    """A lens in whose image distances from the middle grow nearly as the angles to the axis, up to a right angle."""
+
+    is_fisheye = False
+    omega: Tensor  # () radians, greater than 0 and less than pi: the field of view of an ideal fisheye
+
+    def distorted(self, d: Vec3) -> Vec2:
+        """Where directions in front of the camera, (N,), meet the image plane."""
+        x, y = d.x / d.z, d.y / d.z
+        radius = torch.sqrt((x * x + y * y).clamp_min(TINY))
+        scale = torch.atan(radius * (2.0 * torch.tan(0.5 * self.omega))) / (radius * self.omega)
+        return Vec2(x * scale, y * scale)
+
+    def direction(self, point: Vec2) -> tuple[Vec3, Tensor]:
+        """The directions, z = 1, whose rays meet the image plane at (N,) points; attached to both.
+
+        Returns:
+            Them, and True where there is one: where none, the axis.
+        """
+        radius = torch.sqrt((point.x * point.x + point.y * point.y).clamp_min(TINY))
+        angle = radius * self.omega
+        seen = angle < 0.5 * HALF_CIRCLE
+        scale = torch.tan(angle * seen.to(angle.dtype)) / (radius * (2.0 * torch.tan(0.5 * self.omega)))
+        return Vec3(point.x * scale, point.y * scale, torch.ones_like(scale)), seen
+
+
+Distortion = BrownConrady | KannalaBrandt | ThinPrismFisheye | FieldOfView

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import Film, Matrix4, Sampler, nearest, positive, register
+from torch_radbp.plugin import Film, Matrix4, Sampler, nearest, positive, register, warn_of_radians
 from torch_radbp.plugin.domain import NUMBER, Domain
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
 from torch_radbp.sensor.kind import ProjectiveCamera, ProjectiveKind, number
@@ -154,6 +154,8 @@ class Perspective(FieldOfViewCamera):
 def field_of_view(fov: float | None, focal_length: str | None, fov_axis: str) -> tuple[float, str]:
     """The angle in degrees, and the axis along which it is measured; a 50 mm lens if neither is given.
 
+    Warns of an angle that may have been meant in radians.
+
     Raises:
         ValueError: if both are given, the axis is unknown, or the angle is out of range.
     """
@@ -161,10 +163,13 @@ def field_of_view(fov: float | None, focal_length: str | None, fov_axis: str) ->
         raise ValueError(f"fov_axis {fov_axis!r} is not known; {nearest(fov_axis, FOV_AXES)}")
     if fov is not None and focal_length is not None:
         raise ValueError("give either fov or focal_length, not both")
-    if fov is None:
+    computed = fov is None
+    if computed:
         fov, fov_axis = diagonal_fov("50mm" if focal_length is None else focal_length), "diagonal"
     if not 0 < fov < 180:
         raise ValueError(f"fov must be between 0 and 180 degrees, got {fov}")
+    if not computed:
+        warn_of_radians("fov", fov)
     return fov, fov_axis
 
 

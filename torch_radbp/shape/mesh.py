@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -201,6 +202,9 @@ class FileMesh(Mesh):
         if flip_tex_coords and uv is not None:
             uv = uv.copy()
             uv[:, 1] = 1.0 - uv[:, 1]
+        if normals is not None and not (has := normals.any(axis=1)).all():
+            made = angle_weighted_normals(torch.from_numpy(vertices), torch.from_numpy(faces)).numpy()
+            normals = np.where(has[:, None], normals, made)
         normals, uv = (None if values is None else torch.from_numpy(values) for values in (normals, uv))
         self.hold(torch.from_numpy(vertices), torch.from_numpy(faces), normals, uv, to_world, not face_normals,
                   recompute_normals)

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torch_radbp.tensors.differentiated import differentiated
 from torch_radbp.tensors.record import leaves_of, mapped, with_leaves
+from torch_radbp.tensors.torch_internals import without_compiler
 from torch_radbp.tensors.vec import gather
 
 
@@ -78,6 +79,7 @@ class GatheredExactly(torch.autograd.Function):
         ctx.entries = len(table)
 
     @staticmethod
+    @without_compiler()
     def backward(ctx, adjoint: Tensor) -> tuple[Tensor, None]:
         index, = ctx.saved_tensors
         total = adjoint.new_zeros(ctx.entries, dtype=torch.float64).index_add_(0, index, adjoint.double())

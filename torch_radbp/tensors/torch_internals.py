@@ -19,8 +19,9 @@ from torch.autograd import forward_ad
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_flatten, tree_map, tree_map_only
 
-__all__ = ["TorchDispatchMode", "batched", "functions_of_torch_only", "inside_dual_level", "operations_on_this_thread",
-           "outside_transforms", "transforms", "tree_flatten", "tree_map", "tree_map_only", "unwrapped", "without_compiler"]
+__all__ = ["TorchDispatchMode", "at_end_of_backward", "backward_pass", "batched", "functions_of_torch_only",
+           "inside_dual_level", "operations_on_this_thread", "outside_transforms", "transforms", "tree_flatten", "tree_map",
+           "tree_map_only", "unwrapped", "without_compiler"]
 
 try:
     from torch._C._functorch import get_interpreter_stack, get_unwrapped, is_functorch_wrapped_tensor
@@ -56,6 +57,20 @@ def batched(tensor: Tensor) -> bool:
         return "Batched" in torch._C._dispatch_key_set(tensor)
     except AttributeError:
         return False
+
+
+def backward_pass() -> int | None:
+    """The number of the backward pass that this thread is in; None where there is none, or that is not known."""
+    try:
+        number = torch._C._current_graph_task_id()
+    except AttributeError:
+        return None
+    return None if number < 0 else number
+
+
+def at_end_of_backward(function: Callable[[], None]) -> None:
+    """Has a function called when the backward pass has ended that this thread is in."""
+    torch.autograd.Variable._execution_engine.queue_callback(function)
 
 
 def functions_of_torch_only():

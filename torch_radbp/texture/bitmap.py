@@ -164,7 +164,7 @@ class Bitmap(Texture):
     unless the filter is nearest. Derivatives: with respect to both.
 
     Args:
-        filename: EXR, HDR, PFM, PNG, JPEG, BMP or TGA. Either this or `data`.
+        filename: EXR, HDR, PFM, PNG, JPEG, BMP, TGA, WebP or TIFF. Either this or `data`.
         data, bitmap: (H, W), (H, W, 1) or (H, W, 3) linear values, or bytes (uint8) as in an 8-bit file; both names mean the
             same.
         filter_type: bilinear; nearest, where `to_uv` moves nothing but edges of texels and is no parameter; or trilinear,

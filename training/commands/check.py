@@ -16,7 +16,7 @@ from torch_radbp.training.commands.render import chosen_sensors
 from torch_radbp.training.commands.scene_variables import Define, parse_variables
 from torch_radbp.training.progress import TimedProgress
 
-BIASED_CODE, TOO_NOISY_CODE = 1, 3
+BIASED_CODE, NOTHING_FOUND_CODE = 1, 3
 SHOWN_Z = 5.0  # standard errors at the ends of the colour bar
 
 EPILOG = (
@@ -24,8 +24,10 @@ EPILOG = (
     "radbp check scene.xml --param white.reflectance.value\n\n"
     "radbp check scene.xml --param white.reflectance.value --direction 1,0,0 --spp 1024  (red only, less noise)\n\n"
     "radbp check scene.xml --param wall.bsdf.reflectance.data --direction change.npy --step 0.1\n\n"
-    "Finite differences are rendered with samples of their own. The verdict is 'agrees' (exit code 0), 'biased' (1) or "
-    "'too noisy' (3, with the number of samples that would do); wrong input is exit code 2. In the folder of --out: "
+    "Finite differences are rendered with samples of their own, and never outside of the parameter's range. The verdict is "
+    "'agrees' (exit code 0), 'biased' (1), or says that nothing could be found out (3): 'too noisy', with the number of "
+    "samples that would do, 'too large a step', with a smaller one, or 'at a floor', with the least value that can be "
+    "checked; wrong input is exit code 2. In the folder of --out: "
     "check.png with finite differences, forward mode, their difference and that in standard errors, blue below zero and red "
     "above; and check.json with all figures. With several sensors there is a picture for each.\n\n"
     "radbp info scene.xml lists the names of the parameters."
@@ -83,7 +85,7 @@ def check(
     for path in (*pictures, folder / "check.json"):
         console.print("written:", str(path), soft_wrap=True)
     if not result.agrees:
-        raise typer.Exit(BIASED_CODE if result.verdict.startswith("biased") else TOO_NOISY_CODE)
+        raise typer.Exit(BIASED_CODE if result.verdict.startswith("biased") else NOTHING_FOUND_CODE)
 
 
 def parse_direction(text: str | None, shape: tuple[int, ...]):

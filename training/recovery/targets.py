@@ -48,22 +48,20 @@ def read_targets(specs: list[recipe.Target], films: dict[str, tuple[int, int]]) 
         films: (height, width) of the film of every sensor of the scene, by sensor name, in the scene's order.
 
     Raises:
-        ValueError: unknown or repeated sensor, wrong size, NaN or infinity, negative radiance; a mask of another size, with
-            values outside of [0, 1] or none above 0.
+        ValueError: unknown or repeated sensor, wrong size, NaN or infinity where the mask is not 0, negative radiance; a
+            mask of another size, with values outside of [0, 1] or none above 0.
     """
     known = list(films)
     names = [_sensor_name(spec, known) for spec in specs]
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"sensor {name!r} has {names.count(name)} targets; each sensor takes one")
-    images = [_read_target(spec, name, films[name]) for spec, name in zip(specs, names)]
+    images, masks = zip(*(_read_target(spec, name, films[name]) for spec, name in zip(specs, names)))
     if len({image.shape for image in images}) > 1:
         sizes = ", ".join(f"{name} {image.shape[2]}x{image.shape[1]}" for name, image in zip(names, images))
         raise ValueError(f"the sensors of one run must have films of one size, got {sizes}")
-    masks = None
-    if any(spec.mask for spec in specs):
-        masks = torch.stack([_read_mask(spec, image) for spec, image in zip(specs, images)])
-    return Targets(names, [known.index(name) for name in names], torch.stack(images), masks)
+    weights = torch.stack(masks) if any(spec.mask for spec in specs) else None
+    return Targets(names, [known.index(name) for name in names], torch.stack(images), weights)
 
 
 def _sensor_name(spec: recipe.Target, known: list[str]) -> str:
@@ -76,7 +74,8 @@ def _sensor_name(spec: recipe.Target, known: list[str]) -> str:
     return spec.sensor
 
 
-def _read_target(spec: recipe.Target, sensor: str, film: tuple[int, int]) -> Tensor:
+def _read_target(spec: recipe.Target, sensor: str, film: tuple[int, int]) -> tuple[Tensor, Tensor]:
+    """(3, H, W) image and (1, H, W) mask; NaN and infinity where the mask is 0 become 0."""
     image = read_image(spec.image)  # (H, W, 1 or 3)
     height, width = image.shape[:2]
     if (height, width) != tuple(film):
@@ -85,14 +84,17 @@ def _read_target(spec: recipe.Target, sensor: str, film: tuple[int, int]) -> Ten
             f"{film[1]} x {film[0]}"
         )
     image = image.expand(-1, -1, 3)  # grey becomes colour
+    mask = _read_mask(spec, image.permute(2, 0, 1))
+    image = image.where(image.isfinite() | (mask[0, :, :, None] > 0), 0.0)
     bad = int((~image.isfinite()).sum())
     if bad:
-        raise ValueError(f"target {spec.image} has {bad} values that are NaN or infinite; mend the image first")
+        raise ValueError(f"target {spec.image} has {bad} values that are NaN or infinite; mend the image first, or give a "
+                         f"mask that is 0 there")
     dark = int((image @ image.new_tensor(LUMINANCE) < 0).sum())
     if dark > MOST_NEGATIVE * height * width:
         raise ValueError(f"target {spec.image} has {dark} of {height * width} pixels of negative luminance, but radiance is "
                          f"at least 0; a target is a linear image, neither shifted nor normalised")
-    return image.permute(2, 0, 1).contiguous()
+    return image.permute(2, 0, 1).contiguous(), mask
 
 
 def _read_mask(spec: recipe.Target, image: Tensor) -> Tensor:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.contacts import contacts_among
+from torch_radbp.boundary.contacts import resting_among
 from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.outline import Outline, outlines_of
@@ -110,7 +110,7 @@ def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) 
         edges = Casting(casting, edge_tree(stages, geometry, casting))
         seen = crossing is not None and sees_curves(call, crossing)
         parts = parts_of(call, segment_tree(stages, geometry, crossing) if seen else None,
-                         None if crossing is None else contacts_among(crossing))
+                         None if crossing is None else resting_among(crossing))
     still, jumps = call.still(), []
     for number in range(len(call.views)):
         with torch.no_grad():

@@ -205,7 +205,7 @@ def lit_edges(call: RenderCall, number: int, casting: Casting, lights: Lights, s
     eyes = call.integrand.part(Ends.SURROUNDINGS).call(call.stages.light_eyes, points.draw)
     passed = places_lit(call.stages, geometry_of(scene), casting, eyes, salted(view, SALT), count)
     if passed is not None and casting.outline.parts is not None:  # what rests on its receiver is counted in `under_edges.py`
-        passed = rows(passed, (~rows(casting.outline.parts.rests, passed.edge)).nonzero().squeeze(1))
+        passed = rows(passed, (rows(casting.outline.parts.counts, passed.edge) == 1.0).nonzero().squeeze(1))
     return None if passed is None or not len(passed.edge) else LitEdges(passed, points.draw, eyes, count)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import binascii
 import os
+import re
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
@@ -15,6 +16,7 @@ from torch_radbp.io.gltf.document import Document, Part
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 MAX_NUMBERS = 2**28  # of all accessors together, counted as often as nodes use them: a small file can ask for any number
 MAX_ZEROS = 2**20  # of all accessors without a buffer view together, which take no place in the file
 MAX_RESOURCE = 2**30  # bytes of an image's file
@@ -54,12 +56,13 @@ class Buffers:
     def resource(self, uri: str, user: Part, length: int = -1) -> bytes:
         """The bytes behind a URI: a data URI, or the name of a file relative to the document, of which the first `length`
         bytes are read; -1: all."""
-        if uri.startswith("data:"):
+        if uri[:5].lower() == "data:":
             head, comma, body = uri.partition(",")
-            if not comma or not head.endswith(";base64"):
+            if not comma or not head.lower().endswith(";base64"):
                 raise user.fail("a data URI must be encoded as base64: data:...;base64,...")
+            body = "".join(unquote(body).split()).rstrip("=")  # line breaks and padding as one likes
             try:
-                return base64.b64decode(body, validate=True)
+                return base64.b64decode(body + "=" * (-len(body) % 4), validate=True)
             except (binascii.Error, ValueError) as error:
                 raise user.fail(f"its data URI is damaged: {error}") from error
         path = self.path(uri, user)
@@ -85,6 +88,8 @@ class Buffers:
         if scheme or "\0" in uri:
             raise user.fail(f"the uri {uri[:80]!r} is no file name relative to the document; no other is read")
         path = self.folder / unquote(uri)
+        if not path.is_file():  # a question mark, a number sign or a backslash can be a part of a file's name
+            path = self.folder / unquote(re.split("[?#]", uri)[0]).replace("\\", "/")
         if not self.allow_outside and not path.resolve().is_relative_to(self.folder.resolve()):
             raise user.fail(f"the uri {uri[:80]!r} leads out of the folder of the document, {self.folder.resolve()}; if you "
                             "trust it, load it with allow_outside=True (on the command line --allow-outside)")
@@ -93,8 +98,11 @@ class Buffers:
     def view(self, index: int, user: Part) -> tuple[memoryview, int | None]:
         """The bytes of a buffer view, and its stride if it has one."""
         part = self.document.of("bufferViews", index, user, "bufferView")
-        if part.extension("EXT_meshopt_compression") is not None:
-            raise part.fail("EXT_meshopt_compression is not supported; unpack the file, as with `gltfpack -noq`")
+        packed = any(part.extension(name) is not None for name in MESHOPT)
+        if packed and self.document.of("buffers", part.integer("buffer"), part, "buffer").text("uri", "") == "" and (
+                part.integer("buffer") > 0 or self.binary is None):
+            raise part.fail(f"{MESHOPT[0]} is not supported, and there is no buffer with the same uncompressed; unpack the "
+                            "file, as with `gltfpack -noq`")
         content = self.buffer(part.integer("buffer"), part)
         start, length = part.integer("byteOffset", 0), part.integer("byteLength")
         if start + length > len(content):
@@ -116,9 +124,11 @@ class Buffers:
         kind, dtype = part.text("type"), np.dtype(part.choice("componentType", COMPONENTS))
         if kind not in types:
             raise part.fail(f"type {kind!r} cannot be the {entry} of {user.place}, which takes {' or '.join(types)}")
-        count, width = part.integer("count", low=1), TYPES[kind]
+        count, width = part.integer("count"), TYPES[kind]
         self.claim(part, count * width)
-        if part.has("bufferView"):
+        if count == 0:
+            found = np.zeros((0, width), dtype)
+        elif part.has("bufferView"):
             found = self.elements(part, part.integer("bufferView"), count, width, dtype)
         else:
             found = self.blank(part, count, width, dtype)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
+from torch_radbp.formats.leniency import Repairs
 from torch_radbp.io.attribute_values import shown
 from torch_radbp.plugin import SceneError, nearest
 
@@ -13,25 +13,31 @@ REQUIRED: Any = object()  # in the place of a default: there is none
 
 
 class GltfWarning(UserWarning):
-    """A glTF file was read or written with losses: the message lists all that the other side cannot say, each once.
+    """A glTF file was read or written with losses: the message lists all that the other side cannot say,
+    each kind once.
 
     `load` warns of what it does not read of a file, and of the camera or light that it adds to one without; `save` of what
     glTF has no words for. With `strict=True` either raises a `SceneError` instead.
     """
 
 
-class Losses:
-    """What is left out or changed on the way, in the order in which it is met."""
+class Losses(Repairs):
+    """What is left out or changed on the way, by kind, in the order in which it is met."""
 
-    def __init__(self) -> None:
-        self.found: dict[str, None] = {}
 
-    def add(self, place: str, what: str) -> None:
-        """Notes one; the same one counts once."""
-        self.found.setdefault(f"{place}: {what}")
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.found)
+def without_nulls(document: dict[str, Any], losses: Losses) -> dict[str, Any]:
+    """A document without the entries that are null, which glTF does not have; those of `extras` may be anything."""
+    waiting: list[tuple[str, Any]] = [("", document)]
+    while waiting:
+        place, value = waiting.pop()
+        if isinstance(value, list):
+            waiting += [(f"{place}[{number}]", item) for number, item in enumerate(value)]
+        elif isinstance(value, dict):
+            for name in [name for name, item in value.items() if item is None and name != "extras"]:
+                losses.add(f"{place}.{name:.80}".lstrip("."), "null is read as if nothing was given")
+                del value[name]
+            waiting += [(f"{place}.{name:.80}".lstrip("."), item) for name, item in value.items() if name != "extras"]
+    return document
 
 
 class Part:

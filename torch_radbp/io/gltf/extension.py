@@ -10,6 +10,10 @@
 | KHR_materials_sheen | `sheen`, `sheen_tint`: another curve |
 | KHR_materials_specular | `specular`, which leaves reflections at grazing angles; 0 of what is no metal: `diffuse` |
 | KHR_materials_emissive_strength | a factor of the radiance |
+
+Of nodes, EXT_mesh_gpu_instancing makes a copy of the mesh for each instance, and KHR_node_visibility hides meshes and
+lights. Buffer views that are compressed (EXT_meshopt_compression) are read from the buffer of the same uncompressed, where
+there is one.
 """
 
 from __future__ import annotations
@@ -17,15 +21,23 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from torch_radbp.bsdf.principled import MOST_SPECULAR
+from torch_radbp.io.gltf.accessor import MESHOPT
 from torch_radbp.io.gltf.document import Document, Losses, Part
 from torch_radbp.plugin import nearest
 
 READ = ("KHR_lights_punctual", "KHR_materials_anisotropy", "KHR_materials_clearcoat", "KHR_materials_emissive_strength",
         "KHR_materials_ior", "KHR_materials_sheen", "KHR_materials_specular", "KHR_materials_transmission",
-        "KHR_materials_volume", "KHR_mesh_quantization", "KHR_texture_transform")
-UNPACKED = {"KHR_draco_mesh_compression": "import it into Blender and export it with compression off",
-            "EXT_meshopt_compression": "`gltfpack -noq`",
-            "KHR_texture_basisu": "images as PNG or JPEG"}
+        "KHR_materials_volume", "KHR_mesh_quantization", "KHR_node_visibility", "KHR_texture_transform",
+        "EXT_mesh_gpu_instancing")
+# What to do about an extension that a document requires.
+INSTEAD = {"KHR_draco_mesh_compression": "save it without compression: import it into Blender, export it with it off",
+           **dict.fromkeys(MESHOPT, "save it without compression: `gltfpack -noq`"),
+           "KHR_texture_basisu": "save it without compression: images as PNG or JPEG",
+           "KHR_materials_unlit": "all surfaces are lit here; where it is used and not required, the surface is shaded"}
+# Of which is said elsewhere what is lost, or nothing is: views of buffers that are compressed are read from their fallback.
+SAID_ELSEWHERE = (*MESHOPT, "KHR_materials_unlit")
+ALIKE = 0.9  # a misspelt name; KHR_materials_unlit and KHR_materials_ior are alike by 0.83
 SHARPEST, DULLEST = 0.001, 0.1  # roughness of Disney's clearcoat with gloss 1 and 0, as microfacets count it
 SMALLEST_IOR = 1.0
 
@@ -38,10 +50,11 @@ def check_extensions(document: Document, losses: Losses) -> None:
     """
     for name in document.items("extensionsRequired"):
         if name not in READ:
-            instead = f"save it without compression: {UNPACKED[name]}" if name in UNPACKED else nearest(str(name), READ)
-            raise document.fail(f"it requires the extension {name!r}, which is not supported; {instead}")
+            instead = INSTEAD.get(name) if isinstance(name, str) else None
+            raise document.fail(f"it requires the extension {name!r:.80}, which is not supported; "
+                                f"{instead or nearest(str(name), READ, ALIKE)}")
     for name in document.items("extensionsUsed"):
-        if name not in READ:
+        if name not in (*READ, *SAID_ELSEWHERE):
             losses.add("extensionsUsed", f"{name!r} is not read")
 
 
@@ -63,7 +76,7 @@ def reflection(material: Part, losses: Losses) -> dict[str, float]:
     if factor == 1.0:
         return {} if ior is None else {"eta": index}
     losses.add(material.place, f"specularFactor {factor:g} weakens reflections from above, not at grazing angles")
-    return {"specular": min(1.0, factor * ((index - 1.0) / (index + 1.0)) ** 2 / 0.08)}
+    return {"specular": min(MOST_SPECULAR, factor * ((index - 1.0) / (index + 1.0)) ** 2 / 0.08)}
 
 
 def is_diffuse(material: Part, metallic: float) -> bool:

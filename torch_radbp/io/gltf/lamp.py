@@ -54,10 +54,9 @@ def light(part: Part, to_world: np.ndarray, lumens_per_watt: float, losses: Loss
     cone = part.part("spot")
     outer = cone.number("outerConeAngle", math.pi / 4, low=0.0, high=math.pi / 2 + 1e-6)
     inner = cone.number("innerConeAngle", 0.0, low=0.0, high=math.pi / 2 + 1e-6)
-    if not inner < outer:
-        raise cone.fail(f"innerConeAngle must be less than outerConeAngle, got {inner:g} and {outer:g}")
-    return Spot(intensity=colour, cutoff_angle=math.degrees(outer), beam_width=math.degrees(inner),
-                to_world=rigid(part, to_world))
+    angles = {"cutoff_angle": math.degrees(outer), "beam_width": math.degrees(inner)}
+    angles = Spot.of_file(angles, lambda what: losses.add(part.place, what))
+    return Spot(intensity=colour, to_world=rigid(part, to_world), **angles)
 
 
 def rigid(part: Part, to_world: np.ndarray) -> Tensor:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torch_radbp.io.gltf.document import Losses
 from torch_radbp.plugin import Emitter, Sensor, Texture
-from torch_radbp.sensor.calibrated import FISHEYE, Calibrated
+from torch_radbp.sensor.calibrated import Calibrated
 
 HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])  # about y: from what looks along +z to what looks along -z
 SQUARE = 1e-5  # how far the sides of pixels may differ
@@ -88,7 +88,7 @@ def camera(sensor: Sensor, name: str, losses: Losses) -> tuple[dict[str, Any], n
     """A camera and its node's transform; None if glTF has none of this kind."""
     if not (hasattr(sensor, "film") and hasattr(sensor, "to_world")):
         return unknown(sensor, name, losses)
-    if isinstance(sensor, Calibrated) and sensor.distortion != FISHEYE:
+    if isinstance(sensor, Calibrated) and not sensor.is_fisheye:
         if beyond := sensor.beyond_perspective():
             losses.add(name, f"its {', '.join(beyond)} is not written: cameras of glTF are pinholes with square pixels")
         sensor = sensor.as_perspective()

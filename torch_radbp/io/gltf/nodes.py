@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from torch_radbp.io.gltf.accessor import Buffers
 from torch_radbp.io.gltf.document import Document, Part
 from torch_radbp.io.transform import scale, translate
 
@@ -18,6 +19,7 @@ class Placed(NamedTuple):
 
     node: Part
     to_world: np.ndarray  # (4, 4) float64, column vectors
+    visible: bool  # False: by KHR_node_visibility, with all below; cameras do not care
 
 
 def placed_nodes(document: Document, scene: int | None) -> Iterator[Placed]:
@@ -31,10 +33,10 @@ def placed_nodes(document: Document, scene: int | None) -> Iterator[Placed]:
     Raises:
         SceneError: if a node has two parents or is its own ancestor, or refers to nodes that do not exist.
     """
-    waiting = [(index, user, np.eye(4)) for index, user in reversed(roots(document, scene))]
+    waiting = [(index, user, np.eye(4), True) for index, user in reversed(roots(document, scene))]
     seen: set[int] = set()
     while waiting:
-        index, user, parent = waiting.pop()
+        index, user, parent, visible = waiting.pop()
         node = document.of("nodes", index, user, "the node")
         if index in seen:
             raise node.fail(f"{user.place} refers to it, which is not its only parent, or is one of its own descendants")
@@ -42,8 +44,10 @@ def placed_nodes(document: Document, scene: int | None) -> Iterator[Placed]:
         if len(seen) > MAX_NODES:
             raise node.fail(f"the scene has more than {MAX_NODES} nodes")
         to_world = parent @ local_transform(node)
-        yield Placed(node, to_world)
-        waiting += [(child, node, to_world) for child in reversed(indices(node, "children"))]
+        visibility = node.extension("KHR_node_visibility")
+        visible = visible and (visibility is None or visibility.flag("visible", True))
+        yield Placed(node, to_world, visible)
+        waiting += [(child, node, to_world, visible) for child in reversed(indices(node, "children"))]
 
 
 def roots(document: Document, scene: int | None) -> list[tuple[int, Part]]:
@@ -72,16 +76,34 @@ def local_transform(node: Part) -> np.ndarray:
         if not np.allclose(matrix[3], (0, 0, 0, 1)):
             raise node.fail(f"matrix must be affine, its last row 0, 0, 0, 1, got {matrix[3].tolist()}")
         return matrix
-    return (translate(node.numbers("translation", 3, [0, 0, 0])) @ turned(node)
-            @ scale(node.numbers("scale", 3, [1, 1, 1])))
+    turn = rotation(node, np.asarray(node.numbers("rotation", 4, [0, 0, 0, 1])))
+    return translate(node.numbers("translation", 3, [0, 0, 0])) @ turn @ scale(node.numbers("scale", 3, [1, 1, 1]))
 
 
-def turned(node: Part) -> np.ndarray:
-    """(4, 4) the rotation of a node, of a quaternion x, y, z, w of any length."""
-    x, y, z, w = quaternion = np.asarray(node.numbers("rotation", 4, [0, 0, 0, 1]))
+def copies(place: Placed, buffers: Buffers) -> list[np.ndarray]:
+    """The (4, 4) places at which the mesh of a node stands: its own, or those of EXT_mesh_gpu_instancing."""
+    instancing = place.node.extension("EXT_mesh_gpu_instancing")
+    if instancing is None:
+        return [place.to_world]
+    part = instancing.part("attributes")
+    columns = {name: buffers.array(part.integer(name), part, name, (kind,)).astype(np.float64)
+               for name, kind in (("TRANSLATION", "VEC3"), ("ROTATION", "VEC4"), ("SCALE", "VEC3")) if part.has(name)}
+    counts = {len(values) for values in columns.values()}
+    if len(counts) != 1 or max(counts) > MAX_NODES:
+        raise part.fail(f"TRANSLATION, ROTATION and SCALE must have the same number of elements, at most {MAX_NODES}, got "
+                        f"{', '.join(f'{len(values)} of {name}' for name, values in columns.items()) or 'none'}")
+    if not all(np.isfinite(values).all() for values in columns.values()):
+        raise part.fail("TRANSLATION, ROTATION and SCALE must be finite")
+    default = {"TRANSLATION": np.zeros(3), "ROTATION": np.array([0.0, 0.0, 0.0, 1.0]), "SCALE": np.ones(3)}
+    return [place.to_world @ translate(move) @ rotation(part, turn) @ scale(size)
+            for move, turn, size in zip(*(columns.get(name, [default[name]] * max(counts)) for name in default))]
+
+
+def rotation(part: Part, quaternion: np.ndarray) -> np.ndarray:
+    """(4, 4) the rotation of a quaternion x, y, z, w of any length."""
     length = np.linalg.norm(quaternion)
     if not length > 1e-12:
-        raise node.fail(f"rotation must be a quaternion of length 1, got {quaternion.tolist()}")
+        raise part.fail(f"rotation must be a quaternion of length 1, got {quaternion.tolist()}")
     x, y, z, w = quaternion / length
     matrix = np.eye(4)
     matrix[:3, :3] = [[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

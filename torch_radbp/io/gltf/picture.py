@@ -7,7 +7,8 @@ import io
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
-from torch_radbp.formats.image import SIGNATURES, open_picture
+from torch_radbp.formats.image import SIGNATURES
+from torch_radbp.formats.pillow import open_picture
 from torch_radbp.formats.png import check_pixel_data
 from torch_radbp.io.gltf.accessor import Buffers
 from torch_radbp.io.gltf.document import Document, Part

@@ -15,6 +15,7 @@ TRIANGLES, STRIP, FAN = 4, 5, 6
 MODES = {0: "points", 1: "lines", 2: "line loops", 3: "line strips"}
 SETS = 2  # of surface coordinates: TEXCOORD_0 and TEXCOORD_1
 SHORTEST = 1e-6  # of normals
+ROUNDING = 1e-5  # by which colours may leave [0, 1] unsaid
 
 
 class Primitive(NamedTuple):
@@ -54,12 +55,15 @@ class Primitives:
 
 
 def read_primitive(part: Part, buffers: Buffers, losses: Losses) -> Primitive | None:
-    """The triangles of a primitive; None of points and lines, which are a loss."""
+    """The triangles of a primitive; None, and a loss, of points and lines, and where there are no triangles."""
     mode = part.integer("mode", TRIANGLES, high=6)
     if mode in MODES:
         losses.add(part.place, f"{MODES[mode]} are not read")
         return None
     attributes = part.part("attributes")
+    if not attributes.has("POSITION"):
+        losses.add(part.place, "is left out: it has no POSITION")
+        return None
 
     def array(name: str, *types: str) -> np.ndarray | None:
         found = buffers.array(attributes.integer(name), attributes, name, types) if attributes.has(name) else None
@@ -71,14 +75,23 @@ def read_primitive(part: Part, buffers: Buffers, losses: Losses) -> Primitive | 
     corners = np.arange(len(positions))
     if part.has("indices"):
         corners = buffers.array(part.integer("indices"), part, "indices", ("SCALAR",))[:, 0]
-        least, greatest = corners.min(), corners.max()
+        least, greatest = corners.min(initial=0), corners.max(initial=-1)
         if corners.dtype.kind != "i" or least < 0 or greatest >= len(positions):
             raise part.fail(f"indices must be integers from 0 to {len(positions) - 1}, got {least} to {greatest}")
-    faces = triangles(part, corners, mode)
+    if len(corners) < 3:
+        losses.add(part.place, "is left out: it has no triangles")
+        return None
+    if mode == TRIANGLES and len(corners) % 3:
+        losses.add(part.place, "the corners at the end that make no whole triangle are left out")
+        corners = corners[:len(corners) // 3 * 3]
+    faces = triangles(corners, mode)
     colour = array("COLOR_0", "VEC3", "VEC4")
     if colour is not None:
-        if colour.dtype.kind != "f" or colour.min() < 0 or colour.max() > 1:
-            raise attributes.fail(f"COLOR_0 must be in [0, 1], got {colour.min():g} to {colour.max():g}")
+        if colour.dtype.kind != "f" or not colour.min() >= -ROUNDING:
+            raise attributes.fail(f"COLOR_0 must be in [0, 1], got {colour.min():.9g} to {colour.max():.9g}")
+        if colour.max() > 1 + ROUNDING:
+            losses.add(f"{part.place} (up to {colour.max():g})", "colours of vertices (COLOR_0) above 1 are read as 1")
+        colour = colour.clip(0, 1)
         if colour.shape[1] == 4 and (colour[:, 3] != 1).any():
             losses.add(part.place, "the opacity of vertices (alpha of COLOR_0) is not read")
     own = {name[1:].lower(): array(name, "SCALAR", "VEC3").astype(np.float64) for name in attributes.value
@@ -88,7 +101,7 @@ def read_primitive(part: Part, buffers: Buffers, losses: Losses) -> Primitive | 
             losses.add(part.place, f"{name} is not read")
     if part.has("targets"):
         losses.add(part.place, "morph targets are not read: the mesh has its basic form")
-    uv = tuple(array(f"TEXCOORD_{number}", "VEC2") for number in range(SETS))
+    uv = tuple(finite_uv(array(f"TEXCOORD_{number}", "VEC2"), part, losses) for number in range(SETS))
     return Primitive(positions, faces, usable(array("NORMAL", "VEC3"), positions, faces, part, losses), uv,
                      None if colour is None else colour[:, :3], own)
 
@@ -98,10 +111,17 @@ def is_own(name: str) -> bool:
     return name[1:].isidentifier() and name[1:].lower() not in ("positions", "normals", "texcoords", "color")
 
 
-def triangles(part: Part, corners: np.ndarray, mode: int) -> np.ndarray:
+def finite_uv(uv: np.ndarray | None, part: Part, losses: Losses) -> np.ndarray | None:
+    """Surface coordinates, (0, 0) where they are not finite."""
+    bad = np.zeros(0, bool) if uv is None else ~np.isfinite(uv).all(axis=1)
+    if not bad.any():
+        return uv
+    losses.add(f"{part.place} ({bad.sum()} of {len(bad)})", "surface coordinates that are not finite are read as (0, 0)")
+    return np.where(bad[:, None], 0.0, uv)
+
+
+def triangles(corners: np.ndarray, mode: int) -> np.ndarray:
     """(F, 3) of a list, a strip or a fan of triangles."""
-    if len(corners) < 3 or (mode == TRIANGLES and len(corners) % 3):
-        raise part.fail(f"triangles need a multiple of 3 corners, strips and fans at least 3, got {len(corners)}")
     if mode == TRIANGLES:
         return corners.reshape(-1, 3)
     if mode == FAN:
@@ -116,11 +136,11 @@ def usable(normals: np.ndarray | None, positions: np.ndarray, faces: np.ndarray,
     """The normals, with those of the triangles around a vertex where one has no direction."""
     if normals is None:
         return None
-    normals = normals.astype(np.float64)
-    if not np.isfinite(normals).all():
-        raise part.fail(f"NORMAL must be finite, {int((~np.isfinite(normals)).any(axis=1).sum())} are not")
-    short = np.linalg.norm(normals, axis=1) < SHORTEST
-    if short.any() and np.isfinite(positions).all():
-        losses.add(part.place, f"{int(short.sum())} of {len(short)} normals are zero, and made from the triangles around")
-        normals[short] = angle_weighted_normals(torch.from_numpy(positions), torch.from_numpy(faces)).numpy()[short]
-    return normals
+    length = np.linalg.norm(normals.astype(np.float64), axis=1)
+    bad = ~((length >= SHORTEST) & (length < np.inf))
+    if not bad.any() or not np.isfinite(positions).all():
+        return normals.astype(np.float64)
+    place = f"{part.place} ({bad.sum()} of {len(bad)})"
+    losses.add(place, "normals that are zero or not finite are made from the triangles around")
+    made = angle_weighted_normals(torch.from_numpy(positions), torch.from_numpy(np.ascontiguousarray(faces))).numpy()
+    return np.where(bad[:, None], made, normals)

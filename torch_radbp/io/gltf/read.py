@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import warnings
 from pathlib import Path
@@ -15,19 +16,19 @@ from torch_radbp.emitter.constant import Constant
 from torch_radbp.integrator.path import Path as PathIntegrator
 from torch_radbp.io.gltf.accessor import Buffers
 from torch_radbp.io.gltf.container import read_container
-from torch_radbp.io.gltf.document import Document, GltfWarning, Losses, Part
+from torch_radbp.io.gltf.document import Document, GltfWarning, Losses, Part, without_nulls
 from torch_radbp.io.gltf.environment import environment
 from torch_radbp.io.gltf.extension import check_extensions
 from torch_radbp.io.gltf.lamp import camera, light, overview
 from torch_radbp.io.gltf.material import VERTEX_COLOUR, Materials
 from torch_radbp.io.gltf.names import Names
-from torch_radbp.io.gltf.nodes import Placed, placed_nodes
+from torch_radbp.io.gltf.nodes import Placed, copies, placed_nodes
 from torch_radbp.io.gltf.picture import Pictures
 from torch_radbp.io.gltf.primitive import SETS, Primitive, Primitives
 from torch_radbp.io.gltf.texture import Textures
 from torch_radbp.plugin import Integrator, Plugin, SceneError, nearest
 from torch_radbp.scene.scene import Scene
-from torch_radbp.shape.mesh import Mesh, TensorMesh
+from torch_radbp.shape.mesh import Mesh, TensorMesh, has_area
 
 LISTED = 20  # losses in a message
 
@@ -42,7 +43,6 @@ class Options(NamedTuple):
     camera: bool = True  # False: leave the file's cameras out, and look at the scene
     scene: int | None = None  # number of the scene in the file
     lumens_per_watt: float = 1.0  # see `lamp`
-    strict: bool = False  # an error instead of a warning about what cannot be read
 
 
 def options(file: str, given: dict[str, Any]) -> Options:
@@ -62,7 +62,7 @@ def options(file: str, given: dict[str, Any]) -> Options:
 
 def option(file: str, name: str, value: Any) -> Any:
     """One option."""
-    if name in ("camera", "strict"):
+    if name == "camera":
         words = {"true": True, "false": False}
         value = words.get(value, value) if isinstance(value, str) else value
         if not isinstance(value, bool):
@@ -81,27 +81,28 @@ def option(file: str, name: str, value: Any) -> Any:
     return number
 
 
-def read_gltf(path: str | os.PathLike, given: dict[str, Any], allow_outside: bool = False) -> Scene:
+def read_gltf(path: str | os.PathLike, given: dict[str, Any], allow_outside: bool = False, strict: bool = False) -> Scene:
     """The scene in a glTF file.
 
     Args:
         path: the .glb or .gltf file.
         given: see `Options`.
         allow_outside: read files that do not lie in the folder of this one, or below.
+        strict: an error instead of a warning about what cannot be read.
 
     Raises:
         SceneError: names the file and the place in its document.
     """
     file = os.fspath(path)
     chosen = options(file, given)
-    return _Reader(file, chosen, allow_outside).scene()
+    return _Reader(file, chosen, allow_outside, strict).scene()
 
 
 class _Reader:
-    def __init__(self, file: str, chosen: Options, allow_outside: bool):
+    def __init__(self, file: str, chosen: Options, allow_outside: bool, strict: bool):
         container = read_container(file)
-        self.file, self.options, self.losses = file, chosen, Losses()
-        self.document = Document(file, container.document)
+        self.file, self.options, self.strict, self.losses = file, chosen, strict, Losses()
+        self.document = Document(file, without_nulls(container.document, self.losses))
         check_extensions(self.document, self.losses)
         self.buffers = Buffers(self.document, container.binary, Path(file).parent, allow_outside)
         self.primitives = Primitives(self.buffers, self.losses)
@@ -115,18 +116,20 @@ class _Reader:
         """All of it; what is missing is added, and what is lost is said in one warning."""
         placed = [place for place in placed_nodes(self.document, self.options.scene) if not self.is_hidden(place)]
         for place in placed:
-            self.add_shapes(place)
+            if place.visible:
+                self.add_shapes(place)
         if not np.isfinite(self.low).all():
-            raise SceneError(f"{self.file}: the scene has no triangles")
+            raise SceneError(f"{self.file}: {said(['the scene has no triangles', *self.losses])}")
         for place in placed:
-            self.add_light(place)
+            if place.visible:
+                self.add_light(place)
             if self.options.camera:
                 self.add_camera(place)
         if self.document.items("animations"):
             self.losses.add("animations", "are not read: nodes stand where they begin")
         losses = list(self.losses)
         added = complete(self.children, self.names, (self.low, self.high), self.options)
-        if losses and self.options.strict:
+        if losses and self.strict:
             raise SceneError(f"{self.file}: {said(losses)}")
         if losses or added:
             warnings.warn(f"{self.file}: {said([*losses, *added])}", GltfWarning, stacklevel=7)
@@ -157,18 +160,24 @@ class _Reader:
             self.losses.add(place.node.place, "its skin is not read: the mesh has the pose in which it was bound")
         parts = mesh.parts("primitives")
         title = place.node.text("name", "") or mesh.text("name", "") or f"mesh_{place.node.integer('mesh')}"
-        for number, part in enumerate(parts):
-            primitive = self.primitives.of(part)
-            if primitive is None:
+        if not parts:
+            self.losses.add(mesh.place, "is left out: it has no primitives")
+        copied = copies(place, self.buffers)
+        for to_world, (number, part) in itertools.product(copied, enumerate(parts)):
+            primitive, copy = self.primitives.of(part), place._replace(to_world=to_world)
+            if primitive is None or (len(copied) > 1 and self.is_hidden(copy)):
                 continue
-            if np.linalg.det(place.to_world[:3, :3]) < 0:  # which mirrors: triangles face outwards still
+            if not self.has_area(primitive, to_world):
+                self.losses.add(part.place, "is left out: its triangles have no area")
+                continue
+            if np.linalg.det(to_world[:3, :3]) < 0:  # which mirrors: triangles face outwards still
                 primitive = primitive._replace(faces=primitive.faces[:, [0, 2, 1]])
             colours = None if primitive.colour is None else VERTEX_COLOUR
             look = self.materials.look(part, colours, self.is_mirrored(part, primitive))
             name = self.names.free(title if len(parts) == 1 else f"{title}_{number}")
             uv = self.coordinates(part, primitive, look.uv_set)
             try:
-                shape = self.shape(primitive, place.to_world, uv, look.bsdf)
+                shape = self.shape(primitive, to_world, uv, look.bsdf)
                 if look.radiance is not None:
                     shape.emitter = Area(radiance=look.radiance)
                 if primitive.colour is not None:
@@ -178,6 +187,11 @@ class _Reader:
             self.children[name] = shape
             corners = shape.vertex_positions.detach().double().numpy()
             self.low, self.high = np.minimum(self.low, corners.min(0)), np.maximum(self.high, corners.max(0))
+
+    def has_area(self, primitive: Primitive, to_world: np.ndarray) -> bool:
+        """True if a triangle has an area in the world, in the precision of the scene, or has corners that are not finite."""
+        world = torch.from_numpy(primitive.positions @ to_world[:3, :3].T + to_world[:3, 3]).to(torch.get_default_dtype())
+        return not bool(world.isfinite().all()) or has_area(world, torch.from_numpy(np.ascontiguousarray(primitive.faces)))
 
     def shape(self, primitive: Primitive, to_world: np.ndarray, uv: np.ndarray | None, bsdf: Plugin) -> Mesh:
         """A mesh."""
