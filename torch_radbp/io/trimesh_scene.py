@@ -50,11 +50,13 @@ def scene_from_trimesh(source: trimesh.Trimesh | trimesh.Scene, *, resolution: i
         strict: an error instead of a warning about what cannot be read.
 
     Raises:
-        TypeError: if it is neither.
+        TypeError: if it is neither, or `strict` is neither True nor False.
         SceneError: names the mesh, and what cannot be used of it.
     """
     if not is_trimesh(source):
         raise TypeError(f"a scene is made of a trimesh.Scene or a trimesh.Trimesh, got {shown(source)}")
+    if not isinstance(strict, bool):
+        raise TypeError(f"strict must be True or False, got {shown(strict)}")
     given = {"resolution": resolution, "spp": spp, "max_depth": max_depth, "light": light, "camera": camera}
     chosen = options(SOURCE, {name: value for name, value in given.items() if value is not None})
     return built(lambda: read_scene(source, chosen, strict), strict)
