@@ -9,9 +9,10 @@ TRAIN = ["kornia>=0.7", "pydantic>=2.5", "rich>=13", "tensorboard>=2.14", "tomli
 WARP = "warp-lang>=1.19"
 CUDA = [WARP, "cuda-bindings>=12.8"]
 BAKE = ["xatlas>=0.0.9"]
-DOCS = ["sphinx>=8", "furo>=2024.8", "myst-parser>=4", "jupytext>=1.16", "griffe>=1.5", "matplotlib>=3.8", "trimesh>=4.0"]
-TEST = ["matplotlib>=3.8", "mypy>=1.18", "pytest>=8", "pytest-xdist>=3.7", "ruff>=0.17", "trimesh>=4.0", "setuptools>=70.1",
-        WARP, *(f"{name}; python_version < '3.14'" for name in BAKE),  # newer ones have no wheel yet
+DOCS = ["sphinx>=8", "furo>=2024.8", "myst-parser>=4", "jupytext>=1.16", "griffe>=1.5", "matplotlib>=3.8"]
+TEST = ["matplotlib>=3.8", "mypy>=1.18", "pytest>=8", "pytest-xdist>=3.7", "ruff>=0.17", "setuptools>=70.1", WARP,
+        "lxml>=5", "networkx>=3", "pycollada>=0.8",  # by which trimesh reads 3MF and COLLADA
+        *(f"{name}; python_version < '3.14'" for name in BAKE),  # newer ones have no wheel yet
         'nvidia-cuda-nvcc-cu12>=12.8; sys_platform != "darwin"']
 
 TRAINING = "torch_radbp.training"
@@ -70,6 +71,7 @@ setup(
         "Pillow>=10",
         "safetensors>=0.4",
         "scipy>=1.11",
+        "trimesh>=4.7",  # 4.0 to 4.3 fail under numpy 2, and 4.6 drops what is not finite without a word
         'tomli>=2; python_version < "3.11"',
         "typing_extensions>=4.8",
         *TRAIN,

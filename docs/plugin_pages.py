@@ -71,6 +71,7 @@ def name_of(member: Any) -> str:
     if getattr(member, "__origin__", None) is list:
         return f"one or more of {name_of(member.__args__[0])}"
     return getattr(member, "category", "") or {"Matrix4": "4 x 4 transform", "Point3": "point", "Filename": "file",
+                                               "TriangleMesh": "trimesh.Trimesh or trimesh.Scene",
                                                "Tensor": "array"}.get(member.__name__, member.__name__)
 
 

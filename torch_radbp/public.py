@@ -3,7 +3,8 @@
 Stable means: a program that uses these names as their docstrings say runs under every later version with the same minor
 number; what another minor number changes is in CHANGELOG.md.
 
-    scenes                 Scene, load, load_dict, asset, save, save_image, NeuralTexture
+    scenes                 Scene, load, load_dict, scene_from_trimesh, asset, save, save_image,
+                           NeuralTexture
     poses and cameras      look_at, se3, camera_from_opencv, cameras_from_colmap, cameras_from_kornia, cameras_from_nerf
     photographs            Photographs, Photograph, Exposure, LensFalloff, ToneCurve
     images                 Renderer, render, contact_sheet
@@ -26,6 +27,7 @@ All else may change with any version, and may be imported all the same, for read
 modules and names, and the bits of an image at a given seed.
 """
 
+import torch_radbp.io.trimesh_out  # noqa: F401 (gives shapes and scenes their to_trimesh)
 from torch_radbp.adjoint import AdjointStrategy, MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
 from torch_radbp.boundary import JumpWarning, SilhouetteWarning
 from torch_radbp.call.finite import NonFiniteError
@@ -38,6 +40,7 @@ from torch_radbp.io.gltf.document import GltfWarning
 from torch_radbp.io.load import load, load_dict
 from torch_radbp.io.nerf import cameras_from_nerf
 from torch_radbp.io.opencv import camera_from_opencv, cameras_from_kornia
+from torch_radbp.io.trimesh_scene import scene_from_trimesh
 from torch_radbp.io.write import save
 from torch_radbp.photographs import Exposure, LensFalloff, Photograph, Photographs, ToneCurve
 from torch_radbp.plugin import SceneError, SceneWarning
@@ -55,4 +58,5 @@ __all__ = ["AdjointStrategy", "Exposure", "GltfWarning", "GradientCheck", "JumpW
            "RepeatedNoiseWarning", "ReplayAdjoint", "Scene", "SceneError", "SceneWarning", "SilhouetteWarning",
            "TapeAdjoint", "ToneCurve", "ZeroGradientWarning", "asset", "camera_from_opencv", "cameras_from_colmap",
            "cameras_from_kornia", "cameras_from_nerf", "check_bsdf", "check_emitter", "check_gradient", "check_texture",
-           "contact_sheet", "jvp", "load", "load_dict", "look_at", "render", "save", "save_image", "se3"]
+           "contact_sheet", "jvp", "load", "load_dict", "look_at", "render", "save", "save_image", "scene_from_trimesh",
+           "se3"]

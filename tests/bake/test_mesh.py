@@ -62,6 +62,19 @@ def test_coordinates_that_are_there_stay_unless_new_ones_are_asked_for():
     torch.testing.assert_close(images(scene), before, rtol=0, atol=1e-5)
 
 
+def test_a_mesh_of_trimesh_is_baked_and_given_back():
+    """Its material stays, and a network of positions is read where its surface coordinates put the texels."""
+    pytest.importorskip("xatlas")
+    ball = trimesh.creation.icosphere(1)
+    ball.visual = trimesh.visual.TextureVisuals(material=trimesh.visual.material.PBRMaterial(metallicFactor=0.25))
+    found = rb.bake.mesh(ball, resolution=64)
+    assert found.vertex_texcoords.shape == (len(found.vertex_positions), 2) and found.bsdf.metallic.value == 0.25
+    back = found.to_trimesh()
+    assert back.visual.uv.shape == (len(back.vertices), 2) and back.volume == pytest.approx(ball.volume, rel=1e-6)
+    network = rb.NeuralTexture(torch.nn.Linear(3, 3), of="position")
+    assert torch.equal(rb.bake.bitmap(network, 32, back).data, rb.bake.bitmap(network, 32, found).data)
+
+
 def group_of(*materials):
     return {"type": "shapegroup", "box": {"type": "cube", "to_world": scale((0.3, 0.3, 0.3)), "bsdf": materials[0]}, "tip": {
         "type": "mesh", "vertex_positions": torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),

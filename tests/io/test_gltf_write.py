@@ -423,3 +423,15 @@ def test_large_meshes_have_indices_of_four_bytes(tmp_path):
     small = {**mesh, "vertex_positions": torch.rand(4, 3), "faces": torch.tensor(SQUARE_FACES).reshape(2, 3)}
     small = saved(scene_of(mesh=small), tmp_path)
     assert small.get_submodule("mesh").faces.tolist() == [[0, 1, 2], [0, 2, 3]]
+
+
+def test_colours_of_faces_are_written_as_means_around_vertices(tmp_path):
+    """A corner of one triangle has its colour, one of two their mean; glTF has colours of vertices only."""
+    sheet = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]], process=False)
+    sheet.visual.face_colors = [[204, 51, 0, 255], [0, 102, 153, 255]]
+    scene = scene_of(sheet=sheet)
+    with pytest.warns(GltfWarning, match="sheet.face_color: is written as means around vertices: glTF has none of faces"):
+        rb.save(scene, tmp_path / "asset.glb")
+    found = rb.load(tmp_path / "asset.glb").sheet
+    first, second = (torch.tensor(colour) for colour in ([0.8, 0.2, 0.0], [0.0, 0.4, 0.6]))
+    torch.testing.assert_close(found.vertex_color, torch.stack([(first + second) / 2, first, (first + second) / 2, second]))

@@ -1,5 +1,7 @@
 """Another mesh in the place of one that is being optimised: what belongs to it is carried over."""
 
+import warnings
+
 import pytest
 import torch
 import trimesh
@@ -44,6 +46,22 @@ def test_the_image_is_that_of_before():
     rb.optim.remesh(scene.thing, finer)
     assert len(scene.thing.faces) == 4 * 320
     torch.testing.assert_close(rb.render(scene, spp=4, max_depth=3, seed=1), before, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore:the faces of `thing` point inwards")  # so that it is black, unless they are turned
+@pytest.mark.parametrize("way", ["returned", "given"])
+def test_a_mesh_of_trimesh_comes_in_the_place(way):
+    """Returned by the remesher, or given itself: of a mesh that stands elsewhere than where it was loaded, and turned."""
+    scene = scene_of(flip_normals=True, to_world=rb.look_at([0.1, 0, 0], [0, 0.2, 1], [0, 1, 0]))
+    scene.thing.to_world.data[:3, 3] += torch.tensor([0.1, -0.05, 0.2]).to(scene.thing.to_world)
+    before, old = rb.render(scene, spp=4, max_depth=3, seed=1), scene.thing.vertex_positions.detach().clone()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rb.SceneWarning)  # of the material
+        finer_mesh = scene.thing.to_trimesh().subdivide()
+    rb.optim.remesh(scene.thing, finer_mesh if way == "given" else lambda v, f: trimesh.Trimesh(*finer(v, f), process=False))
+    assert len(scene.thing.faces) == 4 * 320
+    torch.testing.assert_close(scene.thing.vertex_positions.detach()[:162].sort(0).values, old.sort(0).values)
+    torch.testing.assert_close(rb.render(scene, spp=4, max_depth=3, seed=1), before, rtol=1e-5, atol=1e-5)
 
 
 def test_coordinates_and_attributes_are_those_of_the_closest_points():
@@ -105,7 +123,8 @@ BAD = {
     "nothing": (lambda v, f: None, r"must return vertices \(V, 3\) and faces \(F, 3\), got NoneType"),
     "one": (lambda v, f: (v,), "got 1 values"),
     "three": (lambda v, f: (v, f, f), "got 3 values"),
-    "a mesh": (lambda v, f: trimesh.Trimesh(v, f), "got Trimesh"),
+    "a scene": (lambda v, f: trimesh.Scene(trimesh.Trimesh(v, f)), "got Scene"),
+    "a mesh without faces": (lambda v, f: trimesh.Trimesh(v, f[:0]), r"one or more of each, got \(162, 3\) and \(0, 3\)"),
     "words": (lambda v, f: ("v", f), "got str and ndarray"),
     "nothing in a pair": (lambda v, f: (v, None), "got ndarray and NoneType"),
     "ragged": (lambda v, f: (v, [[0, 1], [0, 1, 2]]), "got ndarray and list"),
@@ -128,7 +147,7 @@ def test_what_a_remesher_returns_is_checked_and_the_mesh_stays_as_it_was(remeshe
     with pytest.raises(ValueError, match=message):
         rb.optim.remesh(scene.mesh, remesher)
     assert scene.mesh.vertex_positions is before and len(scene.mesh.faces) == 320
-    with pytest.raises(TypeError, match="remesher must be a function of vertices and faces, got NoneType"):
+    with pytest.raises(TypeError, match="a function of vertices and faces, or a trimesh.Trimesh, got NoneType"):
         rb.optim.remesh(scene.mesh, None)
 
 

@@ -4,23 +4,30 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from torch_radbp.bake.texels import texels_of
+from torch_radbp.formats.trimesh_arrays import is_trimesh
 from torch_radbp.plugin import SceneWarning, integer
 from torch_radbp.public_call import public_call
+from torch_radbp.shape.mesh import TensorMesh
 from torch_radbp.shape.surface import Surface
 from torch_radbp.texture.bitmap import Bitmap
 from torch_radbp.texture.neural import NeuralTexture
+
+if TYPE_CHECKING:
+    import trimesh
 
 PLACES = 1 << 16  # that the network gets at a time
 OUTSIDE = 1e-4  # surface coordinates that are taken for those of the border
 
 
 @public_call
-def bitmap(texture: NeuralTexture, resolution: int | Sequence[int], shape: Surface | None = None) -> Bitmap:
+def bitmap(texture: NeuralTexture, resolution: int | Sequence[int],
+           shape: Surface | trimesh.Trimesh | trimesh.Scene | None = None) -> Bitmap:
     """The values of a network at the centres of the texels of a bitmap, which other programs can read.
 
         scene.body.bsdf.reflectance = rb.bake.bitmap(scene.body.bsdf.reflectance, 512, scene.body)
@@ -32,8 +39,9 @@ def bitmap(texture: NeuralTexture, resolution: int | Sequence[int], shape: Surfa
     Args:
         texture: the network.
         resolution: of the bitmap: texels to a side, or height and width.
-        shape: whose surface coordinates, within [0, 1], the bitmap covers; a network of positions needs it. One that has
-            none, or whose triangles overlap there, is given others by `rb.bake.mesh`.
+        shape: whose surface coordinates, within [0, 1], the bitmap covers; a network of positions needs it. A mesh of
+            trimesh is first read as a shape `mesh`. One that has none, or whose triangles overlap there, is given others by
+            `rb.bake.mesh`.
 
     Returns:
         A texture `bitmap` with `data` (H, W, 1 or 3) of the network's dtype and device, detached, read `bilinear` and
@@ -51,7 +59,7 @@ def bitmap(texture: NeuralTexture, resolution: int | Sequence[int], shape: Surfa
         v, u = ((torch.arange(side, dtype=torch.float64) + 0.5) / side for side in (height, width))
         places = torch.stack([u.expand(height, -1), v[:, None].expand(-1, width)], 2)
     else:
-        places = positions(shape, height, width)
+        places = positions(TensorMesh.of_trimesh(shape) if is_trimesh(shape) else shape, height, width)
     like = next((value for value in texture.module.parameters()), torch.empty(0))
     function, found = texture.function().with_parameters(list(texture.module.parameters())), []
     with torch.no_grad():

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
 
+from torch_radbp.formats.trimesh_arrays import is_trimesh
 from torch_radbp.install_hint import install_with
 from torch_radbp.plugin import BSDF, Emitter, Shape, boolean, integer
 from torch_radbp.public_call import public_call
@@ -14,6 +15,9 @@ from torch_radbp.shape.instance import Instance, instanced
 from torch_radbp.shape.mesh import TensorMesh
 from torch_radbp.shape.shapegroup import ShapeGroup
 from torch_radbp.shape.surface import Surface, Triangles
+
+if TYPE_CHECKING:
+    import trimesh
 
 GAP = 4  # texels between charts
 
@@ -27,7 +31,7 @@ class Body(NamedTuple):
 
 
 @public_call
-def mesh(shape: Shape, *, unwrap: bool = False, resolution: int = 1024) -> TensorMesh:
+def mesh(shape: Shape | trimesh.Trimesh | trimesh.Scene, *, unwrap: bool = False, resolution: int = 1024) -> TensorMesh:
     """A shape as triangles in world space, with surface coordinates that bitmaps can be baked for.
 
         scene.body = rb.bake.mesh(scene.body)                    # an sdfgrid, say; the material stays
@@ -40,7 +44,8 @@ def mesh(shape: Shape, *, unwrap: bool = False, resolution: int = 1024) -> Tenso
     vertices; a shape that is shaded flat stays so. Attributes that all its shapes have are kept.
 
     Args:
-        shape: an `sdfgrid`, a `sphere`, a `shapegroup`, an `instance`, a mesh, ...
+        shape: an `sdfgrid`, a `sphere`, a `shapegroup`, an `instance`, a mesh, ..., or a mesh of trimesh, which is first
+            read as a shape `mesh`; `to_trimesh` of the result leads back.
         unwrap: find new surface coordinates also where there are some. What reads the old ones, such as bitmaps of the
             material, does not follow.
         resolution: of the bitmaps that are meant for it, texels to a side; charts keep a distance of a few of them.
@@ -55,6 +60,7 @@ def mesh(shape: Shape, *, unwrap: bool = False, resolution: int = 1024) -> Tenso
 
     Reference: Levy et al. 2002, "Least Squares Conformal Maps for Automatic Texture Atlas Generation".
     """
+    shape = TensorMesh.of_trimesh(shape) if is_trimesh(shape) else shape
     if not isinstance(shape, Surface | ShapeGroup | Instance):
         raise TypeError(f"a shape becomes a mesh, got {type(shape).__name__}")
     boolean("unwrap", unwrap), integer("resolution", resolution, 16)

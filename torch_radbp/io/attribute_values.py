@@ -12,11 +12,13 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from torch_radbp.formats.trimesh_arrays import is_trimesh
 from torch_radbp.plugin import (
     Filename,
     Matrix4,
     Point3,
     Texture,
+    TriangleMesh,
     no_gradient,
     options,
     plugin_categories,
@@ -197,6 +199,12 @@ def _tensor(name: str, value: Any) -> Tensor:
     return torch.from_numpy(_array(value))
 
 
+def _triangle_mesh(name: str, value: Any) -> Any:
+    if not is_trimesh(value):
+        raise TypeError
+    return value
+
+
 RULES: dict[Any, tuple[str, Callable[[str, Any], Any]]] = {
     int: ("an integer", _integer),
     bool: ("true or false", _boolean),
@@ -208,4 +216,5 @@ RULES: dict[Any, tuple[str, Callable[[str, Any], Any]]] = {
     Texture: ("a number, three numbers, a spectrum or a texture", _colour_or_spectrum),
     Samples: ("a spectrum of wavelengths and values", _samples),
     Tensor: ("an array of numbers", _tensor),
+    TriangleMesh: ("a trimesh.Trimesh or a trimesh.Scene", _triangle_mesh),
 }

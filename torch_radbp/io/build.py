@@ -20,7 +20,11 @@ from torch_radbp.formats.leniency import Repairs
 from torch_radbp.io.attribute_values import convert, is_list, is_named, options, plugin_categories, shown, with_article
 from torch_radbp.io.bitmap_object import is_bitmap_object, linear_values
 from torch_radbp.io.colour_values import colour_value, is_colour
+from torch_radbp.io.gltf.document import Losses
+from torch_radbp.io.gltf.names import Names
+from torch_radbp.io.gltf.read import said
 from torch_radbp.io.spd import read_spectrum
+from torch_radbp.io.trimesh_shape import Looks, with_arrays, with_shapes
 from torch_radbp.io.xml_scene import XMLObject, find_file
 from torch_radbp.plugin import (
     ABSENT,
@@ -29,12 +33,14 @@ from torch_radbp.plugin import (
     Filename,
     Plugin,
     SceneError,
+    SceneWarning,
     Sensor,
     attributes,
     nearest,
     no_gradient,
 )
 from torch_radbp.scene.scene import Scene
+from torch_radbp.shape.mesh import TensorMesh
 
 MAX_DEPTH = 100  # of objects in objects, references followed
 MAX_OBJECTS = 100_000
@@ -74,6 +80,8 @@ class _Builder:
         self.ids: dict[str, tuple[tuple[str, ...], Any]] = {}  # id -> key path and object
         self.built: dict[tuple[str, ...], Plugin] = {}  # by key path
         self.open: list[str] = []  # ids of the references being followed
+        self.losses = Losses()  # of meshes of trimesh
+        self.looks = Looks(self.losses, Names(), {})
         self.depth = self.objects = 0  # of the object being made, and how many there are, to be limited
 
     def scene(self) -> Scene:
@@ -83,12 +91,12 @@ class _Builder:
             found = repr(root.get("type")) if isinstance(root, dict) else type(root).__name__
             raise SceneError(f"a scene dict must have \"type\": \"scene\" and contain its objects by name, got {found}")
         self.collect_ids((), root)
-        for name, value in root.items():
+        for name, value in with_shapes(root):
             if name not in self.ids and _is_object(value) and not _is_reference(value):
                 self.ids[name] = ((name,), value)  # which has another id as well
         children: dict[str, Plugin] = {}
         integrators: list[str] = []
-        for name, value in root.items():
+        for name, value in with_shapes(root):
             if name == "type":
                 continue
             if not _is_object(value):
@@ -106,6 +114,12 @@ class _Builder:
             raise self.error((integrators[1],), root[integrators[1]], "the scene already has an integrator; keep one")
         integrator = children.pop(integrators[0]) if integrators else None
         warn_of_poles(children)
+        if losses := list(self.losses):
+            with Repairs() as repairs:
+                strict = repairs.strict
+            if strict:
+                raise SceneError(said(losses))
+            warnings.warn(said(losses), SceneWarning, stacklevel=5)
         try:
             return Scene(children, integrator=integrator)
         except ValueError as error:
@@ -119,7 +133,7 @@ class _Builder:
         if self.objects > MAX_OBJECTS:
             raise self.error(path[:3], node, f"the scene has more than {MAX_OBJECTS} objects; a dict that stands in several "
                              "places makes an object in each: give it an id and refer to it")
-        for key, value in node.items():
+        for key, value in with_shapes(node):
             if not isinstance(key, str):
                 raise self.error(path, node, f"keys must be strings, got {key!r}")
             if not _is_object(value) or _is_reference(value):
@@ -150,8 +164,8 @@ class _Builder:
                     arguments = cls.of_file(arguments, partial(repairs.add, self.place(path, value)))
             self.depth -= 1
             try:
-                self.built[path] = cls(**arguments)
-            except (ValueError, TypeError, RuntimeError, OSError) as error:
+                self.built[path] = cls(**with_arrays(arguments, self.looks) if cls is TensorMesh else arguments)
+            except (ValueError, TypeError, RuntimeError, OSError, ImportError) as error:
                 raise self.error(path, value, _with_file(str(error), cls, arguments)) from error
             self.check_live(path, value, arguments, self.built[path])
             self.built[path].id = _given_id(value)
@@ -219,7 +233,7 @@ class _Builder:
         """The constructor's arguments of an object, every value checked against the schema of its class."""
         schema = attributes(cls)
         arguments: dict[str, Any] = {}
-        for key, value in node.items():
+        for key, value in with_shapes(node):
             if key in ("type", "id"):
                 continue
             if _is_object(value) and not is_colour(value):

@@ -244,7 +244,7 @@ def _is_as_constructed(plugin: Plugin) -> bool:
     It may have been made in either dtype, whatever torch's default dtype is now.
     """
     schema = attributes(type(plugin))
-    if any(attribute.required for attribute in schema.values()):
+    if any(attribute.required or Tensor in options(attribute.annotation) for attribute in schema.values()):
         return False
     plain = {name: getattr(plugin, name) for name in schema if not isinstance(getattr(plugin, name), nn.Module)}
     fresh = REGISTRY[plugin.category][plugin.type](**plain | {"to_world": None})

@@ -4,21 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
+from torch_radbp.formats.trimesh_arrays import is_trimesh
 from torch_radbp.optim.adjacency import welded
 from torch_radbp.optim.closest import closest_points
 from torch_radbp.optim.large_steps import LargeSteps
 from torch_radbp.shape.mesh import Mesh
+from torch_radbp.shape.surface import turned
+from torch_radbp.transforms import transform_points
+
+if TYPE_CHECKING:
+    import trimesh
 
 POSITIONS = "vertex_positions"
 
 
-def remesh(mesh: Mesh, remesher: Callable, optimizer: torch.optim.Optimizer | None = None) -> None:
+def remesh(mesh: Mesh, remesher: Callable | trimesh.Trimesh, optimizer: torch.optim.Optimizer | None = None) -> None:
     """Gives a mesh other triangles, and carries over what belongs to the old ones.
 
     Normals, surface coordinates and attributes of vertices are those of the closest points of the old mesh, interpolated,
@@ -29,24 +36,30 @@ def remesh(mesh: Mesh, remesher: Callable, optimizer: torch.optim.Optimizer | No
     Args:
         mesh: of a scene; its group may be shown by instances.
         remesher: takes vertices (V, 3) and faces (F, 3), numpy arrays of float64 and int64, and returns others; such as
-            `gpytoolbox.remesh_botsch`, or `lambda v, f: trimesh.remesh.subdivide(v, f)`.
+            `gpytoolbox.remesh_botsch`, or `lambda v, f: trimesh.remesh.subdivide(v, f)`. It may return a `trimesh.Trimesh`.
+            Or what comes in the place, a `trimesh.Trimesh` in world space, such as `mesh.to_trimesh().subdivide()`; vertices
+            at one place become one. Only vertices and faces of a `trimesh.Trimesh` count.
         optimizer: what holds parameters of the mesh; None: nothing does.
 
     Raises:
-        TypeError: if it is no mesh with vertex positions, or the remesher cannot be called.
+        TypeError: if it is no mesh with vertex positions, or the remesher can neither be called nor is a mesh.
         ValueError: if what the remesher returns is none, or the positions have another parametrisation than `LargeSteps`.
 
     Reference: Botsch and Kobbelt 2004, "A Remeshing Approach to Multiresolution Modeling", for what a remesher does.
     """
     if not isinstance(mesh, Mesh):
         raise TypeError(f"remesh takes a mesh with vertex_positions, got {type(mesh).__name__}")
-    if not callable(remesher):
-        raise TypeError(f"remesher must be a function of vertices and faces, got {type(remesher).__name__}")
+    if not callable(remesher) and not is_trimesh(remesher):
+        raise TypeError("remesher must be a function of vertices and faces, or a trimesh.Trimesh, got "
+                        f"{type(remesher).__name__}")
     steps, held = large_steps_of(mesh), parameters_of(mesh)
     faces, positions = mesh.faces.cpu(), mesh.vertex_positions.detach().double().cpu()
     place, count = welded(positions)
     places = torch.zeros(count, 3, dtype=torch.float64).index_copy_(0, place, positions)
-    vertices, triangles = checked_mesh(remesher(places.numpy(), place[faces].numpy()))
+    if is_trimesh(remesher):
+        vertices, triangles = in_the_place(mesh, remesher)
+    else:
+        vertices, triangles = checked_mesh(remesher(places.numpy(), place[faces].numpy()))
     at_vertices = closest_points(vertices, positions, faces)
     at_faces = closest_points(vertices[triangles].mean(1), positions, faces)
 
@@ -75,17 +88,20 @@ def remesh(mesh: Mesh, remesher: Callable, optimizer: torch.optim.Optimizer | No
 
 
 def checked_mesh(returned: Any) -> tuple[Tensor, Tensor]:
-    """Vertices, (V, 3) float64, and faces, (F, 3) int64, that a remesher returned.
+    """Vertices, (V, 3) float64, and faces, (F, 3) int64, that a remesher returned, or of a mesh of trimesh.
 
     Raises:
         ValueError: if they are none: another number or shape, NaN or infinity, faces of vertices that do not exist.
     """
     says = "the remesher must return vertices (V, 3) and faces (F, 3)"
+    if is_trimesh(returned) and hasattr(returned, "faces"):  # which a scene has not
+        returned = (returned.vertices, returned.faces)
     if not isinstance(returned, (tuple, list)) or len(returned) != 2:
         got = f"{len(returned)} values" if isinstance(returned, (tuple, list)) else type(returned).__name__
         raise ValueError(f"{says}, got {got}")
     try:
-        vertices, faces = (torch.as_tensor(part).detach().cpu() for part in returned)
+        vertices, faces = (torch.as_tensor(np.array(part) if isinstance(part, np.ndarray) else part).detach().cpu()
+                           for part in returned)
     except (TypeError, ValueError, RuntimeError):
         raise ValueError(f"{says}, got {' and '.join(type(part).__name__ for part in returned)}") from None
     if any(part.ndim != 2 or part.shape[1] != 3 or len(part) == 0 for part in (vertices, faces)):
@@ -100,6 +116,19 @@ def checked_mesh(returned: Any) -> tuple[Tensor, Tensor]:
         raise ValueError(f"the remesher returned faces of the vertices {int(faces.min())} to {int(faces.max())}; there are "
                          f"{len(vertices)}, from 0 to {len(vertices) - 1}")
     return vertices.double(), faces
+
+
+def in_the_place(mesh: Mesh, made: trimesh.Trimesh) -> tuple[Tensor, Tensor]:
+    """(V, 3) vertices of a mesh of trimesh, those at one place once, and (F, 3) faces, as the parameters of a mesh.
+
+    Those of the mesh are where it was loaded, and its faces as they were before `flip_normals`.
+    """
+    vertices, triangles = checked_mesh(made)
+    place, count = welded(vertices)
+    vertices = torch.zeros(count, 3, dtype=torch.float64).index_copy_(0, place, vertices)
+    back = torch.linalg.inv(mesh.motion().detach().double().cpu())
+    triangles = place[triangles]
+    return transform_points(back, vertices), turned(triangles) if mesh.flip_normals else triangles
 
 
 def large_steps_of(mesh: Mesh) -> LargeSteps | None:

@@ -23,6 +23,10 @@ class Filename(str):
     """Annotation of a path to a file, relative to the scene description."""
 
 
+class TriangleMesh:
+    """Annotation of a `trimesh.Trimesh` or a `trimesh.Scene`, or of a record `MeshArrays` made of one."""
+
+
 class Attribute(NamedTuple):
     """One row of a plugin's schema."""
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -14,6 +14,9 @@ from torch_radbp.integrator.path import Path
 from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Integrator, Plugin, SceneError, Sensor, nearest, with_article
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 class Scene(nn.Module):
@@ -54,6 +57,8 @@ class Scene(nn.Module):
         for plugin in self.modules():
             if isinstance(plugin, Plugin):
                 plugin.in_scene = True
+
+    converter: ClassVar[Callable[[Scene], trimesh.Scene]]  # set by `torch_radbp.io.trimesh_out`
 
     if TYPE_CHECKING:  # objects of the scene are known by their names only when it is loaded
         def __getattr__(self, name: str) -> Any: ...
@@ -227,9 +232,16 @@ class Scene(nn.Module):
 
     def name_of(self, plugin: nn.Module) -> str:
         """The full name of a submodule, or its type if it is not part of the scene."""
-        # The objects of the scene first: it may have thousands, and their names be asked for one by one.
-        named = itertools.chain(self._modules.items(), self.named_modules())
-        return next((name for name, module in named if module is plugin), type(plugin).__name__)
+        return name_in(self, plugin)
+
+    def to_trimesh(self) -> trimesh.Scene:
+        """The scene as a `trimesh.Scene` with current values: a mesh for each shape, under the name of the shape.
+
+        Meshes are as of `Surface.to_trimesh`, in world space; instances are nodes that show the meshes of their group. The
+        first perspective sensor is its camera. Emitters that are no surfaces, other sensors and what materials of trimesh
+        have no place for are named in one `SceneWarning`.
+        """
+        return self.converter(self)
 
     def _repr_html_(self) -> str:
         names = {id(module): name for name, module in self.named_modules()}
@@ -254,6 +266,13 @@ class Scene(nn.Module):
         for shape in self.shapes:
             seen.setdefault(id(shape.bsdf), shape.bsdf)
         return iter(seen.values())
+
+
+def name_in(root: nn.Module, plugin: nn.Module) -> str:
+    """The full name of a module inside another, or its type if it is no part of that."""
+    # The objects of the scene first: it may have thousands, and their names be asked for one by one.
+    named = itertools.chain(root._modules.items(), root.named_modules())
+    return next((name for name, module in named if module is plugin), type(plugin).__name__)
 
 
 def half_precision(dtype: torch.dtype) -> TypeError:

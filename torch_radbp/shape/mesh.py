@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TYPE_CHECKING, ClassVar
+
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from torch_radbp.formats.mesh import read_mesh
-from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, finite, register
+from torch_radbp.formats.mesh_arrays import MeshArrays
+from torch_radbp.formats.trimesh_arrays import arrays_of
+from torch_radbp.formats.trimesh_file import read_trimesh
+from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, TriangleMesh, finite, register
 from torch_radbp.plugin.domain import LARGEST_COORDINATE, POSE, Domain
 from torch_radbp.shape.normals import BLOCK, angle_weighted_normals
-from torch_radbp.shape.surface import Surface, Triangles
+from torch_radbp.shape.surface import Surface, Triangles, turned
 from torch_radbp.tensors.vec import attached
 from torch_radbp.texture.mesh_attribute import PREFIXES as ATTRIBUTE_PREFIXES
-from torch_radbp.transforms import affine, transform_normals, transform_points
+from torch_radbp.transforms import affine, mirrors, transform_normals, transform_points
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 class Mesh(Surface):
@@ -227,21 +236,53 @@ class PLY(FileMesh):
 
 @register("shape", "mesh")
 class TensorMesh(Mesh):
-    """A mesh given as tensors, for scenes built in Python. Parameters: see `Mesh`.
+    """A mesh given as tensors, as a mesh of trimesh, or as a file that trimesh reads. Parameters: see `Mesh`.
+
+    Of trimesh and files (STL, OFF, 3MF, DAE, GLB, ... by their extension) surface coordinates, normals that the mesh holds
+    (without any it is flat), attributes and colours (`vertex_color` or `face_color`) are read. Unless a `bsdf` is given, so
+    are the material and what it emits, as of glTF; without a material and colours it is grey. Several meshes become one, and
+    have to have one material then; a `trimesh.Scene` that stands in a scene by itself becomes a shape for each of its nodes.
+    OBJ and PLY files are read by the shapes `obj` and `ply`.
 
     Args:
         vertex_positions: (V, 3).
         faces: (F, 3) integers, the corners of each triangle, counter-clockwise as seen from outside.
         vertex_normals: (V, 3), of any length; without them the mesh is flat, unless `recompute_normals`.
         vertex_texcoords: (V, 2) surface coordinates, which bitmaps read.
-        recompute_normals: see `Mesh`.
-        to_world: (4, 4) transform of positions and normals.
+        mesh: a `trimesh.Trimesh` or `trimesh.Scene` instead of these four.
+        filename: a file instead of them.
+        recompute_normals: see `Mesh`; instead of normals of trimesh and files.
+        to_world: (4, 4) transform of positions and normals. One that mirrors turns a mesh of tensors inside out; meshes of
+            trimesh and files face outwards still, as in trimesh.
         flip_normals, bsdf, emitter: as of all shapes.
+
+    Raises:
+        ValueError: if the mesh is given in none or several of the three ways, or is none.
+        ImportError: if trimesh needs another package for a file; the message names it.
     """
 
-    def __init__(self, *, vertex_positions: Tensor, faces: Tensor, vertex_normals: Tensor | None = None,
-                 vertex_texcoords: Tensor | None = None, recompute_normals: bool = False, to_world: Matrix4 | None = None,
-                 flip_normals: bool = False, bsdf: BSDF | None = None, emitter: Emitter | None = None):
+    of_trimesh: ClassVar[Callable[[trimesh.Trimesh | trimesh.Scene], TensorMesh]]  # set by `torch_radbp.io.trimesh_shape`
+
+    def __init__(self, *, vertex_positions: Tensor | None = None, faces: Tensor | None = None,
+                 vertex_normals: Tensor | None = None, vertex_texcoords: Tensor | None = None,
+                 mesh: TriangleMesh | None = None, filename: Filename | None = None, recompute_normals: bool = False,
+                 to_world: Matrix4 | None = None, flip_normals: bool = False, bsdf: BSDF | None = None,
+                 emitter: Emitter | None = None):
         super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
-        self.hold(vertex_positions, faces, vertex_normals, vertex_texcoords, to_world,
-                  recompute_normals=recompute_normals)
+        tensors = {"vertex_positions": vertex_positions, "faces": faces, "vertex_normals": vertex_normals,
+                   "vertex_texcoords": vertex_texcoords}
+        given = [name for name, value in {**tensors, "mesh": mesh, "filename": filename}.items() if value is not None]
+        if given not in (["mesh"], ["filename"]) and (vertex_positions is None or faces is None or {*given} - {*tensors}):
+            raise ValueError("a mesh needs vertex_positions and faces, or a mesh of trimesh, or a filename, got "
+                             f"{', '.join(given) or 'none of them'}")
+        if vertex_positions is not None:
+            self.hold(vertex_positions, faces, vertex_normals, vertex_texcoords, to_world,
+                      recompute_normals=recompute_normals)
+            return
+        arrays = mesh if isinstance(mesh, MeshArrays) else arrays_of(read_trimesh(filename) if mesh is None else mesh)
+        normals, uv = (None if values is None else torch.from_numpy(values) for values in (arrays.normals, arrays.uv))
+        corners = torch.from_numpy(arrays.faces)
+        self.hold(torch.from_numpy(arrays.vertices), turned(corners) if mirrors(affine("to_world", to_world)) else corners,
+                  None if recompute_normals else normals, uv, to_world, recompute_normals=recompute_normals)
+        for name, values in arrays.attributes.items():
+            self.add_attribute(name, torch.from_numpy(values))

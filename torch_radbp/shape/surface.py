@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,6 +12,9 @@ from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Shape
 from torch_radbp.plugin.domain import POSE, Domain
 from torch_radbp.shape.ball import Ball
 from torch_radbp.transforms import mirrors, transform, transform_normals, transform_points
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 class Triangles(NamedTuple):
@@ -37,6 +40,7 @@ class Surface(Shape):
     analytic shapes here, but for the sphere, whose normals it turns there and here.
     """
 
+    converter: ClassVar[Callable[[Surface], trimesh.Trimesh]]  # set by `torch_radbp.io.trimesh_out`
     faces: Tensor  # (F, 3) int64: `triangles()` has as many, in the same order
     may_cross_itself = False  # its vertices may move so that it passes through itself
 
@@ -57,6 +61,16 @@ class Surface(Shape):
             A function of a module and its arguments, tensors and plain values, attached or not; None: it is told nothing.
         """
         return None
+
+    def to_trimesh(self) -> trimesh.Trimesh:
+        """The shape as a `trimesh.Trimesh` with current values: in world space, detached, float64.
+
+        It has the normals that the shape is shaded by (none if it is flat), surface coordinates with v upwards, attributes
+        without the prefix of their names, and the material as `save` writes it to glTF, a `PBRMaterial` (trimesh keeps
+        colours in 8 bits); base colours that are an attribute of the mesh are `visual.vertex_colors` or
+        `visual.face_colors`, and no material is beside them. What trimesh has no place for is named in one `SceneWarning`.
+        """
+        return self.converter(self)
 
     def triangles(self) -> Triangles:
         """The shape as triangles in world space; one that has `connections` may be told them, lest it finds them itself."""

@@ -23,11 +23,13 @@ EPILOG = (
     "radbp doctor --no-render  (without the small rendering at the end)\n\n"
     "Paste what it prints into a report of a fault."
 )
-NEEDED = ("torch", "numpy", "llvmlite", "embreex", "scipy", "OpenEXR", "Pillow", "kornia", "safetensors", "pydantic")
+NEEDED = ("torch", "numpy", "llvmlite", "embreex", "scipy", "OpenEXR", "Pillow", "kornia", "safetensors", "pydantic",
+          "trimesh")
 OPTIONAL = {  # by what they are for
     "warp-lang": f"rays on NVIDIA's GPUs: {install_with('cuda')}",
     "cuda-bindings": f"compiled rendering on NVIDIA's GPUs: {install_with('cuda')}",
-    "trimesh": "meshes of other formats, and remeshing: pip install trimesh",
+    "lxml": "meshes in 3MF files: pip install lxml networkx",
+    "pycollada": "meshes in COLLADA files: pip install pycollada",
     "xatlas": f"surface coordinates of baked meshes: {install_with('bake')}",
     "mitsuba": f"comparisons of the tests with Mitsuba: {install_with('peer')}",
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from torch import nn
 
 from torch_radbp.io.gltf.document import Losses
 from torch_radbp.io.gltf.image_slot import Reading, Slot, joined, quantised, slot, texture_info
@@ -12,7 +13,7 @@ from torch_radbp.io.gltf.names import Names
 from torch_radbp.io.gltf.surface import Surface, constant, surface_of
 from torch_radbp.io.gltf.written import Written
 from torch_radbp.plugin import BSDF, Plugin, SceneError, Shape, Texture
-from torch_radbp.scene.scene import Scene
+from torch_radbp.scene.scene import name_in
 
 
 class Peeled(NamedTuple):
@@ -29,15 +30,21 @@ class Appearance(NamedTuple):
     """What a primitive needs to know of its material."""
 
     material: int
-    colours: tuple[str, float] | None  # attribute of the vertices that is the base colour, and a factor
+    colours: tuple[str, float] | None  # attribute of vertices or faces that is the base colour, and a factor
 
 
 class Appearances:
-    """Writes materials; one for each that looks different."""
+    """Writes materials; one for each that looks different.
 
-    def __init__(self, scene: Scene, out: Written, losses: Losses):
-        self.scene, self.out, self.losses, self.names = scene, out, losses, Names()
-        for name, _ in scene.named_children():  # so that none comes back as another
+    Args:
+        root: the scene, or a shape by itself, whose materials are named by their places in it.
+        out: filled in.
+        losses: filled in.
+    """
+
+    def __init__(self, root: nn.Module, out: Written, losses: Losses):
+        self.root, self.out, self.losses, self.names = root, out, losses, Names()
+        for name, _ in root.named_children():  # so that none comes back as another
             self.names.free(name)
         self.named: set[str] = set()
         self.known: dict[tuple[int, int, bool], Appearance] = {}
@@ -52,7 +59,7 @@ class Appearances:
 
     def peeled(self, bsdf: BSDF) -> Peeled:
         """The material inside, and what those around it add."""
-        found, name = Peeled(bsdf, None, False, None, False), self.scene.name_of(bsdf)
+        found, name = Peeled(bsdf, None, False, None, False), name_in(self.root, bsdf)
         while True:
             outer = found.inner
             if not isinstance(outer, Plugin) or not outer.type:
@@ -78,7 +85,7 @@ class Appearances:
 
     def written(self, shape: Shape, peeled: Peeled, mirrored: bool) -> Appearance:
         """A new material."""
-        full = self.scene.name_of(peeled.inner)
+        full = name_in(self.root, peeled.inner)
         surface = Surface() if peeled.invisible else surface_of(peeled.inner, full, self.losses)
         entries: dict[str, Any] = {"name": self.names.free(full) if full in self.named else full}
         self.named.add(full)
@@ -187,7 +194,7 @@ class Appearances:
 
     def emission(self, entries: dict[str, Any], extensions: dict[str, Any], shape: Shape) -> None:
         """Writes what a shape emits."""
-        name = f"{self.scene.name_of(shape)}.emitter"
+        name = f"{name_in(self.root, shape)}.emitter"
         if shape.emitter.type != "area":
             self.losses.add(name, f"a {shape.emitter.type} emitter is written as one that shines into all directions alike")
         if entries.get("doubleSided"):

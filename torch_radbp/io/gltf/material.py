@@ -42,42 +42,42 @@ class Materials:
 
     def __init__(self, document: Document, textures: Textures, losses: Losses, names: Names, children: dict[str, Plugin]):
         self.document, self.textures, self.losses, self.names, self.children = document, textures, losses, names, children
-        self.known: dict[tuple[int | None, bool, bool], Look] = {}
+        self.known: dict[tuple[int | None, str | None, bool], Look] = {}
 
     def material(self, primitive: Part) -> Part:
         """The material of a primitive, as the document has it."""
         part = self.document.referred("materials", primitive, "material", None)
         return Part(self.document.file, "the default material", {}) if part is None else part
 
-    def look(self, primitive: Part, coloured: bool, mirrored: bool) -> Look:
+    def look(self, primitive: Part, colours: str | None, mirrored: bool) -> Look:
         """The look of a primitive.
 
         Args:
             primitive: which refers to the material.
-            coloured: its vertices have colours.
+            colours: the attribute of its vertices or faces that holds their colours, if they have any.
             mirrored: its texture is mirrored, and the normal map is to be mirrored with it.
         """
         number, part = primitive.integer("material", None), self.material(primitive)
-        key = number, coloured, mirrored
+        key = number, colours, mirrored
         if key not in self.known:
             name = "default" if number is None else part.text("name", "") or f"material_{number}"
-            self.known[key] = self.made(part, name, coloured, mirrored)
+            self.known[key] = self.made(part, name, colours, mirrored)
         return self.known[key]
 
-    def made(self, part: Part, name: str, coloured: bool, mirrored: bool) -> Look:
+    def made(self, part: Part, name: str, colours: str | None, mirrored: bool) -> Look:
         """A look; its plugins are added to the scene."""
         sets: list[int] = []
         rough = part.part("pbrMetallicRoughness")
         image = self.textures.image(part, rough, "baseColorTexture", sets)
         *factor, alpha = rough.numbers("baseColorFactor", 4, [1, 1, 1, 1], low=0.0, high=1.0)
-        if coloured and image is not None:
+        if colours is not None and image is not None:
             self.losses.add(part.place, "colours of vertices (COLOR_0) are not read beside a baseColorTexture")
         if part.extension("KHR_materials_unlit") is not None:
             self.losses.add(part.place, "it is shaded, though the material is unlit")
         if part.has("occlusionTexture"):
             self.losses.add(part.place, "occlusionTexture is not read: light finds its way by itself")
-        by_vertex = coloured and image is None
-        base = MeshAttribute(name=VERTEX_COLOUR) if by_vertex else tinted(image, factor)
+        by_attribute = colours is not None and image is None
+        base = MeshAttribute(name=colours) if by_attribute else tinted(image, factor)
         own = self.names.free(name)
         bsdf = self.children[own] = self.principled(part, rough, base, sets)
         bsdf = self.turned(part, bsdf, own, sets, mirrored)
@@ -85,7 +85,7 @@ class Materials:
             bsdf = self.add(f"{own}_twosided", TwoSided(brdf=[bsdf]))
         bsdf = self.masked(part, bsdf, own, alpha, image)
         radiance = self.radiance(part, sets)
-        return Look(bsdf, radiance, sets[0] if sets else None, tuple(factor) if by_vertex else (1.0, 1.0, 1.0))
+        return Look(bsdf, radiance, sets[0] if sets else None, tuple(factor) if by_attribute else (1.0, 1.0, 1.0))
 
     def add(self, name: str, bsdf: BSDF) -> BSDF:
         self.children[self.names.free(name)] = bsdf

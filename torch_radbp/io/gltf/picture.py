@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 
 import numpy as np
-from PIL import UnidentifiedImageError
+from PIL import Image, UnidentifiedImageError
 
 from torch_radbp.formats.image import SIGNATURES
 from torch_radbp.formats.pillow import open_picture
@@ -49,10 +49,7 @@ class Pictures:
             if kind == "PNG":
                 check_pixel_data(io.BytesIO(content))
             with open_picture(io.BytesIO(content), kind, len(content)) as image:
-                if image.mode.startswith("I"):  # 16 bits of grey, which `convert` would cut off
-                    grey = (np.array(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
-                    return np.stack([grey, grey, grey, np.full_like(grey, 255)], axis=2)
-                return np.array(image.convert("RGBA"))
+                return bytes_of(image)
         except MemoryError:
             raise
         except Exception as error:  # the library raises whatever its decoders stumble over
@@ -60,3 +57,11 @@ class Pictures:
             inner = isinstance(error, (LookupError, ArithmeticError, UnicodeError, UnidentifiedImageError))
             reason = "its content is damaged" if inner else " ".join(str(error).split())
             raise part.fail(f"cannot be read as {kind}: {reason}") from error
+
+
+def bytes_of(image: Image.Image) -> np.ndarray:
+    """(H, W, 4) bytes of a picture as they are coded, alpha last; of 16 bits the high ones."""
+    if image.mode.startswith("I"):  # 16 bits of grey, which `convert` would cut off
+        grey = (np.array(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
+        return np.stack([grey, grey, grey, np.full_like(grey, 255)], axis=2)
+    return np.array(image.convert("RGBA"))

@@ -127,7 +127,8 @@ class _Reader:
                 self.add_camera(place)
         if self.document.items("animations"):
             self.losses.add("animations", "are not read: nodes stand where they begin")
-        losses, added = list(self.losses), self.complete()
+        losses = list(self.losses)
+        added = complete(self.children, self.names, (self.low, self.high), self.options)
         if losses and self.strict:
             raise SceneError(f"{self.file}: {said(losses)}")
         if losses or added:
@@ -171,7 +172,8 @@ class _Reader:
                 continue
             if np.linalg.det(to_world[:3, :3]) < 0:  # which mirrors: triangles face outwards still
                 primitive = primitive._replace(faces=primitive.faces[:, [0, 2, 1]])
-            look = self.materials.look(part, primitive.colour is not None, self.is_mirrored(part, primitive))
+            colours = None if primitive.colour is None else VERTEX_COLOUR
+            look = self.materials.look(part, colours, self.is_mirrored(part, primitive))
             name = self.names.free(title if len(parts) == 1 else f"{title}_{number}")
             uv = self.coordinates(part, primitive, look.uv_set)
             try:
@@ -225,15 +227,7 @@ class _Reader:
         uv = primitive.uv[number] if number < len(primitive.uv) and material.has("normalTexture") else None
         if uv is None:
             return False
-        first, second, third = (uv[primitive.faces[:, corner]] for corner in range(3))
-        (a, b), (c, d) = (second - first).T, (third - first).T
-        mirrored = a * d - b * c > 0  # v points down
-        most = bool(2 * mirrored.sum() > len(mirrored))
-        others = int((mirrored != most).sum())
-        if others:
-            self.losses.add(part.place, f"the normal map is read wrongly on {others} of {len(mirrored)} triangles, where it "
-                                        "lies the other way round")
-        return most
+        return lies_mirrored(uv, primitive.faces, part.place, self.losses)
 
     def add_light(self, place: Placed) -> None:
         """The light of a node, or the environment map that it names."""
@@ -271,21 +265,43 @@ class _Reader:
         except (ValueError, RuntimeError) as error:
             raise part.fail(str(error)) from error
 
-    def complete(self) -> list[str]:
-        """Adds what a scene needs and the file lacks; says what that is."""
-        found, added = {child.category for child in self.children.values()}, []
-        emits = "emitter" in found or any(getattr(child, "emitter", None) is not None for child in self.children.values())
-        if self.options.light is not None or not emits:
-            radiance = 1.0 if self.options.light is None else self.options.light
-            self.children[self.names.free("sky")] = Constant(radiance=radiance)
-            if self.options.light is None:
-                added.append(f"it has no light: a constant light of radiance {radiance:g} is added (option light)")
-        if "sensor" not in found:
-            name = self.names.free("camera")
-            self.children[name] = overview(self.low, self.high, self.options.resolution, self.options.spp)
-            if self.options.camera:
-                added.append(f"it has no camera: {name!r} is added, which looks at all of it from the front")
-        return added
+
+def lies_mirrored(uv: np.ndarray, faces: np.ndarray, place: str, losses: Losses) -> bool:
+    """True if a normal map read at (V, 2) surface coordinates, v down, is mirrored on most triangles; others are a loss."""
+    first, second, third = (uv[faces[:, corner]] for corner in range(3))
+    (a, b), (c, d) = (second - first).T, (third - first).T
+    mirrored = a * d - b * c > 0
+    most = bool(2 * mirrored.sum() > len(mirrored))
+    others = int((mirrored != most).sum())
+    if others:
+        losses.add(place, f"the normal map is read wrongly on {others} of {len(mirrored)} triangles, where it lies the "
+                          "other way round")
+    return most
+
+
+def complete(children: dict[str, Plugin], names: Names, corners: tuple[np.ndarray, np.ndarray],
+             options: Options) -> list[str]:
+    """Adds the light and the camera that a scene needs and that are not there; says what that is.
+
+    Args:
+        children: of the scene; filled in.
+        names: that are given away.
+        corners: (3,) least and (3,) greatest coordinates of the scene.
+        options: whether and how.
+    """
+    found, added = {child.category for child in children.values()}, []
+    emits = "emitter" in found or any(getattr(child, "emitter", None) is not None for child in children.values())
+    if options.light is not None or not emits:
+        radiance = 1.0 if options.light is None else options.light
+        children[names.free("sky")] = Constant(radiance=radiance)
+        if options.light is None:
+            added.append(f"it has no light: a constant light of radiance {radiance:g} is added (option light)")
+    if "sensor" not in found:
+        name = names.free("camera")
+        children[name] = overview(*corners, options.resolution, options.spp)
+        if options.camera:
+            added.append(f"it has no camera: {name!r} is added, which looks at all of it from the front")
+    return added
 
 
 def said(losses: list[str]) -> str:

@@ -39,7 +39,7 @@ class Surface:
     """A material in the words of glTF."""
 
     base: Slot = field(default_factory=lambda: constant(1.0))
-    colours: str | None = None  # the attribute of vertices that is the base colour
+    colours: str | None = None  # the attribute of vertices or faces that is the base colour
     roughness: Slot = field(default_factory=lambda: constant(1.0))
     metallic: Slot = field(default_factory=lambda: constant(0.0))
     transmission: Slot = field(default_factory=lambda: constant(0.0))
@@ -82,9 +82,9 @@ class Reader:
         self.losses.add(self.name, what)
 
     def base(self, surface: Surface, attribute: str) -> None:
-        """Takes the base colour from a texture or from the vertices."""
+        """Takes the base colour from a texture, or from vertices or faces."""
         texture = getattr(self.bsdf, attribute)
-        if texture.type == "mesh_attribute" and texture.name.startswith("vertex_"):
+        if texture.type == "mesh_attribute":
             surface.colours, surface.base = texture.name, constant(float(texture.scale.detach()))
         else:
             surface.base = self.colour(attribute)

@@ -120,6 +120,9 @@ class _Writer:
             values = checked(tensor, f"{name}.{attribute}")
             own = attribute.removeprefix("vertex_")
             if colours is not None and attribute == colours[0]:
+                if attribute.startswith("face_"):
+                    self.losses.add(f"{name}.{attribute}", "is written as means around vertices: glTF has none of faces")
+                    values = means_around(values, surface)
                 linear = np.broadcast_to(values * colours[1], (len(values), 3))
                 self.appearances.lose_beyond(f"{name}.{attribute}", linear)
                 found["COLOR_0"] = self.out.vertices(linear.clip(0.0, 1.0))
@@ -151,6 +154,13 @@ class _Writer:
             entries, place = written
             number = self.out.add("cameras", {"name": name, **entries})
             self.out.add("nodes", {"name": name, "camera": number, **column_major(place)})
+
+
+def means_around(values: np.ndarray, surface: Triangles) -> np.ndarray:
+    """(V, C) means of (F, C) values of faces over those around each vertex; 0 at a vertex without a face."""
+    corners, total = surface.faces.cpu().numpy(), np.zeros((len(surface.vertices), values.shape[1]))
+    np.add.at(total, corners.reshape(-1), values.repeat(3, axis=0))
+    return total / np.bincount(corners.reshape(-1), minlength=len(total)).clip(1)[:, None]
 
 
 def is_sheared(pose: np.ndarray) -> bool:

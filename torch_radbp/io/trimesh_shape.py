@@ -1,0 +1,195 @@
+"""Meshes and scenes of trimesh as shapes with materials, which become what they are in glTF (`io.gltf.material`).
+
+A `PBRMaterial` is read by the reader of glTF, and so are colours, which glTF multiplies with its default material, a rough
+metal. A `SimpleMaterial`, as of OBJ files, is what trimesh makes of it for glTF, but no metal. A mesh without either has no
+look.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import torch
+
+from torch_radbp.emitter.area import Area
+from torch_radbp.formats.mesh_arrays import MeshArrays
+from torch_radbp.formats.trimesh_arrays import colours_of, is_trimesh, joined, mesh_arrays, placed_meshes, transformed
+from torch_radbp.formats.trimesh_file import read_trimesh
+from torch_radbp.io.gltf.document import Document, Losses, Part
+from torch_radbp.io.gltf.material import Look, Materials
+from torch_radbp.io.gltf.names import Names
+from torch_radbp.io.gltf.picture import bytes_of
+from torch_radbp.io.gltf.read import lies_mirrored, said
+from torch_radbp.io.gltf.texture import Textures
+from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Plugin, SceneError, SceneWarning, attributes
+from torch_radbp.shape.mesh import TensorMesh
+
+if TYPE_CHECKING:
+    import trimesh
+
+SOURCE = "trimesh"  # in the place of a file's name in messages
+PLAIN = ("name", "emissiveFactor", "alphaMode", "alphaCutoff", "doubleSided")
+ROUGH = ("baseColorFactor", "metallicFactor", "roughnessFactor", "baseColorTexture", "metallicRoughnessTexture")
+SURFACE = ("normalTexture", "emissiveTexture", "occlusionTexture")
+
+
+class Dressed(NamedTuple):
+    """A mesh as a shape needs it."""
+
+    arrays: MeshArrays
+    look: Look | None  # None: trimesh says nothing about it
+
+
+class Images:
+    """Pictures in memory, in the place of those of a glTF document."""
+
+    def __init__(self) -> None:
+        self.pictures: list[np.ndarray] = []
+
+    def pixels(self, index: int, user: Part) -> np.ndarray:
+        """(H, W, 4) bytes of an image as they are coded."""
+        return self.pictures[index]
+
+
+class Looks:
+    """The looks of meshes, each made once: materials that are equal are one, as where trimesh writes glTF.
+
+    Args:
+        losses: filled in.
+        names: of the scene that are given away.
+        children: of the scene; materials are added.
+    """
+
+    def __init__(self, losses: Losses, names: Names, children: dict[str, Plugin]):
+        self.losses, self.images, self.numbers = losses, Images(), dict[int, int]()
+        empty: dict[str, Any] = {"asset": {"version": "2.0"}, "materials": [], "textures": []}
+        self.document = Document(SOURCE, empty)
+        self.materials = Materials(self.document, Textures(self.document, self.images, losses), losses, names, children)
+
+    def dressed(self, mesh: trimesh.Trimesh, place: str) -> Dressed:
+        """A mesh with its look; `place` names it in messages."""
+        arrays, visual = mesh_arrays(mesh), mesh.visual
+        colours = colours_of(visual)[0] or None
+        material = getattr(visual, "material", None) if visual.kind == "texture" else None
+        if colours is None and material is None:
+            return Dressed(arrays, None)
+        part = Part(SOURCE, place, {} if material is None else {"material": self.number(material, place)})
+        mirrored = False
+        if arrays.uv is not None and self.materials.material(part).has("normalTexture"):
+            mirrored = lies_mirrored(arrays.uv, arrays.faces, place, self.losses)
+        look = self.materials.look(part, colours, mirrored)
+        if look.uv_set is not None and arrays.uv is None:
+            self.losses.add(place, "textures of its material are read at (0, 0) everywhere: the mesh has no uv")
+            arrays = arrays._replace(uv=np.zeros((len(arrays.vertices), 2)))
+        if colours is not None:
+            arrays = arrays._replace(attributes={**arrays.attributes, colours: arrays.attributes[colours] * look.factor})
+        return Dressed(arrays, look)
+
+    def number(self, material: Any, place: str) -> int:
+        """The number of a material in the document, to which it is added if it is new."""
+        key = hash(material)
+        if key not in self.numbers:
+            if hasattr(material, "materials"):
+                raise ValueError(f"{place}: a shape has one material, got a {type(material).__name__}: make a mesh of the "
+                                 "faces of each (mesh.submesh), or give a bsdf")
+            self.numbers[key] = len(self.document.value["materials"])
+            self.document.value["materials"].append(self.entries(material))
+        return self.numbers[key]
+
+    def entries(self, material: Any) -> dict[str, Any]:
+        """A material as a document has it."""
+        if hasattr(material, "baseColorFactor"):
+            pbr, found = material, {}
+        else:
+            pbr, found = material.to_pbr(), {"metallicFactor": 0.0, "name": material.name}
+        for name in (*PLAIN, *ROUGH, *SURFACE):
+            value = getattr(pbr, name)
+            if value is None:
+                continue
+            if name.endswith("Texture"):
+                self.images.pictures.append(bytes_of(value))
+                self.document.value["textures"].append({"source": len(self.images.pictures) - 1})
+                found[name] = {"index": len(self.images.pictures) - 1}
+            elif name == "baseColorFactor":
+                found[name] = (np.asarray(value) / 255.0).tolist()
+            else:
+                found[name] = value.tolist() if isinstance(value, np.ndarray) else value
+        found["pbrMetallicRoughness"] = {name: found.pop(name) for name in ROUGH if name in found}
+        return {name: value for name, value in found.items() if value is not None}
+
+
+def shape_of_mesh(source: trimesh.Trimesh | trimesh.Scene) -> TensorMesh:
+    """A mesh, or all meshes of a scene as one, as a shape with its material, in torch's default dtype.
+
+    Raises:
+        ValueError: as `with_arrays`.
+    """
+    losses = Losses()
+    shape = TensorMesh(**with_arrays({"mesh": source}, Looks(losses, Names(), {})))
+    if list(losses):
+        warnings.warn(f"{SOURCE}: {said(list(losses))}", SceneWarning, stacklevel=5)
+    return shape.to(torch.get_default_dtype())
+
+
+def shapes_of(name: str, value: Any, others: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """A mesh of trimesh as the description of a shape, and a scene as one for each node that shows a mesh."""
+    try:
+        placed = placed_meshes(value)
+    except ValueError as error:
+        raise SceneError(f"{name}: {error}") from error
+    for each in placed:
+        own = name if len(placed) == 1 else f"{name}_{each.name}".replace(".", "_")
+        while own != name and own in others:
+            own += "_"
+        yield own, {"type": "mesh", "mesh": each.mesh, "to_world": each.to_world}
+
+
+def with_shapes(node: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """The entries of an object, with descriptions of shapes in the place of what trimesh has made."""
+    for key, value in node.items():
+        cls = REGISTRY["shape"].get(str(node.get("type"))) if is_trimesh(value) else None
+        if not is_trimesh(value) or (cls is not None and key in attributes(cls)):
+            yield key, value
+        else:
+            yield from shapes_of(str(key), value, node)
+
+
+def with_arrays(arguments: dict[str, Any], looks: Looks) -> dict[str, Any]:
+    """The arguments of a shape `mesh`, with arrays and a material in the place of a mesh of trimesh, or of a file.
+
+    Raises:
+        ValueError: if there are several materials, and none is given; as the shape.
+    """
+    source, file = arguments.get("mesh"), arguments.get("filename")
+    if (source is None) == (file is None) or "vertex_positions" in arguments:
+        return arguments  # the shape says what is wrong
+    found = {name: value for name, value in arguments.items() if name != "filename"}
+    placed = placed_meshes(read_trimesh(file) if source is None else source)
+    if arguments.get("bsdf") is not None:
+        parts = [Dressed(mesh_arrays(each.mesh), None) for each in placed]
+    else:
+        parts = [looks.dressed(each.mesh, each.name) for each in placed]
+    if len({id(part.look) for part in parts}) > 1:
+        raise ValueError(f"one shape has one material, and the {len(parts)} meshes have several: give a bsdf for all of "
+                         "them, or put the trimesh.Scene (of a file: trimesh.load_scene(filename)) into the dict by itself, "
+                         "which makes a shape of each")
+    found["mesh"] = joined([transformed(part.arrays, each.to_world) for part, each in zip(parts, placed)])
+    bsdf, emitter = dress(parts[0].look)
+    if bsdf is not None:
+        found["bsdf"] = bsdf
+    if emitter is not None:
+        found.setdefault("emitter", emitter)
+    return found
+
+
+def dress(look: Look | None) -> tuple[BSDF | None, Emitter | None]:
+    """The material of a look, and an emitter of its own for one shape that has it."""
+    if look is None:
+        return None, None
+    return look.bsdf, None if look.radiance is None else Area(radiance=look.radiance)
+
+
+TensorMesh.of_trimesh = staticmethod(shape_of_mesh)
