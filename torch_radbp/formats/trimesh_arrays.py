@@ -6,11 +6,11 @@ Their surface coordinates have v upwards, as in OBJ; here v points down, as in g
 from __future__ import annotations
 
 import sys
-import warnings
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from torch_radbp.formats.leniency import Repairs
 from torch_radbp.formats.mesh_arrays import SHORTEST_NORMAL, MeshArrays
 
 if TYPE_CHECKING:
@@ -27,6 +27,12 @@ class Placed(NamedTuple):
     to_world: np.ndarray  # (4, 4)
 
 
+def note(place: str, what: str) -> None:
+    """Tells what is left out; an error where the reader is strict."""
+    with Repairs() as repairs:
+        repairs.add(place, what)
+
+
 def is_trimesh(value: Any) -> bool:
     """True for a `trimesh.Trimesh` or `trimesh.Scene`; does not import trimesh, without which there is none."""
     trimesh = sys.modules.get("trimesh")
@@ -34,7 +40,7 @@ def is_trimesh(value: Any) -> bool:
 
 
 def placed_meshes(source: trimesh.Trimesh | trimesh.Scene) -> list[Placed]:
-    """The meshes of a scene, node by node, or a mesh by itself; point clouds and paths are left out with a warning.
+    """The meshes of a scene, node by node, or a mesh by itself; point clouds and paths are left out, which is told.
 
     Raises:
         ValueError: if there are no triangles.
@@ -42,18 +48,21 @@ def placed_meshes(source: trimesh.Trimesh | trimesh.Scene) -> list[Placed]:
     import trimesh
     if isinstance(source, trimesh.Trimesh):
         return [Placed("mesh", source, np.eye(4))]
-    found = []
+    placed, left_out = [], {}
     for node in source.graph.nodes_geometry:
         to_world, name = source.graph[node]
         mesh = source.geometry[name]
         if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
-            found.append(Placed(str(node), mesh, np.array(to_world, dtype=np.float64)))
+            placed.append(Placed(str(node), mesh, np.array(to_world, dtype=np.float64)))
         else:
             kind = "Trimesh without faces" if isinstance(mesh, trimesh.Trimesh) else type(mesh).__name__
-            warnings.warn(f"{node}: a {kind} of trimesh is left out: only triangles are rendered", stacklevel=2)
-    if not found:
-        raise ValueError("the trimesh.Scene has no triangles")
-    return found
+            left_out[str(node)] = kind
+    if not placed:
+        others = ", ".join(f"{node}, a {kind}" for node, kind in left_out.items())
+        raise ValueError(f"the trimesh.Scene has no triangles{others and f', only {others}'}")
+    for node, kind in left_out.items():
+        note(node, f"a {kind} of trimesh is left out: only triangles are rendered")
+    return placed
 
 
 def arrays_of(source: trimesh.Trimesh | trimesh.Scene) -> MeshArrays:
@@ -75,14 +84,14 @@ def mesh_arrays(mesh: trimesh.Trimesh) -> MeshArrays:
             numbers = column(array, rows)
             own = str(name).lstrip("_").replace(".", "_")
             if numbers is None or not own or own in RESERVED:
-                warnings.warn(f"the {kind} attribute {name!r} of the mesh of trimesh is left out: one of numbers, with one "
-                              f"or three for each {kind}, and a name of its own, is read", stacklevel=2)
+                note(f"the {kind} attribute {name!r} of trimesh", f"is left out: one of numbers, with one or three for each "
+                     f"{kind}, and a name that is not another's, is read")
             else:
                 attributes[f"{kind}_{own}"] = numbers
     name, colours = colours_of(visual)
     if name:
         if (colours[:, 3:] != 255).any():
-            warnings.warn("the opacity of colours (their fourth channel) is not read", stacklevel=2)
+            note("trimesh", "the opacity of colours (their fourth channel) is not read")
         attributes[name] = colours[:, :3] / 255.0
     if uv is not None and len(uv) == len(mesh.vertices):
         uv = np.array(uv, dtype=np.float64)[:, :2] * (1, -1) + (0, 1)
@@ -120,7 +129,7 @@ def normals_of(mesh: trimesh.Trimesh) -> np.ndarray | None:
 
 
 def joined(parts: list[MeshArrays]) -> MeshArrays:
-    """Several meshes as one; what only some of them have is left out, with a warning."""
+    """Several meshes as one; what only some of them have is left out, which is told."""
     if len(parts) == 1:
         return parts[0]
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
@@ -129,8 +138,7 @@ def joined(parts: list[MeshArrays]) -> MeshArrays:
     shared = {name for name in names if all(each.get(name) is not None for each in columns)
               and len({each[name].shape[1] for each in columns}) == 1}
     if names - shared:
-        warnings.warn(f"{', '.join(sorted(names - shared))}: left out, since only some of the {len(parts)} meshes that are "
-                      f"joined have them", stacklevel=2)
+        note(", ".join(sorted(names - shared)), f"left out, since only some of {len(parts)} meshes that are joined have it")
     together = {name: np.concatenate([each[name] for each in columns]) for name in sorted(shared)}
     return MeshArrays(np.concatenate([part.vertices for part in parts]),
                       np.concatenate([part.faces + start for part, start in zip(parts, starts)]),
