@@ -42,7 +42,7 @@ def draw(found: dict[str, dict[str, float]]) -> None:
     axes.invert_yaxis()
     axes.set_xlabel("seconds until the same error is reached")
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, loc="lower right")
+    axes.legend(frameon=False, loc="upper right", bbox_to_anchor=(1, 1.06))
     axes.set_xlim(0, 28)
     figure.savefig(PICTURE, dpi=110, bbox_inches="tight", pil_kwargs={"optimize": True})
 

@@ -23,6 +23,12 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 WIDTHS = (1280, 390)
 LIMIT = 300  # seconds
 SCRIPT = """<!doctype html><body><script>
+function sticksOut(element, width) {  // and not in a box that scrolls by itself
+  if (element.getBoundingClientRect().right <= width + 1) return false;
+  for (let box = element; box; box = box.parentElement)
+    if (/auto|scroll/.test(getComputedStyle(box).overflowX)) return false;
+  return true;
+}
 async function look(page, width) {
   const frame = document.createElement("iframe");
   frame.style = `border: 0; height: 800px; width: ${width}px`;
@@ -30,11 +36,9 @@ async function look(page, width) {
   await new Promise(loaded => { frame.onload = loaded; document.body.append(frame); });
   const root = frame.contentDocument.documentElement;
   const found = [];
-  if (root.scrollWidth > width) {
-    const beyond = [...root.querySelectorAll("body *")].filter(e => e.getBoundingClientRect().right > width + 1);
-    const last = beyond.at(-1);
-    found.push(`${root.scrollWidth} pixels wide: ${last ? last.outerHTML.slice(0, 120) : ""}`);
-  }
+  const beyond = [...root.querySelectorAll("article *, main *")].filter(e => sticksOut(e, width)).at(-1);
+  if (root.scrollWidth > width || beyond)
+    found.push(`wider than the screen, ${root.scrollWidth} pixels: ${beyond ? beyond.outerHTML.slice(0, 120) : ""}`);
   if (width == WIDE && page.includes("/tutorials/"))
     for (const box of root.querySelectorAll("pre"))
       if (box.scrollWidth > box.clientWidth) {
