@@ -1,4 +1,4 @@
-"""Says which pages of a site or a report are wider than a screen, and which code of tutorials is wider than its box.
+"""Says which pages of a site or a report are wider than a screen, and which code of guides is wider than its box.
 
     python -m docs.widths site                    # after `make docs`, which runs it
     python -m docs.widths runs/cornell_reflectance
@@ -39,7 +39,7 @@ async function look(page, width) {
   const beyond = [...root.querySelectorAll("article *, main *")].filter(e => sticksOut(e, width)).at(-1);
   if (root.scrollWidth > width || beyond)
     found.push(`wider than the screen, ${root.scrollWidth} pixels: ${beyond ? beyond.outerHTML.slice(0, 120) : ""}`);
-  if (width == WIDE && page.includes("/tutorials/"))
+  if (width == WIDE && !/^.(reference|plugins).|report.html$/.test(page))
     for (const box of root.querySelectorAll("pre"))
       if (box.scrollWidth > box.clientWidth) {
         const lines = box.textContent.split("\\n");

@@ -66,6 +66,7 @@ for name in strategies:
 plt.xlabel("predicted peak, MiB")
 plt.ylabel("seconds, forward and backward")
 plt.yscale("log")
+plt.margins(0.15)
 plt.show()
 
 # %% [markdown]
