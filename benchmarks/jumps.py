@@ -2,8 +2,8 @@
 
 For every kind a scene is drawn in which little else moves: the image, its derivative by forward mode, and the finite
 difference of two images of the same samples, which are others than those of the derivative. Red is where the image becomes
-brighter, blue where darker; both have one scale. It writes jumps.png, jumps_in_short.png and
-jumps_in_rows.png with some of them, and prints
+brighter, blue where darker; both have one scale. It writes jumps.png, with some of them
+jumps_in_short.png and jumps_in_rows.png, and prints
 
     off by    |derivative - difference| over |difference|, each summed over pixels and channels
     noise     what of it the standard errors explain alone
@@ -129,7 +129,8 @@ def main() -> None:
                                            options.rounds)
         print(f"| {name} | {apart:.3f} | {noise:.3f} | {time.perf_counter() - start:.0f} |", flush=True)
     in_short = [name for name in IN_SHORT if name in panels]
-    sheets = {"jumps.png": ([*panels], COLUMNS), "jumps_in_short.png": (in_short, COLUMNS), "jumps_in_rows.png": (in_short, 1)}
+    sheets = {"jumps.png": ([*panels], COLUMNS), "jumps_in_short.png": (in_short, COLUMNS),
+              "jumps_in_rows.png": (in_short, 1)}
     for file, (names, columns) in sheets.items():
         if names:
             rows = [(f"{name}: image, derivative, difference", panels[name]) for name in names]

@@ -1,10 +1,10 @@
-"""Runs the recipes that come with the package, and writes their times into training/README.md and their pictures for the gallery:
+"""Runs recipes, and writes their times into the table of training/README.md and their pictures for the gallery:
 
     python -m benchmarks.recipe_times                  # all of them, on a machine that does nothing else
     python -m benchmarks.recipe_times sky point_light --folder runs/recipes
 
-Seconds are those of the whole command in a process of its own, for which nothing has been compiled yet. The picture of a recipe
-shows its first target: before, the target, after. Runs stay in the folder, and what each command prints in stdout.txt of its run.
+Seconds are those of the whole command in a process of its own, for which nothing has been compiled yet. The picture of a
+recipe shows its first target: before, the target, after. Runs stay in the folder, with what each command prints in stdout.txt.
 """
 
 from __future__ import annotations

@@ -18,7 +18,6 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
-
 WIDTH = 88  # characters that fit a box of code; `docs.widths` looks
 
 
