@@ -4,7 +4,7 @@
     python -m benchmarks.recipe_times sky point_light --folder runs/recipes
 
 Seconds are those of the whole command in a process of its own, for which nothing has been compiled yet. The picture of a
-recipe shows its first target: before, the target, after. Runs stay in the folder, with what each command prints in stdout.txt.
+recipe shows its first target: before, the target, after. Runs stay in the folder; stdout.txt is what a command printed.
 """
 
 from __future__ import annotations

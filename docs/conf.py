@@ -24,8 +24,8 @@ html_copy_source = False
 
 
 def with_breaks(app, page, template, context, doctree):
-    """Lets narrow screens break long names of code at their dots and underscores rather than anywhere."""
-    body = re.sub(r'(?<=<span class="pre">)[^<]+', lambda name: re.sub(r"(?<=[._/(,=])(?=\w)", "<wbr>", name[0]),
+    """Lets tables break long names of code at their dots and underscores rather than anywhere."""
+    body = re.sub(r'(?<=<span class="pre">)[^<]+', lambda name: re.sub(r"(?<=\w[._/(,=])(?=\w)", "<wbr>", name[0]),
                   context.get("body", ""))
     context["body"] = body.replace('<span class="sig-paren">(</span>', '<span class="sig-paren">(</span><wbr>')
 
