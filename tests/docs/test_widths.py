@@ -13,8 +13,8 @@ def test_what_does_not_fit_is_told_with_its_page_and_what_fits_is_not(tmp_path):
     pages = {"fits.html": "<p>few words</p>", "wide.html": '<p style="width: 500px">wide</p>',
              "hidden.html": '<div style="overflow: hidden"><p style="width: 500px">cut off</p></div>',
              "scrolls.html": '<div style="overflow: auto"><p style="width: 5000px">a box that scrolls</p></div>',
-             "tutorials/code.html": CODE, "reference/code.html": CODE}
-    for folder in ("tutorials", "reference"):
+             "tutorials/code.html": CODE, "plugins/code.html": CODE}
+    for folder in ("tutorials", "plugins"):
         (tmp_path / folder).mkdir()
     for name, body in pages.items():
         (tmp_path / name).write_text(PAGE.format(body))
