@@ -16,10 +16,12 @@ $(VENV)/.installed: setup.py constraints.txt
 demo: $(VENV)/.installed
 	$(BIN)/radbp optimize cornell_reflectance
 
-# The documentation, in site/: runs the tutorials that have changed, some minutes for all. A warning is an error.
+# The documentation, in site/: runs the tutorials that have changed, some minutes for all. A warning is an error, and so is a
+# page that is wider than a screen, if there is Chromium to look.
 docs: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[docs]"
 	$(BIN)/python -m docs.build
+	$(BIN)/python -m docs.widths site
 
 # Workers begin at either end of the list, and who is done takes from the other; compiled code is kept for all of them.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal

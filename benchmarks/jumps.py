@@ -2,7 +2,8 @@
 
 For every kind a scene is drawn in which little else moves: the image, its derivative by forward mode, and the finite
 difference of two images of the same samples, which are others than those of the derivative. Red is where the image becomes
-brighter, blue where darker; both have one scale. It writes jumps.png, and jumps_in_short.png with some of them, and prints
+brighter, blue where darker; both have one scale. It writes jumps.png, with some of them
+jumps_in_short.png and jumps_in_rows.png, and prints
 
     off by    |derivative - difference| over |difference|, each summed over pixels and channels
     noise     what of it the standard errors explain alone
@@ -127,11 +128,13 @@ def main() -> None:
         panels[name], apart, noise = drawn(moving, Effort(options.spp, options.batches, options.seed, backward=False),
                                            options.rounds)
         print(f"| {name} | {apart:.3f} | {noise:.3f} | {time.perf_counter() - start:.0f} |", flush=True)
-    sheets = {"jumps.png": [*panels], "jumps_in_short.png": [name for name in IN_SHORT if name in panels]}
-    for file, names in sheets.items():
+    in_short = [name for name in IN_SHORT if name in panels]
+    sheets = {"jumps.png": ([*panels], COLUMNS), "jumps_in_short.png": (in_short, COLUMNS),
+              "jumps_in_rows.png": (in_short, 1)}
+    for file, (names, columns) in sheets.items():
         if names:
             rows = [(f"{name}: image, derivative, difference", panels[name]) for name in names]
-            write_sheet(options.out / file, rows, COLUMNS)
+            write_sheet(options.out / file, rows, columns)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """Configuration of Sphinx; `make docs` builds the site."""
 
+import re
+
 project = "torch_radbp"
 author = copyright = "the authors of torch_radbp"
 
@@ -19,3 +21,15 @@ html_static_path = ["_static"]
 html_css_files = ["wide_tables.css"]
 html_show_sphinx = False
 html_copy_source = False
+
+
+def with_breaks(app, page, template, context, doctree):
+    """Lets tables break long names of code at their dots and underscores rather than anywhere."""
+    body = re.sub(r'(?<=<span class="pre">)[^<]+', lambda name: re.sub(r"(?<=\w[._/(,=])(?=\w)", "<wbr>", name[0]),
+                  context.get("body", ""))
+    context["body"] = body.replace('<span class="sig-paren">(</span>', '<span class="sig-paren">(</span><wbr>')
+
+
+def setup(app):
+    """Registers what is done with each page."""
+    app.connect("html-page-context", with_breaks)

@@ -23,7 +23,7 @@ def markdown(docstring: str) -> str:
     Raises:
         ValueError: for a kind of section that has no title here.
     """
-    sections = griffe.Docstring(docstring, lineno=1).parse("google", warnings=False)
+    sections = griffe.Docstring(docstring, lineno=1).parse("google", warnings=False, returns_multiple_items=False)
     return "\n\n".join(section_text(section) for section in sections)
 
 

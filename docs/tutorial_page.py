@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import sys
+import textwrap
 import time
 from contextlib import redirect_stdout
 from pathlib import Path
@@ -16,6 +17,14 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
+
+WIDTH = 88  # characters that fit a box of code; `docs.widths` looks
+
+
+def wrapped(printed: str) -> str:
+    """Printed text with its long lines broken between words."""
+    return "\n".join(textwrap.fill(line, WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
+                     for line in printed.splitlines())
 
 
 def write_page(script: Path) -> None:
@@ -39,7 +48,7 @@ def write_page(script: Path) -> None:
                 print(*page, printed.getvalue(), sep="\n\n", file=sys.stderr)  # what it found so far
                 raise
         if printed.getvalue().strip():
-            page.append(f"```text\n{printed.getvalue().rstrip()}\n```")
+            page.append(f"```text\n{wrapped(printed.getvalue().rstrip())}\n```")
         for number in plt.get_fignums():
             drawn += 1
             picture = script.with_name(f"{script.stem}_{drawn}.png")

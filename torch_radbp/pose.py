@@ -59,7 +59,8 @@ def look_at(origin: Tensor | Sequence[float], target: Tensor | Sequence[float],
 
     Its +z points at the target, its +y is as close to `up` as possible, and its +x points to the left.
 
-        sensor = {"type": "perspective", "to_world": rb.look_at([0, 1, 4], [0, 0, 0], [0, 1, 0])}
+        to_world = rb.look_at([0, 1, 4], [0, 0, 0], [0, 1, 0])
+        sensor = {"type": "perspective", "to_world": to_world}
 
     Args:
         origin: (3,) numbers or tensor; attached, as the others are.

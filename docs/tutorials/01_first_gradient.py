@@ -14,11 +14,11 @@ import torch_radbp as rb
 
 def show(**images):
     """Linear images (3, H, W) side by side, on the screen's scale."""
-    axes = plt.subplots(1, len(images), figsize=(3 * len(images), 3.2), squeeze=False)[1][0]
-    for axis, (title, image) in zip(axes, images.items()):
-        axis.imshow(image.detach().clamp(0, 1).permute(1, 2, 0) ** (1 / 2.2))
-        axis.set_title(title)
-        axis.axis("off")
+    plt.figure(figsize=(3 * len(images), 3.2))
+    for place, (title, image) in enumerate(images.items(), 1):
+        plt.subplot(1, len(images), place, title=title)
+        plt.imshow(image.detach().clamp(0, 1).permute(1, 2, 0) ** (1 / 2.2))
+        plt.axis("off")
     plt.show()
 
 
@@ -26,8 +26,8 @@ def show(**images):
 # A scene is a tree of modules, read from Mitsuba's XML. What a parameter is called, `radbp info scene.xml` says.
 
 # %%
-scene = rb.load(rb.asset("cornell_box/scene.xml"), resolution=48)
-target = rb.render(scene, spp=256, max_depth=5, seed=1)[0]
+scene = rb.load(rb.asset("cornell_box/scene.xml"), resolution=128)
+target = rb.render(scene, spp=128, max_depth=5, seed=1)[0]
 green = scene.get_parameter("green.reflectance.value")
 truth = green.detach().clone()
 green.data.fill_(0.5)
@@ -41,7 +41,8 @@ print("true reflectance:", truth.tolist())
 # little, does everything that it lights. This light has bounced at least twice, so it is what a rasteriser would miss.
 
 # %%
-derivative = rb.jvp(scene, {"green.reflectance.value": torch.ones(3)}, spp=256, seed=0, max_depth=5)[0]
+tangents = {"green.reflectance.value": torch.ones(3)}
+derivative = rb.jvp(scene, tangents, spp=128, seed=0, max_depth=5)[0]
 show(before=before, target=target, derivative=derivative)
 
 # %% [markdown]
@@ -52,9 +53,10 @@ show(before=before, target=target, derivative=derivative)
 
 # %%
 green.requires_grad_()
-renderer = rb.Renderer(scene, spp=16, max_depth=5)
+renderer = rb.Renderer(scene, spp=4, max_depth=5)
 optimizer = torch.optim.Adam([green], lr=0.05)
-schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 100)  # small steps at the end average the noise out
+# Small steps at the end average the noise out.
+schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 100)
 losses = []
 for step in range(100):
     optimizer.zero_grad()
@@ -73,5 +75,5 @@ plt.xlabel("step")
 plt.ylabel("squared error")
 plt.show()
 error = (green - truth).abs().max().item()
-print(f"found {[round(value, 3) for value in green.tolist()]}, off by {error:.3f} at most")
+print(f"found {green.detach().numpy().round(3)}, off by {error:.3f} at most")
 assert error < 0.01

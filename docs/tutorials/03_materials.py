@@ -14,22 +14,22 @@ import torch_radbp as rb
 
 def show(**images):
     """Linear images (3, H, W) side by side, on the screen's scale."""
-    axes = plt.subplots(1, len(images), figsize=(3 * len(images), 3.2), squeeze=False)[1][0]
-    for axis, (title, image) in zip(axes, images.items()):
-        axis.imshow(image.detach().clamp(0, 1).permute(1, 2, 0) ** (1 / 2.2))
-        axis.set_title(title)
-        axis.axis("off")
+    plt.figure(figsize=(3 * len(images), 3.2))
+    for place, (title, image) in enumerate(images.items(), 1):
+        plt.subplot(1, len(images), place, title=title)
+        plt.imshow(image.detach().clamp(0, 1).permute(1, 2, 0) ** (1 / 2.2))
+        plt.axis("off")
     plt.show()
 
 
 # %%
-scene = rb.load(rb.asset("pot/pot.glb"), light=0.15, max_depth=3, resolution=40)
+scene = rb.load(rb.asset("pot/pot.glb"), light=0.15, max_depth=3, resolution=128)
 training, kept_back = [0, 1, 2, 4, 5, 6], [3, 7]
 colour = scene.get_parameter("glaze.base_color.data")  # (16, 32, 3), linear
 truth = colour.detach().clone()
-targets = rb.render(scene, spp=256, seed=1)  # (8, 3, 40, 40)
+targets = rb.render(scene, spp=64, seed=1)  # (8, 3, 128, 128)
 colour.data.fill_(0.5)
-before = rb.render(scene, spp=64, sensors=kept_back)
+before = rb.render(scene, spp=32, sensors=kept_back)
 
 # %% [markdown]
 # Each step renders two of the six views, so that it costs what two images cost. Of each view there are two renderings,
@@ -39,7 +39,7 @@ before = rb.render(scene, spp=64, sensors=kept_back)
 
 # %%
 colour.requires_grad_()
-renderer = rb.Renderer(scene, spp=8, share_samples=True)
+renderer = rb.Renderer(scene, spp=1, share_samples=True)
 optimizer = torch.optim.Adam([colour], lr=0.03)
 steps = 240
 schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
@@ -53,7 +53,7 @@ for step in range(steps):
     scene.clamp_()
 
 # %%
-after = rb.render(scene, spp=256, sensors=kept_back).detach()
+after = rb.render(scene, spp=64, sensors=kept_back).detach()
 show(before=before[0], target=targets[3], after=after[0])
 show(found=colour.permute(2, 0, 1), truth=truth.permute(2, 0, 1))
 
@@ -76,5 +76,5 @@ def psnr(images):
 error = (colour - truth).square().mean().sqrt().item()
 print(f"kept back: {psnr(before):.1f} dB before, {psnr(after):.1f} dB after")
 of_grey = (truth - 0.5).square().mean().sqrt().item()
-print(f"colour off by {error:.3f} (root mean square over the texels); grey is by {of_grey:.3f}")
+print(f"colour off by {error:.3f} (RMS over the texels); grey is by {of_grey:.3f}")
 assert psnr(after) > psnr(before) + 10 and error < 0.1

@@ -13,11 +13,11 @@ import torch_radbp as rb
 
 def show(**images):
     """Linear images (3, H, W) side by side, on the screen's scale."""
-    axes = plt.subplots(1, len(images), figsize=(3 * len(images), 3.2), squeeze=False)[1][0]
-    for axis, (title, image) in zip(axes, images.items()):
-        axis.imshow(image.detach().clamp(0, 1).permute(1, 2, 0) ** (1 / 2.2))
-        axis.set_title(title)
-        axis.axis("off")
+    plt.figure(figsize=(3 * len(images), 3.2))
+    for place, (title, image) in enumerate(images.items(), 1):
+        plt.subplot(1, len(images), place, title=title)
+        plt.imshow(image.detach().clamp(0, 1).permute(1, 2, 0) ** (1 / 2.2))
+        plt.axis("off")
     plt.show()
 
 
@@ -38,9 +38,9 @@ class Exponential(torch.nn.Module):
         return value.log()
 
 
-scene = rb.load(rb.asset("lit_balls/scene.xml"), resolution=40)
+scene = rb.load(rb.asset("lit_balls/scene.xml"), resolution=128)
 truth = scene.sky.data.detach().clone()
-targets = rb.render(scene, spp=512, seed=1).detach()
+targets = rb.render(scene, spp=128, seed=1).detach()
 scene.sky.data.data.fill_(0.5)
 before = rb.render(scene, spp=64).detach()
 torch.nn.utils.parametrize.register_parametrization(scene.sky, "data", Exponential())
@@ -60,8 +60,9 @@ def optimise(renderer, targets, parameters, steps, lr):
         schedule.step()
 
 
-optimise(rb.Renderer(scene, spp=8, share_samples=True), targets, [logarithm], steps=200, lr=0.1)
-after = rb.render(scene, spp=256).detach()
+renderer = rb.Renderer(scene, spp=1, share_samples=True)
+optimise(renderer, targets, [logarithm], steps=200, lr=0.1)
+after = rb.render(scene, spp=64).detach()
 show(before=before[0], target=targets[0], after=after[0])
 show(found=scene.sky.data.permute(2, 0, 1), truth=truth.permute(2, 0, 1))
 
@@ -71,14 +72,15 @@ show(found=scene.sky.data.permute(2, 0, 1), truth=truth.permute(2, 0, 1))
 # that was not there.
 
 # %%
-other = rb.load(rb.asset("lit_balls/scene.xml"), resolution=40)
-other.get_parameter("metal_ball.bsdf.alpha.value").data.fill_(0.3)  # another metal, much rougher
+other = rb.load(rb.asset("lit_balls/scene.xml"), resolution=128)
+other.get_parameter("metal_ball.bsdf.alpha.value").data.fill_(0.3)  # much rougher
 relit = []
 for sky in truth, scene.sky.data.detach():
     other.sky.data.data.copy_(sky)
-    relit.append(rb.render(other, spp=512, seed=3)[0].detach())
+    relit.append(rb.render(other, spp=128, seed=3)[0].detach())
 show(by_the_true_sky=relit[0], by_the_sky_found=relit[1])
-relighting = (relit[1] - relit[0]).square().mean().sqrt().item() / relit[0].mean().item()
+difference = (relit[1] - relit[0]).square().mean().sqrt()
+relighting = (difference / relit[0].mean()).item()
 print(f"the light on another metal is off by {100 * relighting:.1f} percent")
 
 # %% [markdown]
@@ -88,13 +90,14 @@ print(f"the light on another metal is off by {100 * relighting:.1f} percent")
 # like everything else.
 
 # %%
-room = rb.load(rb.asset("point_light/scene.xml"), resolution=40)
-view = rb.render(room, spp=512, seed=1).detach()
+room = rb.load(rb.asset("point_light/scene.xml"), resolution=128)
+view = rb.render(room, spp=128, seed=1).detach()
 position = room.get_parameter("lamp.position")
 place = position.detach().clone()
 position.data += torch.tensor([-0.6, 0.4, 0.5])
 start = rb.render(room, spp=64).detach()
-optimise(rb.Renderer(room, spp=4, share_samples=True), view, [position.requires_grad_()], steps=120, lr=0.04)
+renderer = rb.Renderer(room, spp=1, share_samples=True)
+optimise(renderer, view, [position.requires_grad_()], steps=120, lr=0.04)
 show(before=start[0], target=view[0], after=rb.render(room, spp=64)[0])
 distance = (position - place).norm().item()
 print(f"the lamp was off by 0.88, and is by {distance:.3f}")

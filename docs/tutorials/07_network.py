@@ -14,17 +14,17 @@ import torch_radbp as rb
 
 def show(**images):
     """Linear images (3, H, W) side by side, on the screen's scale."""
-    axes = plt.subplots(1, len(images), figsize=(3 * len(images), 3.2), squeeze=False)[1][0]
-    for axis, (title, image) in zip(axes, images.items()):
-        axis.imshow(image.detach().clamp(0, 1).permute(1, 2, 0) ** (1 / 2.2))
-        axis.set_title(title)
-        axis.axis("off")
+    plt.figure(figsize=(3 * len(images), 3.2))
+    for place, (title, image) in enumerate(images.items(), 1):
+        plt.subplot(1, len(images), place, title=title)
+        plt.imshow(image.detach().clamp(0, 1).permute(1, 2, 0) ** (1 / 2.2))
+        plt.axis("off")
     plt.show()
 
 # %%
-scene = rb.load(rb.asset("textured_room/scene.xml"), resolution=64, max_depth=4)
-target = rb.render(scene, spp=256, seed=1).detach()
-painting = scene.painting.bsdf.reflectance.data.detach().clone()  # (64, 64, 3), to compare with
+scene = rb.load(rb.asset("textured_room/scene.xml"), resolution=128, max_depth=4)
+target = rb.render(scene, spp=128, seed=1).detach()
+painting = scene.painting.bsdf.reflectance.data.detach().clone()  # (64, 64, 3)
 
 
 # %% [markdown]
@@ -45,19 +45,22 @@ class Waves(torch.nn.Module):
 
 
 torch.manual_seed(0)
-network = torch.nn.Sequential(Waves(48, 20.0), torch.nn.Linear(96, 48), torch.nn.ReLU(), torch.nn.Linear(48, 48),
-                              torch.nn.ReLU(), torch.nn.Linear(48, 3), torch.nn.Sigmoid())
+network = torch.nn.Sequential(Waves(48, 20.0), torch.nn.Linear(96, 48), torch.nn.ReLU(),
+                              torch.nn.Linear(48, 48), torch.nn.ReLU(),
+                              torch.nn.Linear(48, 3), torch.nn.Sigmoid())
 scene.painting.bsdf.reflectance = rb.NeuralTexture(network)
 before = rb.render(scene, spp=64).detach()
-print(sum(weights.numel() for weights in network.parameters()), "weights, such as painting.bsdf.reflectance.module.1.weight")
+print(sum(weights.numel() for weights in network.parameters()), "weights, such as",
+      "painting.bsdf.reflectance.module.1.weight")
 
 # %%
-renderer = rb.Renderer(scene, spp=4, share_samples=True)
+renderer = rb.Renderer(scene, spp=1, share_samples=True)
 optimizer = torch.optim.Adam(network.parameters(), lr=0.01)
 schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 120)
 for step in range(120):
     optimizer.zero_grad()
-    rb.losses.two_buffer_l2(renderer(seed=2 * step), renderer(seed=2 * step + 1), target).backward()
+    images = renderer(seed=2 * step), renderer(seed=2 * step + 1)
+    rb.losses.two_buffer_l2(*images, target).backward()
     optimizer.step()
     schedule.step()
 
@@ -70,5 +73,6 @@ found = rb.bake.bitmap(scene.painting.bsdf.reflectance, 64).data.flip(0)
 show(before=before[0], target=target[0], after=rb.render(scene, spp=64)[0])
 show(network=found.permute(2, 0, 1), painting=painting.permute(2, 0, 1))
 error = (found - painting).square().mean().sqrt().item()
-print(f"off by {error:.3f} (root mean square); plain grey would be by {(0.5 - painting).square().mean().sqrt().item():.3f}")
+of_grey = (0.5 - painting).square().mean().sqrt().item()
+print(f"off by {error:.3f} (root mean square); plain grey would be by {of_grey:.3f}")
 assert error < 0.12

@@ -17,15 +17,15 @@ import torch_radbp as rb
 
 def show(**images):
     """Linear images (3, H, W) side by side, on the screen's scale."""
-    axes = plt.subplots(1, len(images), figsize=(3 * len(images), 3.2), squeeze=False)[1][0]
-    for axis, (title, image) in zip(axes, images.items()):
-        axis.imshow(image.detach().clamp(0, 1).permute(1, 2, 0) ** (1 / 2.2))
-        axis.set_title(title)
-        axis.axis("off")
+    plt.figure(figsize=(3 * len(images), 3.2))
+    for place, (title, image) in enumerate(images.items(), 1):
+        plt.subplot(1, len(images), place, title=title)
+        plt.imshow(image.detach().clamp(0, 1).permute(1, 2, 0) ** (1 / 2.2))
+        plt.axis("off")
     plt.show()
 
 # %%
-scene = rb.load(rb.asset("pot/pot.glb"), light=0.15, max_depth=3, resolution=64)
+scene = rb.load(rb.asset("pot/pot.glb"), light=0.15, max_depth=3, resolution=128)
 for name, parameter in scene.named_parameters():
     if name.startswith("glaze"):
         print(f"{name:36} {tuple(parameter.shape)}")
@@ -37,21 +37,22 @@ for name, parameter in scene.named_parameters():
 # it is what the parameter is computed from, and autograd takes the gradient there.
 
 # %%
-original = scene.get_parameter("glaze.base_color.data").detach().clone()
-true_tint = torch.tensor([0.3, 0.9, 1.6])
-scene.get_parameter("glaze.base_color.data").data.copy_((original * true_tint).clamp(0, 1))
-target = rb.render(scene, spp=256, seed=1, sensors=[0, 4]).detach()
-scene.get_parameter("glaze.base_color.data").data.copy_(original)
+colour = scene.get_parameter("glaze.base_color.data")
+original, true_tint = colour.detach().clone(), torch.tensor([0.3, 0.9, 1.6])
+colour.data.copy_((original * true_tint).clamp(0, 1))
+target = rb.render(scene, spp=128, seed=1, sensors=[0, 4]).detach()
+colour.data.copy_(original)
 before = rb.render(scene, spp=64, sensors=[0, 4])[0]
 
 tint = torch.ones(3, requires_grad=True)
-renderer = rb.Renderer(scene, spp=8)
+renderer = rb.Renderer(scene, spp=2)
 optimizer = torch.optim.Adam([tint], lr=0.05)
 schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 100)
 for step in range(100):
     optimizer.zero_grad()
     colours = {"scene.glaze.base_color.data": (original * tint).clamp(0, 1)}
-    image = torch.func.functional_call(renderer, colours, kwargs={"seed": step, "sensors": [0, 4]})
+    call = {"seed": step, "sensors": [0, 4]}
+    image = torch.func.functional_call(renderer, colours, kwargs=call)
     (image - target).square().mean().backward()
     optimizer.step()
     schedule.step()
@@ -64,19 +65,19 @@ print("tint:", [round(value, 3) for value in tint.tolist()])
 # everything but the even light that we added by `light=0.15`.
 
 # %%
-scene.get_parameter("glaze.base_color.data").data.copy_((original * tint.detach()).clamp(0, 1))
-after = rb.render(scene, spp=256, sensors=[0, 4])[0]
+colour.data.copy_((original * tint.detach()).clamp(0, 1))
+after = rb.render(scene, spp=128, sensors=[0, 4])[0]
 with tempfile.TemporaryDirectory() as folder:
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         rb.save(scene, Path(folder, "found.glb"))  # in Blender: File, Import, glTF 2.0
     print(*(warning.message for warning in said))
     print("found.glb:", Path(folder, "found.glb").stat().st_size // 1024, "KiB")
-    again = rb.load(Path(folder, "found.glb"), light=0.15, max_depth=3, resolution=64)
+    again = rb.load(Path(folder, "found.glb"), light=0.15, max_depth=3, resolution=128)
     rb.save(scene, Path(folder, "scene.xml"))  # for Mitsuba
-    print("beside scene.xml:", sorted({path.suffix for path in Path(folder).rglob("*.*")}))
-returned = rb.render(again, spp=256, sensors=[0, 4])[0]
+    print("beside scene.xml:", {path.suffix for path in Path(folder).rglob("*.*")})
+returned = rb.render(again, spp=128, sensors=[0, 4])[0]
 show(before=before, target=target[0], after=after, read_again=returned)
 difference = (returned - after).square().mean().sqrt().item() / after.mean().item()
-print(f"read again, the image differs by {100 * difference:.2f} percent: colours of 8 bits")
+print(f"read again, the image differs by {100 * difference:.2f} %: colours of 8 bits")
 assert (tint - true_tint).abs().max() < 0.05 and difference < 0.02

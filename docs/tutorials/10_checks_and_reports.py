@@ -26,8 +26,8 @@ import torch_radbp as rb
 # agree to rounding.
 
 # %%
-box = rb.load(rb.asset("cornell_box/scene.xml"), resolution=32)
-good = rb.check_gradient(box, "red.reflectance.value", spp=256, max_depth=5)
+box = rb.load(rb.asset("cornell_box/scene.xml"), resolution=128)
+good = rb.check_gradient(box, "red.reflectance.value", spp=16, max_depth=5)
 print(good)
 
 # %% [markdown]
@@ -40,16 +40,18 @@ print(good)
 # this image.
 
 # %%
-shadow = rb.load(rb.asset("shadow/scene.xml"), resolution=32)
+shadow = rb.load(rb.asset("shadow/scene.xml"), resolution=128)
 with warnings.catch_warnings():
-    warnings.simplefilter("ignore", rb.SilhouetteWarning)  # which says that shadows are missing: we know
-    bad = rb.check_gradient(shadow, "block.to_world", spp=256, terms=("interior", "primary"))
+    warnings.simplefilter("ignore", rb.SilhouetteWarning)  # shadows are missing: we know
+    terms = "interior", "primary"
+    bad = rb.check_gradient(shadow, "block.to_world", spp=32, terms=terms)
 print(bad.verdict, "-", bad.explanation)
-full = rb.check_gradient(shadow, "block.to_world", spp=256)
+full = rb.check_gradient(shadow, "block.to_world", spp=32)
 print("with all terms:", full.verdict, "-", full.explanation)
 
 figure, axes = plt.subplots(1, 3, figsize=(9, 3.2))
-pictures = {"differences": full.comparison.difference, "all terms": full.comparison.jvp, "no shadows": bad.comparison.jvp}
+pictures = {"differences": full.comparison.difference, "all terms": full.comparison.jvp,
+            "no shadows": bad.comparison.jvp}
 scale = full.comparison.jvp.abs().max().item() / 4
 for axis, (title, picture) in zip(axes, pictures.items()):
     axis.imshow(picture[0].mean(0), cmap="RdBu", vmin=-scale, vmax=scale)
@@ -64,19 +66,20 @@ plt.show()
 #
 # ## A run and its report
 #
-# `radbp optimize` runs recipes; the bundled ones are listed by `--list`. Here the place of a lamp, in fewer steps than
-# the recipe asks for. What it prints ends with a verdict, which looks at the loss *and* at each parameter.
+# `radbp optimize` runs recipes; the bundled ones are listed by `--list`. Here the colours of three walls, in fewer steps
+# than the recipe asks for. What it prints ends with a verdict, which looks at the loss *and* at each parameter.
 
 # %%
 with tempfile.TemporaryDirectory() as folder:
     run = Path(folder, "run")
-    settings = ["--steps", "80", "-D", "report.spp=64", "--out", str(run)]
-    done = subprocess.run([sys.executable, "-m", "torch_radbp.training.cli", "optimize", "point_light", *settings],
-                          capture_output=True, text=True)
+    command = [sys.executable, "-m", "torch_radbp.training.cli", "optimize", "--out", run,
+               "cornell_reflectance", "--steps", "80", "-D", "report.spp=64"]
+    done = subprocess.run(command, capture_output=True, text=True)
     summary = json.loads((run / "summary.json").read_text())
     print("\n".join(line.rstrip() for line in done.stdout.splitlines()[-24:]))
     print(sorted(path.name for path in run.iterdir()))
-    images = {path.stem: plt.imread(path) for path in sorted((run / "images").rglob("*.png"))}
+    pictures = sorted((run / "images").rglob("*.png"))
+    images = {path.stem: plt.imread(path) for path in pictures}
 
 # %% [markdown]
 # The page `report.html` in that folder has these pictures, the curves of the loss and of every parameter, and the

@@ -34,5 +34,5 @@ def test_kinds_are_chosen_by_parts_of_their_names(tmp_path, monkeypatch, capsys)
     jumps.main()
     rows = [line.split("|")[1].strip() for line in capsys.readouterr().out.splitlines()[2:]]
     assert rows == ["crease", "soft shadow"]
-    for file in ("jumps.png", "jumps_in_short.png"):
-        assert Image.open(tmp_path / file).width == jumps.COLUMNS * (3 * (PANEL + MARGIN) + MARGIN)
+    for file, columns in {"jumps.png": jumps.COLUMNS, "jumps_in_short.png": jumps.COLUMNS, "jumps_in_rows.png": 1}.items():
+        assert Image.open(tmp_path / file).width == columns * (3 * (PANEL + MARGIN) + MARGIN)

@@ -21,6 +21,7 @@ MODULES = {"bake", "losses", "optim", "priors"}  # public modules
 FOR_PLUGINS = {"bsdf", "plugin", "tensors", "texture"}  # what is derived from where a plugin is written
 SLOW = {"06_shape"}  # whose meshes are large in its smallest form, too
 MOST_LINES, MOST_OF_AN_EXAMPLE = 62, 40
+WIDEST = 90  # characters of code that fit the box of a page, of which `python -m docs.widths` measures the pixels
 
 
 def code_lines(script: Path) -> int:
@@ -45,6 +46,19 @@ def run(*command: object, cwd: Path = ROOT) -> str:
 def test_a_tutorial_is_short_and_checks_at_its_end_what_it_promises(tutorial):
     assert code_lines(tutorial) <= MOST_LINES
     assert isinstance(ast.parse(tutorial.read_text()).body[-1], ast.Assert)
+
+
+@pytest.mark.parametrize("tutorial", TUTORIALS, ids=lambda path: path.stem)
+def test_code_of_a_tutorial_fits_the_box_of_its_page(tutorial):
+    code = [line for line in tutorial.read_text().splitlines() if not line.startswith("#")]
+    assert not [line for line in code if len(line) > WIDEST]
+
+
+@pytest.mark.parametrize("tutorial", TUTORIALS, ids=lambda path: path.stem)
+def test_images_of_a_tutorial_have_128_pixels(tutorial):
+    sizes = re.findall(r"(?:resolution=|\"(?:width|height)\": )(\d+)", tutorial.read_text())
+    small = [int(size) for size in sizes if int(size) < 128]
+    assert not small or "imshow" not in tutorial.read_text()  # unless it shows none
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)

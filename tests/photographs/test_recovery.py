@@ -16,7 +16,7 @@ TOUR = Path(__file__).parents[2] / "docs" / "tour.md"
 def test_reflectance_and_gains_are_recovered_from_coded_photographs(tmp_path, monkeypatch):
     """8 bits of sRGB and a gain each; what is left is noise of 4 samples, which steps that shrink to a tenth average."""
     section = TOUR.read_text(encoding="utf-8").split("\n## Photographs\n")[1].split("\n## ")[0]
-    example, = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
+    example, *_ = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
     write_photographs(tmp_path)
     monkeypatch.chdir(tmp_path)
     found = {"rb": rb, "torch": torch, "objects": ball_in_the_open(0.5, 0.5, 0.5)}

@@ -10,6 +10,7 @@ import safetensors.torch
 import torch
 from rich.console import Console
 
+from docs.widths import CHROMIUM, too_wide
 from torch_radbp.formats.image import read_image
 from torch_radbp.training.false_colour import error_scale, false_colour
 from torch_radbp.training.progress import TimedProgress, duration
@@ -79,6 +80,18 @@ def test_report_says_what_was_recovered(run_folder):
     assert "two_buffer_l2" in text, "the recipe is part of the report"
     assert page.tags.count("svg") == 3  # loss, distance from the truth, the colour's channels
     assert page.tags.count("polyline") >= 2 + 2 + 6
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: the width of the report is not looked at")
+def test_the_report_fits_wide_and_narrow_screens(run_folder):
+    assert too_wide(run_folder, ["report.html"]) == []
+
+
+def test_every_error_says_what_it_is(run_folder):
+    text = (run_folder / "report.html").read_text(encoding="utf-8")
+    assert "images: mean of |after − target|" in text and "The root mean square of after − target is" in text
+    for head in ("start", "recovered", "true", "largest error", "RMS error"):
+        assert text.count(f'data-head="{head}"') == 2, "of each parameter, for screens on which columns do not fit"
 
 
 def test_run_folder_is_complete(run_folder):

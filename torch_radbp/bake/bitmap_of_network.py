@@ -30,7 +30,8 @@ def bitmap(texture: NeuralTexture, resolution: int | Sequence[int],
            shape: Surface | trimesh.Trimesh | trimesh.Scene | None = None) -> Bitmap:
     """The values of a network at the centres of the texels of a bitmap, which other programs can read.
 
-        scene.body.bsdf.reflectance = rb.bake.bitmap(scene.body.bsdf.reflectance, 512, scene.body)
+        bsdf = scene.body.bsdf
+        bsdf.reflectance = rb.bake.bitmap(bsdf.reflectance, 512, scene.body)
 
     A network of surface coordinates is read over the unit square. One of positions is read where the surface coordinates of
     a shape put the texels, in world space as the shape stands now; texels beside its triangles continue those, so that

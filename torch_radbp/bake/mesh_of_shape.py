@@ -34,7 +34,7 @@ class Body(NamedTuple):
 def mesh(shape: Shape | trimesh.Trimesh | trimesh.Scene, *, unwrap: bool = False, resolution: int = 1024) -> TensorMesh:
     """A shape as triangles in world space, with surface coordinates that bitmaps can be baked for.
 
-        scene.body = rb.bake.mesh(scene.body)                    # an sdfgrid, say; the material stays
+        scene.body = rb.bake.mesh(scene.body)  # an sdfgrid, say; the material stays
 
     Of a shape that has no surface coordinates, or if asked for, the surface is cut into charts that are laid side by side in
     the unit square, none over another (the library xatlas, of the extra `bake`). It takes some seconds for

@@ -87,8 +87,8 @@ class GradientCheck:
                 "tiles": comparison.tiles._asdict(), "projections": projections}
 
     def __str__(self) -> str:
-        lines = [self.title,
-                 *("  ".join(f"{cell:>16}" for cell in row) for row in self.rows())]
+        widths = [max(map(len, column)) for column in zip(*self.rows())]
+        lines = [self.title, *("  ".join(map(str.rjust, row, widths)) for row in self.rows())]
         lines += [f"{label}: {value}" for label, value in self.summary()]
         return "\n".join([*lines, f"{self.verdict}: {self.explanation}"])
 

@@ -19,7 +19,8 @@ PAPER, INK = (255, 255, 255), (29, 36, 51)
 def contact_sheet(rows: Mapping[str, Tensor | Sequence[Tensor]], views: Sequence[str] = ()) -> Tensor:
     """One image of many: a row for each name, a column for each view, with their labels.
 
-        sheet = rb.contact_sheet({"before": before, "target": batch.image, "after": after}, views=batch.sensors)
+        rows = {"before": before, "target": batch.image, "after": after}
+        sheet = rb.contact_sheet(rows, views=batch.sensors)
         rb.save_image("sheet.png", sheet)
 
     Small images are enlarged by a whole number, without smoothing, so that their pixels are seen.

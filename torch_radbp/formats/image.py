@@ -80,8 +80,9 @@ def save_image(path: str | os.PathLike, image: Tensor, channels: Mapping[str, Te
 
         rb.save_image("image.exr", rb.render(scene, spp=16)[0])
         aovs = renderer.aovs(["hit", "depth"], seed=0)
-        rb.save_image("mask.png", aovs["hit"][0], curve="linear")               # as rb.Photographs reads masks
-        rb.save_image("depth.png", aovs["depth"][0], curve="linear", white=65.535, bits=16)        # in thousandths
+        rb.save_image("mask.png", aovs["hit"][0], curve="linear")  # for rb.Photographs
+        # Depths in thousandths:
+        rb.save_image("depth.png", aovs["depth"][0], curve="linear", white=65.535, bits=16)
 
     Args:
         path: .exr (float32, linear) or .png (whole numbers; values cut to [0, `white`]).

@@ -54,7 +54,8 @@ def cameras_from_colmap(folder: str | os.PathLike, *, scale: float = 1.0, rfilte
                         **attributes: Unpack[CameraAttributes]) -> dict[str, Calibrated]:
     """The sensors `calibrated` of a COLMAP model, by the name of their image and in the order of the file.
 
-        scene = rb.load_dict({"type": "scene", **rb.cameras_from_colmap("sparse/0", scale=0.25), ...})
+        cameras = rb.cameras_from_colmap("sparse/0", scale=0.25)
+        scene = rb.load_dict({"type": "scene", **cameras, ...})
 
     The world is COLMAP's. Its pixels are counted from the corner of the image, ours from the centre of the first pixel: cx
     and cy become less by 0.5. Points are not read.

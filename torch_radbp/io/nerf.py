@@ -49,7 +49,8 @@ def cameras_from_nerf(path: str | os.PathLike, *, width: int | None = None, heig
                       **attributes: Unpack[CameraAttributes]) -> dict[str, Calibrated]:
     """The sensors `calibrated` of a NeRF data set, by the `file_path` of their image (without "./") and in its order.
 
-        scene = rb.load_dict({"type": "scene", **rb.cameras_from_nerf("lego/transforms_train.json"), ...})
+        cameras = rb.cameras_from_nerf("lego/transforms_train.json")
+        scene = rb.load_dict({"type": "scene", **cameras, ...})
 
     Read are, for all frames or for each, whose values win: `camera_angle_x`, `camera_angle_y`, `fl_x`, `fl_y`, `cx`, `cy`,
     `w`, `h`, `k1`, `k2`, `k3`, `p1`, `p2`, of a fisheye `k1` to `k4`, `camera_model` (OPENCV, RADIAL, SIMPLE_RADIAL,

@@ -44,7 +44,8 @@ def camera_from_opencv(K: Any, R: Any, t: Any, width: int, height: int, distorti
                        **attributes: Unpack[CameraAttributes]) -> Calibrated:
     """The sensor `calibrated` of a camera as OpenCV describes it: x = K (R X + t).
 
-        scene = rb.load_dict({"type": "scene", "camera": rb.camera_from_opencv(K, R, t, 640, 480, distortion), ...})
+        camera = rb.camera_from_opencv(K, R, t, 640, 480, distortion)
+        scene = rb.load_dict({"type": "scene", "camera": camera, ...})
 
     Args:
         K: (3, 3) fx, skew, cx; 0, fy, cy; 0, 0, 1, in pixels. (0, 0) is the centre of the upper left pixel.

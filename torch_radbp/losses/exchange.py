@@ -35,7 +35,8 @@ def exchange_derivatives(image_a: Tensor, image_b: Tensor) -> tuple[Tensor, Tens
 def exchanged(loss: Callable[[Tensor, Tensor], Tensor], image_a: Tensor, image_b: Tensor, target: Tensor) -> Tensor:
     """The mean of a loss over two independent renderings that have the derivatives of each other:
 
-        rb.losses.exchanged(kornia.losses.CharbonnierLoss(), renderer(seed=2 * step), renderer(seed=2 * step + 1), target)
+        a, b = renderer(seed=2 * step), renderer(seed=2 * step + 1)
+        loss = rb.losses.exchanged(kornia.losses.CharbonnierLoss(), a, b, target)
 
     The derivative is unbiased up to the curvature of the loss's own derivative: exact for the squared error, off by half its
     third derivative times the variance of a pixel for others. The value is that of noisy images, too large by half of the

@@ -15,7 +15,7 @@ def lpips(image_a: Tensor, image_b: Tensor, target: Tensor, module: Callable[[Te
           mask: Tensor | None = None) -> Tensor:
     """The mean of `module(image, target)` over two renderings that have the derivatives of each other.
 
-        distance = lpips.LPIPS(net="vgg")                             # pip install lpips; its weights are downloaded
+        distance = lpips.LPIPS(net="vgg")  # pip install lpips; its weights are downloaded
         loss = rb.losses.lpips(a, b, target, distance)
 
     Images are scaled from [0, 1] to [-1, 1], and cut off there, as `lpips.LPIPS` and

@@ -14,10 +14,10 @@ from torch_radbp.plugin import boolean, integer
 class CoarseToFine(nn.Module):
     """A parametrisation x = base + upsampled(u): a map as it was, and a coarse grid of changes that is optimised.
 
-        data = rb.optim.CoarseToFine((8, 8))
-        parametrize.register_parametrization(scene.wall.bsdf.reflectance, "data", data)      # changes nothing
-        ...                                                                                   # broad shapes first
-        rb.optim.refine(scene.wall.bsdf.reflectance, "data", optimizer)                       # 16 x 16; changes nothing
+        paint, data = scene.wall.bsdf.reflectance, rb.optim.CoarseToFine((8, 8))
+        parametrize.register_parametrization(paint, "data", data)  # changes nothing
+        ...                                                        # broad shapes first
+        rb.optim.refine(paint, "data", optimizer)                  # 16 x 16; changes nothing
 
     A step in a cell of the grid moves many texels together, so that noise averages out and large shapes are found first.
     `refine` adds what has been found to the base and starts a finer grid at 0, so that the value stays what it is, bit by

@@ -11,8 +11,9 @@ from torch_radbp.plugin import positive
 class Log(nn.Module):
     """A parametrisation x = exp(u) of what is positive and known by its ratio, such as radiance.
 
-        torch.nn.utils.parametrize.register_parametrization(scene.lamp.emitter.radiance, "value", rb.optim.Log())
-        optimizer = torch.optim.Adam([scene.lamp.emitter.radiance.parametrizations.value.original])      # u
+        radiance = scene.lamp.emitter.radiance
+        parametrize.register_parametrization(radiance, "value", rb.optim.Log())
+        optimizer = torch.optim.Adam([radiance.parametrizations.value.original])  # u
 
     A step of 0.1 in u changes x by a tenth, however large it is.
 

@@ -61,7 +61,7 @@ class Photographs(Dataset[Photograph]):
         scene = rb.load_dict({"type": "scene", **photographs.cameras, **objects})
         renderer = rb.Renderer(scene, spp=16)
         for batch in torch.utils.data.DataLoader(photographs, batch_size=4, shuffle=True):
-            rendering = renderer(seed=step, sensors=batch.sensors)        # (4, 3, H, W), as batch.image
+            rendering = renderer(seed=step, sensors=batch.sensors)  # (4, 3, H, W)
 
     Items are `Photograph`s. Images are linear: PNG and TIFF of 8 and 16 bits, JPEG, WebP, BMP and TGA are decoded by
     `curve`, EXR, HDR and PFM are linear already. An alpha channel is the mask, and the image is what is seen over
@@ -252,7 +252,8 @@ class Photographs(Dataset[Photograph]):
     def batches(self, batch_size: int, shuffle: bool = True, generator: torch.Generator | None = None) -> SizeBatches:
         """Batches of photographs that have one size each, such as upright and wide ones:
 
-            loader = torch.utils.data.DataLoader(photographs, batch_sampler=photographs.batches(4))
+            batches = photographs.batches(4)
+            loader = torch.utils.data.DataLoader(photographs, batch_sampler=batches)
 
         Args:
             batch_size, shuffle, generator: as of a `DataLoader`.

@@ -13,7 +13,8 @@ class Exposure(nn.Module):
     """Multiplies images by the gain and the white balance of their view, both positive since their logarithms are optimised.
 
         exposure = rb.Exposure(len(photographs), fixed=0)
-        a, b = (exposure(renderer(seed=seed, sensors=batch.sensors), batch.views) for seed in (2 * step, 2 * step + 1))
+        a, b = (renderer(seed=2 * step + k, sensors=batch.sensors) for k in (0, 1))
+        a, b = exposure(a, batch.views), exposure(b, batch.views)
         loss = rb.losses.two_buffer_l2(a, b, batch.image, batch.mask)
 
     Twice the light and half of every gain make the same photographs, and so do bluer light and redder balances. One view

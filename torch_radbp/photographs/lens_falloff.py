@@ -15,7 +15,8 @@ class LensFalloff(nn.Module):
     """Multiplies images by 1 + k1 r^2 + k2 r^4 + k3 r^6, r the distance from a centre, 1 at the corners of the image.
 
         window = (x, y, 32, 32)
-        image = falloff(renderer(seed=step, window=window), window=window, size=(width, height))
+        image = renderer(seed=step, window=window)
+        image = falloff(image, window=window, size=(width, height))
 
     Linear in the images, so that whatever is unbiased with noisy renderings is so behind it. The factor becomes negative
     where coefficients are far below 0.

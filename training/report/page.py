@@ -59,7 +59,7 @@ def _headline(summary: dict[str, Any]) -> str:
             cells.append((f"RMSE of {each['name']}", f"{each['rmse']:.4f} (was {each['rmse_before']:.4f})"))
     if summary["images"]:
         mean = sum(each["mean_error"] for each in summary["images"]) / len(summary["images"])
-        cells.append(("mean image error", f"{mean:.4f}"))
+        cells.append(("images: mean of |after − target|", f"{mean:.4f}"))
     if summary["skipped"]:
         cells.append(("skipped steps", str(summary["skipped"])))
     facts = "".join(f"<div><dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd></div>" for k, v in cells)
@@ -77,26 +77,26 @@ def _pose_errors(parameter: dict[str, Any]) -> str:
 def _parameters_table(summary: dict[str, Any]) -> str:
     parameters = summary["parameters"]
     with_truth = any("largest_error" in each for each in parameters)
-    heads = ["parameter", "start", "recovered"] + (["true", "largest error", "RMSE"] if with_truth else [])
+    heads = ["parameter", "start", "recovered"] + (["true", "largest error", "RMS error"] if with_truth else [])
     rows = []
     for each in parameters:
         small = "recovered" in each
         shape = "" if small else f"<small>{' × '.join(map(str, each['shape']))}</small>"
         cells = [f"<th>{html.escape(each['name'])}{shape}</th>"]
-        cells.append(_value(each["before"]) if small else _mean(each["mean_before"]))
-        cells.append(_value(each["recovered"]) if small else _mean(each["mean"]))
-        if with_truth and "largest_error" in each:
-            cells.append(_value(each["truth"]) if small else _mean(each["mean_truth"]))
-            cells += [f"<td class=number>{each[key]:.2g}</td>" for key in ("largest_error", "rmse")]
-        elif with_truth:
-            cells.append("<td colspan=3>not known</td>")
+        known = with_truth and "largest_error" in each
+        if small:
+            values = [_value(each[key]) for key in ("before", "recovered", *(["truth"] if known else []))]
+        else:
+            values = [_mean(each[key]) for key in ("mean_before", "mean", *(["mean_truth"] if known else []))]
+        values += [f"{each[key]:.2g}" for key in ("largest_error", "rmse")] if known else ["not known"] * (3 * with_truth)
+        cells += [f'<td class=number data-head="{name}">{value}</td>' for name, value in zip(heads[1:], values)]
         rows.append(f"<tr>{''.join(cells)}</tr>")
     head = "".join(f"<th>{name}</th>" for name in heads)
-    return f"<section><h2>Parameters</h2><table><tr>{head}</tr>{''.join(rows)}</table></section>"
+    return f"<section><h2>Parameters</h2><table class=parameters><tr>{head}</tr>{''.join(rows)}</table></section>"
 
 
 def _mean(value: float) -> str:
-    return f"<td class=number>mean {value:.4f}</td>"
+    return f"mean {value:.4f}"
 
 
 def _value(entries: list[float]) -> str:
@@ -106,8 +106,8 @@ def _value(entries: list[float]) -> str:
         swatch = f'<i class="swatch" style="background:rgb({colour})"></i>'
     if len(entries) == 16:
         rows = ("&ensp;".join(f"{entry:.4f}" for entry in entries[first : first + 4]) for first in range(0, 16, 4))
-        return f"<td class=number>{'<br>'.join(rows)}</td>"
-    return f"<td class=number>{swatch}{'&ensp;'.join(f'{entry:.4f}' for entry in entries)}</td>"
+        return f"<span>{'<br>'.join(rows)}</span>"
+    return f"<span>{swatch}{'&ensp;'.join(f'{entry:.4f}' for entry in entries)}</span>"
 
 
 def _cost(summary: dict[str, Any]) -> str:

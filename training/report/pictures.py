@@ -34,10 +34,10 @@ def _quality(summary: dict[str, Any]) -> str:
         return text + "; its noise is not known, since it was rendered in one pass."
     rmse = (sum(each["rmse"] ** 2 for each in summary["images"]) / len(summary["images"])) ** 0.5
     noise = summary["image_noise"]
-    text += f". It differs from the target by {rmse:.2g} (RMS), of which {noise:.2g} is noise of the rendering"
+    text += f". The root mean square of after − target is {rmse:.2g}, of which {noise:.2g} is noise of the rendering"
     if noise > 0.7 * rmse:
-        return text + ", and so is most of what the error map shows."
-    return text + "."
+        text += ", and so is most of what the error map shows"
+    return text + ". The mean of |after − target|, above, is smaller, since large errors of few pixels count less in it."
 
 
 def textures_section(folder: RunFolder, summary: dict[str, Any]) -> str:

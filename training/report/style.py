@@ -51,5 +51,16 @@ svg .goal { fill: none; stroke-width: 1.3; stroke-dasharray: 5 4; opacity: 0.75;
 .legend i.dashed { height: 0; border-top: 2px dashed #98a0ae; border-radius: 0; }
 pre { margin: 0; padding: 14px 16px; background: var(--wash); border-radius: 6px; font: 12.5px/1.55 ui-monospace, "DejaVu Sans Mono", Menlo, Consolas, monospace; white-space: pre-wrap; overflow-wrap: anywhere; }
 @media (max-width: 700px) { .charts, .pictures, .pictures.textures { grid-template-columns: 1fr; } main { padding: 16px 10px 40px; } }
+@media (max-width: 700px) {
+  section, header { padding: 16px 12px; }
+  th, td { white-space: normal; overflow-wrap: anywhere; padding-right: 10px; }
+  .charts { grid-template-columns: minmax(0, 1fr); }
+  .parameters, .parameters tbody, .parameters tr, .parameters th, .parameters td { display: block; }
+  .parameters tr:first-child { display: none; }
+  .parameters th { border-bottom: 0; font-weight: 600; padding-bottom: 2px; }
+  .parameters td { display: flex; justify-content: space-between; gap: 12px; border-bottom: 0; padding: 2px 0; text-align: right; }
+  .parameters td:last-child { border-bottom: 1px solid var(--line); padding-bottom: 8px; }
+  .parameters td::before { content: attr(data-head); color: var(--soft); text-align: left; }
+}
 @media print { .stack { gap: 8px; } .stack img { grid-area: auto; clip-path: none !important; } .compare input { display: none; } }
 """
