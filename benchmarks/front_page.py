@@ -92,7 +92,8 @@ def draw(rows: list[tuple[Task, list[Tensor]]]) -> Image.Image:
     pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(15)
     for number, (task, images) in enumerate(rows):
         top = MARGIN + number * (SIZE + LABEL + MARGIN)
-        for column, (title, image) in enumerate(zip((f"{task.title}: before", "true", "recovered", task.derivative), images)):
+        titles = f"{task.title}: before", "true", "recovered", task.derivative
+        for column, (title, image) in enumerate(zip(titles, images)):
             left = MARGIN + column * (SIZE + MARGIN)
             pen.text((left, top + 6), title, "black", font)
             pixels = (image.clamp(0, 1) * 255).round().permute(1, 2, 0).cpu().numpy().astype(np.uint8)

@@ -243,7 +243,7 @@ def bounces_taken(integrand: Integrand, dtype: torch.dtype, bounce: Bounce = bou
 def recordable(integrand: Integrand) -> bool:
     """True if bounces may be recorded: those of compiled stages, on the CPU, which autograd does not record. Who is asked
     outside is told no tangents."""
-    return (hasattr(integrand.stages.rows, "into") and not (integrand.attached and torch.is_grad_enabled())
+    return (integrand.stages.is_compiled and not (integrand.attached and torch.is_grad_enabled())
             and not (integrand.proposal.layout.reads_outside and inside_dual_level())
             and (integrand.caster is None or hasattr(integrand.caster, "reads"))
             and integrand.proposal.lights.choice.pmf.device.type == "cpu")

@@ -16,13 +16,14 @@ from torch_radbp.jit.dual import tensors_of
 from torch_radbp.jit.order import chosen
 from torch_radbp.jit.recorded import Given, Recorded
 from torch_radbp.jit.recording import Reserve
+from torch_radbp.jit.stages import Stages
 from torch_radbp.jit.structure import flatten
-from torch_radbp.path.integrand import Stages
 from torch_radbp.path.integrand import number as number_of
 from torch_radbp.path.recorded_bounce import RECORDINGS, lying, recorded, without_contents
 from torch_radbp.path.wavefront import put_rows
 from torch_radbp.scene.interaction import triangle_normal
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import TINY, Vec3, dot, rows
 
@@ -85,16 +86,17 @@ def difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairi
 def depth_by_depth(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairing,
                    depths: tuple[Tensor, ...]) -> Difference:
     """As `difference`; `depths`: the numbers of the vertices."""
-    found, whole = stages.unparted(pairs), None
+    found, whole = stages(unparted)(pairs), None
     for depth, vertices in zip(depths, path):
-        found = stages.parted(surfaces, vertices, pairs, found, depth)
+        found = stages(parted)(surfaces, vertices, pairs, found, depth)
         if whole is None:  # what parts at once, or meets nothing ideal, needs no further look
             whole, onwards = found, chosen(found.alike)
-            pairs, found = stages.rows((pairs, found), onwards)
+            pairs, found = stages(rows)((pairs, found), onwards)
     put_rows(whole, onwards, found)
     return whole
 
 
+@stage()
 def unparted(pairs: Pairing) -> Difference:
     """Paths of which nothing is known."""
     nothing = torch.zeros_like(pairs.first, dtype=torch.int32)
@@ -102,6 +104,7 @@ def unparted(pairs: Pairing) -> Difference:
                       torch.ones_like(nothing, dtype=torch.bool))
 
 
+@stage("surfaces", "vertices")
 def parted(surfaces: Surfaces, vertices: Vertices, pairs: Pairing, so_far: Difference, number: Tensor) -> Difference:
     """How paths part that have come so far.
 

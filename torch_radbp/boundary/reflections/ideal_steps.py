@@ -38,7 +38,8 @@ from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import Onward, Step, appearances_met, bounce_queues, first_hit, put_rows
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import shading_normal, triangle_normal
-from torch_radbp.tensors.vec import Ray, Vec3, dot, max_component
+from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.vec import Ray, Vec3, dot, max_component, rows
 
 # What is known of a vertex, bits of a number: the path meets the side of the shading normal; it is scattered ideally, and
 # goes on; to the other side of the shading normal; on the side of the triangle's own normal; it ends, on a surface that the
@@ -89,21 +90,21 @@ def ideal_step(integrand: Integrand, surfaces: Surfaces, ideal: Ideal, onward: O
     """
     state, stages = onward.packed(integrand), integrand.stages
     hit = first_hit(integrand, state.ray, depth)
-    onwards, ahead = stages.no_direction(state.ray.d), None
+    onwards, ahead = stages(no_direction)(state.ray.d), None
     order, vertex = (state.lane[:0], None) if integrand.is_last(depth) else (
         ideally_scattered(integrand, ideal, state, hit, depth))
     if vertex is not None:
-        goes_on = chosen(stages.scattered_ideally(vertex.next.pdf, vertex.survives, vertex.next.beta))
-        put_rows(onwards, *stages.rows((order, vertex.next.ray.d), goes_on))
+        goes_on = chosen(stages(scattered_ideally)(vertex.next.pdf, vertex.survives, vertex.next.beta))
+        put_rows(onwards, *stages(rows)((order, vertex.next.ray.d), goes_on))
         ahead = Onward(vertex.next, goes_on)
-    return state.lane, stages.ideal_vertex(surfaces, state.ray, hit, onwards), ahead
+    return state.lane, stages(ideal_vertex)(surfaces, state.ray, hit, onwards), ahead
 
 
 def ideally_scattered(integrand: Integrand, ideal: Ideal, state: PathState, hit: Hit,
                       depth: int) -> tuple[Tensor, Vertex | None]:
     """The lanes that may be scattered ideally, (M,) int32, and their vertices; None if there are none."""
     number, front = appearances_met(integrand, state.ray, hit)
-    order, counts = partition(integrand.stages.rows(ideal.queue_of, number), len(ideal.numbers) + 1)
+    order, counts = partition(integrand.stages(rows)(ideal.queue_of, number), len(ideal.numbers) + 1)
     queues, first = [], 0
     for appearance, count in zip(ideal.numbers, counts):
         if count:
@@ -117,16 +118,19 @@ def ideally_scattered(integrand: Integrand, ideal: Ideal, state: PathState, hit:
     return step.order, vertex
 
 
+@stage()
 def no_direction(d: Vec3) -> Vec3:
     """(N,) zeros, to write directions into."""
     return d * 0.0
 
 
+@stage()
 def scattered_ideally(pdf: Tensor, survives: Tensor, beta: Vec3) -> Tensor:
     """(N,) bool: paths go on from vertices, in directions of such densities that are not left to chance."""
     return torch.isinf(pdf) & survives & (max_component(beta) > 0)
 
 
+@stage("surfaces")
 def ideal_vertex(surfaces: Surfaces, ray: Ray, hit: Hit, onwards: Vec3) -> Reached:
     """What is known of vertices that rays meet, (N,); `onwards`: the directions in which paths go on ideally; 0: in none."""
     n = triangle_normal(surfaces, hit)
