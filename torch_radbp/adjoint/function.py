@@ -13,9 +13,9 @@ from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.checked_sweep import CheckedSweep
 from torch_radbp.adjoint.images import render_images
 from torch_radbp.adjoint.record import record_wavefront
-from torch_radbp.adjoint.recorded_sweep import sweep_of
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import Sweep, numbered_leaves
+from torch_radbp.adjoint.taped_sweep import sweep_of
 from torch_radbp.call.chunks import Chunk
 from torch_radbp.call.finite import Finding, NonFiniteError, count_of_bad, finite, gradient_error
 from torch_radbp.call.pixels import asked_of_pixels, filters_of, lane_adjoint, weighted

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.bounce import bounce_adjoint, empty_memo
+from torch_radbp.adjoint.bounce import Memo, bounce_adjoint, empty_memo
 from torch_radbp.adjoint.local_map import Verdict
 from torch_radbp.adjoint.outside import HELD, ModuleAdjoint, ModuleGradients, values_that_move
 from torch_radbp.adjoint.scatter import Contribution, Gradients
@@ -124,7 +124,7 @@ class Sweep:
         step = self.record.steps.get(depth)
         if step is None:
             step = take_step(self.integrand, state, depth, with_light=False)[-1]
-        self.modules.hold(self.differentiate(state, step, depth), len(state.lane))
+        self.modules.hold(self.differentiate(state, step, self.memo, self.adj_L, depth), len(state.lane))
         if self.modules.lanes > HELD:
             self.finish()
 
@@ -132,11 +132,11 @@ class Sweep:
         """Adds what is still missing to the gradients."""
         self.modules.add_held()
 
-    def differentiate(self, state: PathState, step: Step, depth: int) -> tuple[ModuleAdjoint, ...]:
+    def differentiate(self, state: PathState, step: Step, memo: Memo, adj_L: Vec3, depth: int) -> tuple[ModuleAdjoint, ...]:
         """As `adjoint`, of a bounce whose decisions are known, but for the gradients of modules: returns the adjoints."""
         integrand, arrival = self.integrand, step.arrival(state)
-        same = integrand.stages(bounce_adjoint).taken(arrival=arrival, adj_L=self.adj_L, memo=self.memo,
-                     at=integrand.at(depth), settings=integrand.settings_at(depth))
+        same = integrand.stages(bounce_adjoint).taken(
+            arrival=arrival, adj_L=adj_L, memo=memo, at=integrand.at(depth), settings=integrand.settings_at(depth))
         reached, *of_chunk, at, settings = same
         queues = [(queue, known) for queue, known in zip(step.queues, step.texture_values)
                   if queue.first < queue.last and queue.derivative]
@@ -163,5 +163,5 @@ class Sweep:
                 found += [Contribution(leaf, row, part) for row, adj_p in zip(corners, above.adj_corners)
                           for leaf, part in zip(self.of_positions, adj_p)]
             self.gradients.add(found)
-            put_rows(self.memo, integrand.stages(rows)(state.lane, lanes), above)
+            put_rows(memo, integrand.stages(rows)(state.lane, lanes), above)
         return asked_of_modules

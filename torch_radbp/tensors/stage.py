@@ -11,7 +11,7 @@ DECLARED: dict[Callable, tuple[str, ...]] = {}  # each stage that is imported, w
 
 
 def stage(*tables: str) -> Callable[[Function], Function]:
-    """Declares a function as a stage, which `jit.stages` runs in plain torch or as one loop.
+    """Declares a function as a stage: `jit.stages` runs it in plain torch or as one loop.
 
     It stays an ordinary function of torch, and other stages may call it. Depth and seed are tensors, so that bounces, chunks,
     iterations and scenes of the same kinds of things share one loop.

@@ -16,8 +16,8 @@ from torch_radbp.call.render_call import RenderCall, started
 from torch_radbp.path.bounce import CameraSample, sample_camera
 from torch_radbp.path.event import Scatters
 from torch_radbp.path.integrand import Integrand, number
-from torch_radbp.path.recorded_bounce import bounces_taken
 from torch_radbp.path.state import PathState
+from torch_radbp.path.taped_bounces import bounces_taken
 from torch_radbp.path.wavefront import Onward, put_rows
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.running_sum import running_sum
