@@ -4,8 +4,8 @@
     played = tape.play(key, step, arguments, count)     # the first call of a kind records, later ones only play
 
 Between the loops of a step Python would decide which comes next. It does so once, while a `Recording` listens.
-What differs from call to call, lanes, numbers of lanes and tables, is given to what was recorded. Recordings are kept for the
-process, by all that they depend on.
+What differs from call to call, lanes, numbers of lanes and tables, is given to what was recorded. Recordings are kept for
+the process, by all that they depend on.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ class Tape:
         return Played(dual(*results) if taped.dual else results, [numbers[place] for place in taped.counts], taped.constant)
 
     def link(self, key: tuple, step: Step, arguments: tuple, blank: Callable) -> tuple[Link | None, Given]:
-        """A step whose results are handed to the next one, tile by tile, as the first of its arguments; and what it is given.
+        """A step whose results are handed to the next one, tile by tile, as the first of its arguments; and its tensors.
 
         Args are as for `play`; None: it cannot be recorded.
         """
