@@ -17,10 +17,10 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from benchmarks.ptxas import Usage, assemble, find
-from tests.rendering.recorded import SAMPLINGS, SCENES, calls_of
+from tests.rendering.recorded import SAMPLINGS, SCENES, calls_of, stage_named
 from torch_radbp.jit.gpu import Gpu
 from torch_radbp.jit.nvptx import ptx
-from torch_radbp.rendering.stages import fused
+from torch_radbp.jit.stages import CompiledStages
 
 ARCHITECTURES = ("sm_80", "sm_90")
 
@@ -58,7 +58,7 @@ def kernels(scene: str, sampling: str) -> Iterator[Kernel]:
     for stage, cases in calls_of(scene, sampling).items():
         for arguments in cases.values():
             listing = Listing()
-            getattr(fused(Gpu(listing)), stage).fused.prepared(arguments)[0].load()
+            CompiledStages(Gpu(listing))(stage_named(stage)).fused.prepared(arguments)[0].load()
             scatterer = arguments[0].layout.scatterer if stage in ("bounce", "bounce_adjoint") else None
             kind = "" if scatterer is None else type(scatterer.kind).__name__
             yield from (Kernel(stage, kind, text) for text in listing.texts)

@@ -41,11 +41,11 @@ import torch
 from benchmarks.peers import Ours
 from benchmarks.resident import MIB, peak_of
 from benchmarks.scenes import ALL, QUICK, SCENES
-from torch_radbp.adjoint import function, recorded_sweep
+from torch_radbp.adjoint import function, taped_sweep
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.boundary import JumpWatch
 from torch_radbp.jit import LaneFunction, cpu
-from torch_radbp.path import recorded_bounce
+from torch_radbp.path import taped_bounces
 from torch_radbp.raycast.direct import Direct
 from torch_radbp.raycast.embree import Embree
 from torch_radbp.rendering.renderer import Renderer
@@ -99,7 +99,7 @@ def clocked() -> Iterator[Clock]:
     """Times all parts while it is open."""
     clock = Clock()
     with ExitStack() as stack:
-        for module in (recorded_bounce, recorded_sweep):
+        for module in (taped_bounces, taped_sweep):
             stack.enter_context(patch.object(module, "recordable", lambda integrand: False))
         for part, places in TIMED.items():
             for owner, name in places:

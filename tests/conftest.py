@@ -6,6 +6,8 @@ from importlib import import_module
 import pytest
 import torch
 
+from torch_radbp.jit.stages import CompiledStages
+
 pytest_plugins = ["pytester"]
 
 GPU = "gpu: needs a CUDA GPU"
@@ -43,7 +45,7 @@ def compiled(request) -> bool:
 @pytest.fixture
 def fresh_stages(monkeypatch):
     """The stages that compiled renderings run during the test; nothing is compiled before."""
-    stages = import_module("torch_radbp.rendering.stages").compiled.__wrapped__()
+    stages = CompiledStages()
     monkeypatch.setattr(import_module("torch_radbp.rendering.renderer"), "compiled", lambda: stages)
     return stages
 

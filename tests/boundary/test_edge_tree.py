@@ -11,10 +11,10 @@ from torch_radbp.boundary.shadows import hidden_light
 from torch_radbp.boundary.shadows.edge_tree import angle_of_node, rounded
 from torch_radbp.boundary.shadows.edges_tried import FEWEST, edges_tried, eyes_for_each
 from torch_radbp.boundary.shadows.eyes import Eyes, Lobe
-from torch_radbp.boundary.shadows.seen_edges import Casting, angle_seen, extent_of, places_seen
+from torch_radbp.boundary.shadows.seen_edges import Casting, angle_seen, edge_found, extent_of, places_seen
 from torch_radbp.boundary.shadows.ways_down import ways_down
 from torch_radbp.io.transform import rotate, scale, translate
-from torch_radbp.rendering.stages import EAGER, compiled
+from torch_radbp.jit.stages import EAGER, compiled
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.tensors.vec import Vec3, dot, normalize, rows
 
@@ -140,7 +140,7 @@ def test_places_are_no_more_than_ways_that_found_an_edge(casting):
     key = SampleKey(torch.tensor(3, dtype=torch.int32), torch.tensor(-1, dtype=torch.int32))
     eyes = rows(eyes_around(), torch.arange(40))
     ways = ways_down(EAGER, casting.tree, eyes, key, 4, extent_of(geometry))
-    found = EAGER.edge_found(geometry, casting.outline.slots, eyes, ways, extent_of(geometry))
+    found = EAGER(edge_found)(geometry, casting.outline.slots, eyes, ways, extent_of(geometry))
     most = int((found.edge >= 0).sum())
     assert 0 < most < 4 * len(eyes.w)
     assert [len(places_seen(EAGER, geometry, casting, eyes, key, 4, count).edge) for count in (most // 2, 4096)] == [

@@ -11,11 +11,11 @@ from tests.scenes import diffuse, load, rectangle, sensor
 from torch_radbp.boundary.geometry import Between, geometry_of, positions
 from torch_radbp.boundary.shadows import hidden_light
 from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.boundary.shadows.hidden_light import Cuts, cut_at
+from torch_radbp.boundary.shadows.hidden_light import Cuts, cut_at, cut_course
 from torch_radbp.boundary.shadows.lines_through_edges import solid_angle
 from torch_radbp.boundary.shadows.seen_edges import corners_of, extent_of, places_seen
 from torch_radbp.io.transform import rotate, scale, translate
-from torch_radbp.rendering.stages import EAGER, compiled
+from torch_radbp.jit.stages import EAGER, compiled
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Ray, Vec2, dot, interpolated, normalize, rows, unit_normal
@@ -68,7 +68,7 @@ def test_places_count_for_no_more_than_the_angle_that_their_edges_sweep(monkeypa
     from which planes that lie edge-on behind these look otherwise."""
     _, geometry, casting, points, at, passed, hit, _, found = asked_of("all_cuts", monkeypatch, torch.float64, 0.7, 300.0)
     nothing = hit._replace(prim=torch.full_like(hit.prim, -1))
-    basis, across, _ = EAGER.cut_course(geometry, casting.outline, at, passed, nothing, extent_of(geometry))
+    basis, across, _ = EAGER(cut_course)(geometry, casting.outline, at, passed, nothing, extent_of(geometry))
 
     def swept(cuts: Cuts, normal: Vec2) -> torch.Tensor:
         here, moved = (cut_at(geometry, casting.outline, at, cuts, off=off) for off in (None, passed.outwards * 1e-9))

@@ -7,9 +7,9 @@ from tests.boundary.test_edge_tree import eyes_around, of_each
 from tests.boundary.test_intersections import triangles
 from torch_radbp.boundary.intersections import Bodies, intersections
 from torch_radbp.boundary.shadows.seen_edges import angle_of, extent_of
-from torch_radbp.boundary.shadows.segment_tree import ends_of, segment_tree
+from torch_radbp.boundary.shadows.segment_tree import ends_of, segment_found, segment_tree
 from torch_radbp.boundary.shadows.ways_down import ways_down
-from torch_radbp.rendering.stages import EAGER, compiled
+from torch_radbp.jit.stages import EAGER, compiled
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.tensors.vec import rows
 
@@ -28,7 +28,7 @@ def test_what_is_found_adds_up_to_all_that_is_seen(stages):
     for seed in range(32):
         key = SampleKey(torch.tensor(seed, dtype=torch.int32), torch.tensor(-1, dtype=torch.int32))
         ways = ways_down(stages, tree, eyes, key, EACH, extent)
-        found = stages.segment_found(geometry, segments, tree.slots, eyes, ways, extent)
+        found = stages(segment_found)(geometry, segments, tree.slots, eyes, ways, extent)
         there = found.edge >= 0
         assert there.double().mean() > 0.5
         assert torch.allclose(found.angle[there], angle[ways.eye.long(), found.edge.long()][there])

@@ -10,7 +10,7 @@ from tests.deep import deep, deep_but_every
 from tests.derivatives.extremes import CASES
 from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor
 from torch_radbp.bsdf.roughconductor import RoughConductorKind
-from torch_radbp.path.recorded_bounce import RECORDINGS
+from torch_radbp.jit.tape import RECORDINGS
 from torch_radbp.plugin import REGISTRY
 from torch_radbp.scene.pack import pack
 

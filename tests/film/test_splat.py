@@ -16,9 +16,9 @@ from torch_radbp.film.gaussian import Gaussian
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.film.lanczos import Lanczos
 from torch_radbp.film.mitchell import Mitchell
-from torch_radbp.film.splat import Block, Deposited, asked_of_sums, sums_of
+from torch_radbp.film.splat import Block, Deposited, asked_of_sums, deposited, sums_of
 from torch_radbp.film.tent import Tent
-from torch_radbp.rendering.stages import EAGER, compiled
+from torch_radbp.jit.stages import EAGER, compiled
 from torch_radbp.tensors.vec import Vec2
 
 FILTERS = {"box": Box(), "wide box": Box(radius=1.2), "tent": Tent(), "narrow tent": Tent(radius=0.4),
@@ -134,7 +134,7 @@ def test_recorded_sums_have_the_derivatives_of_autograd_and_second_ones(name):
 def test_compiled_and_eager_sums_are_the_same_but_for_rounding():
     kernel, generator = Gaussian().kernel(), torch.Generator().manual_seed(2)
     u, v, value = (torch.rand(7 * 11, generator=generator, dtype=torch.float64) for _ in range(3))
-    found = [sums_of(stages.deposited, kernel, (value,), Block(Vec2(u, v), 11, 11)) for stages in (EAGER, compiled())]
+    found = [sums_of(stages(deposited), kernel, (value,), Block(Vec2(u, v), 11, 11)) for stages in (EAGER, compiled())]
     assert found[0].shape == (5, 5, 2, 7) and found[0].abs().max() > 1
     torch.testing.assert_close(found[1], found[0], rtol=0, atol=1e-14)
     asked, = asked_of_sums(kernel, Block(Vec2(u, v), 11, 11), found[0][:, :, 1:])

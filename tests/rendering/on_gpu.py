@@ -7,12 +7,12 @@ from importlib import import_module
 import pytest
 
 from torch_radbp.jit.gpu import Gpu
-from torch_radbp.rendering import stages
+from torch_radbp.jit.stages import CompiledStages
 
 
 def render_on(device: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
     """Compiled renderings run on `device` during the test; it begins with nothing compiled."""
-    fused = stages.fused(device)
+    fused = CompiledStages(device)
     monkeypatch.setattr(import_module("torch_radbp.rendering.renderer"), "compiled", lambda: fused)
     for module in ("order", "scatter"):
         monkeypatch.setattr(import_module(f"torch_radbp.jit.{module}"), "target_of", lambda of: device)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from importlib import import_module
 from unittest import mock
 
@@ -13,10 +14,10 @@ from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import cotangent
 from tests.texture.networks import lit_room, room
 from torch_radbp.film.gaussian import Gaussian
+from torch_radbp.jit.stages import PlainStages
 from torch_radbp.jit.structure import flatten
-from torch_radbp.path.integrand import Stages
-from torch_radbp.rendering.stages import EAGER
 from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.stage import DECLARED
 
 NETWORKS = {"networks": room, "shining networks": lit_room}
 SEED = 1
@@ -25,19 +26,25 @@ SAMPLINGS = ("hybrid", "attached")
 Calls = dict[str, dict[tuple, tuple]]  # arguments, by the stage's name and their structure
 
 
-def recording() -> tuple[Stages, Calls]:
+def recording() -> tuple[PlainStages, Calls]:
     """The eager stages, and where the arguments of their calls are noted."""
-    found: Calls = {name: {} for name in EAGER._fields}
+    found: Calls = {stage.__name__: {} for stage in DECLARED}
 
-    def watched(name: str, stage):
+    def watched(stage: Callable) -> Callable:
         def call(*arguments):
             key: list = []
             flatten(arguments, [], key)
-            found[name].setdefault(tuple(key), detached(arguments))  # some calls are recorded by autograd
+            found[stage.__name__].setdefault(tuple(key), detached(arguments))  # some calls are recorded by autograd
             return stage(*arguments)
         return call
 
-    return EAGER._make(watched(name, stage) for name, stage in EAGER._asdict().items()), found
+    return PlainStages({stage: watched(stage) for stage in DECLARED}), found
+
+
+def stage_named(name: str) -> Callable:
+    """The stage of a name."""
+    stage, = (stage for stage in DECLARED if stage.__name__ == name)
+    return stage
 
 
 def build(name: str, dtype: torch.dtype = torch.float64) -> rb.Scene:

@@ -9,7 +9,8 @@ from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import assert_informative, cotangent, image_and_gradients, relative_error
 from tests.scenes import CASES, cornell, parameters
 from torch_radbp.boundary import terms
-from torch_radbp.rendering import stages
+from torch_radbp.jit import stages
+from torch_radbp.path.bounce import sample_camera
 from torch_radbp.sampling.sampler import film_order, sample_key
 from torch_radbp.tensors.differentiated import detached
 
@@ -120,7 +121,7 @@ def test_camera_rays_in_double_precision():
     numbers = torch.arange(256, dtype=torch.int32)
     key = sample_key(3, 0, True, numbers.device)
     arguments = camera, film_order(SIZE, 7, numbers.device), numbers, numbers % 7, key, False
-    (expected, *_), (ray, *_) = (stage.sample_camera(*arguments) for stage in (stages.EAGER, stages.compiled()))
+    (expected, *_), (ray, *_) = (run(sample_camera)(*arguments) for run in (stages.EAGER, stages.compiled()))
     for part, wanted in zip((*ray.o, *ray.d), (*expected.o, *expected.d)):
         assert part.dtype == torch.float64 and (part - wanted).abs().max() < 1e-14
     assert expected.d.x.std() > 0.01

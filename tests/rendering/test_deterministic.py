@@ -17,7 +17,7 @@ from tests.rendering.host import place
 from tests.scenes import CASES, cornell
 from torch_radbp.check.statistics import Cotangent, Samples, compare
 from torch_radbp.jit.gpu import Gpu
-from torch_radbp.rendering import stages
+from torch_radbp.jit.stages import CompiledStages
 from torch_radbp.sampling import running_sum
 from torch_radbp.training.false_colour import error_scale, false_colour
 
@@ -41,7 +41,7 @@ def by_threads(backwards: bool, monkeypatch):
     device = Gpu(Emulated(backwards=backwards))
     with monkeypatch.context() as patch:
         patch.setattr(import_module("torch_radbp.rendering.renderer"), "compiled", lambda: fused)
-        fused = stages.fused(device)
+        fused = CompiledStages(device)
         for module in ("order", "scatter"):
             patch.setattr(import_module(f"torch_radbp.jit.{module}"), "target_of", lambda of: device)
         found = image_and_gradients(cornell(torch.float64, 8), CASES["cornell"].parameters, spp=8, max_depth=4)

@@ -18,10 +18,10 @@ from torch.utils._python_dispatch import TorchDispatchMode
 import torch_radbp as rb
 from benchmarks.ptx import Listing
 from tests.deep import deep_but
-from tests.rendering.recorded import SAMPLINGS, SCENES, build, calls_of
+from tests.rendering.recorded import SAMPLINGS, SCENES, build, calls_of, stage_named
 from torch_radbp.jit.gpu import Gpu
 from torch_radbp.jit.nvptx import ptx
-from torch_radbp.rendering.stages import EAGER, CompiledStage, fused
+from torch_radbp.jit.stages import CompiledStage, CompiledStages
 from torch_radbp.tensors.record import leaves_of, with_leaves
 
 CUDA = torch.device("cuda", 0)
@@ -91,7 +91,7 @@ def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling):
     assert scatterers == set(rb.scene.pack.pack(scene).layout.appearances)
     for name, cases in calls.items():
         for arguments in cases.values():
-            assert trace_on_cuda(getattr(EAGER, name), arguments) <= {CUDA}
+            assert trace_on_cuda(stage_named(name), arguments) <= {CUDA}
 
 
 def kernels_on_cuda(stage: CompiledStage, arguments: tuple, monkeypatch) -> list[str]:
@@ -117,14 +117,14 @@ REST = [pytest.param(name, sampling, marks=pytest.mark.deep, id=f"{name}-{sampli
 @pytest.mark.parametrize("name, sampling", [SOME, *REST])
 def test_every_stage_of_every_appearance_is_ptx_on_cuda(name, sampling, monkeypatch):
     """The same kernels as for these arguments on the processor, by a GPU's target; and some where tables lie in rows."""
-    stages = fused()
+    stages = CompiledStages()
     for stage, cases in calls_of(name, sampling).items():
         for arguments in cases.values():
             apart = with_leaves(arguments, [leaf.contiguous() if isinstance(leaf, Tensor) else leaf
                                             for leaf in leaves_of(arguments)])  # as tensors without contents lie
-            texts, here, in_rows = kernels_on_cuda(getattr(stages, stage), apart, monkeypatch), Listing(), Listing()
-            getattr(fused(Gpu(here)), stage).fused.prepared(apart)[0].load()
-            getattr(fused(Gpu(in_rows)), stage).fused.prepared(arguments)[0].load()
+            texts, here, in_rows = kernels_on_cuda(stages(stage_named(stage)), apart, monkeypatch), Listing(), Listing()
+            CompiledStages(Gpu(here))(stage_named(stage)).fused.prepared(apart)[0].load()
+            CompiledStages(Gpu(in_rows))(stage_named(stage)).fused.prepared(arguments)[0].load()
             assert texts == here.texts and (texts or stage == "material_value")  # some colours are arguments as they are
             assert all(".visible .entry lanes(" in ptx(text, "sm_90") and "store" in text
                        for text in {*texts, *in_rows.texts})

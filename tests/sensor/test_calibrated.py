@@ -15,7 +15,8 @@ from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.film.tent import Tent
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.io.write import save
-from torch_radbp.rendering.stages import EAGER, compiled
+from torch_radbp.jit.stages import EAGER, compiled
+from torch_radbp.path.bounce import sample_camera
 from torch_radbp.sampling.sampler import film_order, sample_key
 from torch_radbp.sensor.calibrated import LENSES, Calibrated
 from torch_radbp.sensor.perspective import Perspective
@@ -86,7 +87,7 @@ def test_compiled_rays_are_the_eager_ones(coefficients):
     arguments = (detached(sensor.tensors()), film_order(16, 7, numbers.device), numbers, numbers % 7,
                  sample_key(3, 0, True, numbers.device), True)
     (expected, _, weight, cone, _), (found, _, counts, fused, _) = (
-        stages.sample_camera(*arguments) for stages in (EAGER, compiled()))
+        stages(sample_camera)(*arguments) for stages in (EAGER, compiled()))
     assert torch.equal(weight, counts) and weight.min() == weight.max() == 1
     for part, wanted in zip((*found.o, *found.d, *fused), (*expected.o, *expected.d, *cone)):
         assert (part - wanted).abs().max() < 1e-13

@@ -13,8 +13,8 @@ from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.io.transform import rotate, translate
 from torch_radbp.io.write import save
-from torch_radbp.path.bounce import APERTURE_U, APERTURE_V
-from torch_radbp.rendering.stages import EAGER, compiled
+from torch_radbp.jit.stages import EAGER, compiled
+from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, sample_camera
 from torch_radbp.sampling.sampler import CAMERA_COUNTER, bounce_key, film_order, lane_key, sample_key, uniform
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.sensor.thinlens import ThinLens
@@ -93,7 +93,7 @@ def test_compiled_rays_are_the_eager_ones():
     sample = torch.arange(64, dtype=torch.int32)
     arguments = (detached(camera().tensors()), film_order(12, 64, sample.device), torch.full_like(sample, 40), sample,
                  sample_key(3, 0, True, sample.device), False)
-    (expected, *_), (found, *_) = (stages.sample_camera(*arguments) for stages in (EAGER, compiled()))
+    (expected, *_), (found, *_) = (stages(sample_camera)(*arguments) for stages in (EAGER, compiled()))
     for part, wanted in zip((*found.o, *found.d), (*expected.o, *expected.d)):
         assert (part - wanted).abs().max() < 1e-14
     assert expected.o.x.std() > 0.01

@@ -22,8 +22,8 @@ from tests.scenes import load, rectangle, rgb, sensor
 from tests.texture.networks import LAMP, mlp, room, textured
 from torch_radbp.io.attribute_values import options
 from torch_radbp.io.transform import scale
+from torch_radbp.jit.stages import compiled
 from torch_radbp.plugin import REGISTRY, Texture, attributes
-from torch_radbp.rendering.stages import compiled
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 TOLERANCE = 1e-10  # hundreds of lanes, each some hundred roundings of 1e-16

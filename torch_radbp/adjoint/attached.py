@@ -5,8 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.local_map import Verdict
+from torch_radbp.adjoint.local_map import Verdict, attached_vertex
 from torch_radbp.jit.dual import dual
+from torch_radbp.jit.stages import EAGER
 from torch_radbp.jit.team import loops_together
 from torch_radbp.path.bounce import places_of
 from torch_radbp.path.integrand import Integrand
@@ -14,7 +15,7 @@ from torch_radbp.path.queues import Queue
 from torch_radbp.path.state import PathState
 from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.path.trace import Visit, trace
-from torch_radbp.path.wavefront import Onward, Step, bounced, put_rows, room_for_vertices, surviving, take_step
+from torch_radbp.path.wavefront import Onward, Step, bounced, brightened, put_rows, room_for_vertices, surviving, take_step
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined, rows_between
@@ -34,17 +35,17 @@ def bounced_twice(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | No
     fixed, stages, state = integrand.still(), integrand.stages, onward.packed(integrand)
     vertex, _, step = take_step(fixed, detached(state), depth, hit=onward.hit, with_light=False)
     alive = surviving(step)
-    hit = None if integrand.is_last(depth) else fixed.caster.intersect(stages.rows(vertex.next.ray, alive))
+    hit = None if integrand.is_last(depth) else fixed.caster.intersect(stages(rows)(vertex.next.ray, alive))
     E, ahead = attached_vertices(integrand, state, depth, step, spread(hit, alive, step.scattered))
     if E is not None:
         order, lane = step.order[:step.scattered], vertex.next.lane
-        put_rows(L, lane, stages.brightened(L, state.beta, order, lane, E, None, None))
+        put_rows(L, lane, stages(brightened)(L, state.beta, order, lane, E, None, None))
         ahead = ahead._replace(vantage=vertex.next.vantage)
     light = attached_light(integrand, state, depth, step)
     if light is not None:
         order = step.order[step.scattered:]
-        ended = stages.rows(state.lane, order)
-        put_rows(L, ended, stages.brightened(L, state.beta, order, ended, light, None, None))
+        ended = stages(rows)(state.lane, order)
+        put_rows(L, ended, stages(brightened)(L, state.beta, order, ended, light, None, None))
     return state, step, Onward(vertex.next if ahead is None else ahead, alive, hit)
 
 
@@ -67,11 +68,11 @@ def attached_vertices(integrand: Integrand, state: PathState, depth: int, step: 
     queues = [queue for queue in step.queues if queue.event.scatters]
     if not queues:
         return None, None
-    stage, verdict = integrand.stages.attached_vertex, Verdict(step.visible, step.survives)
+    stage, verdict = integrand.stages(attached_vertex), Verdict(step.visible, step.survives)
     prepared = [(scene, proposal, reached, lanes, *rows_between((verdict, following), queue.first, queue.last), *more)
                 for queue in queues
                 for scene, proposal, reached, lanes, *more in [arguments_of(integrand, state, depth, step, queue)]]
-    if len(queues) == 1 or not hasattr(stage, "into"):
+    if len(queues) == 1 or not stage.is_compiled:
         return joined([stage(*of_queue) for of_queue in prepared])
     room = room_for_paths(integrand, state, step.scattered)
     with loops_together():
@@ -115,7 +116,7 @@ def rays_reaching(integrand: Integrand, start: PathState, depth: Tensor) -> Ray:
         rays.append(rows(state.ray, own))
         lanes.append(state.lane[own].long())
 
-    integrand = integrand._replace(max_depth=int(depth.max()) + 1).with_stages(integrand.stages.eager())
+    integrand = integrand._replace(max_depth=int(depth.max()) + 1).with_stages(EAGER)
     trace_attached(integrand, start, visit)
     place, found = torch.cat(lanes), joined(rays)
     return Ray(*(Vec3(*(torch.zeros_like(depth, dtype=part.dtype).index_copy(0, place, part) for part in parts))

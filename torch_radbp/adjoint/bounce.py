@@ -23,6 +23,7 @@ from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.lookup import Tap, tapped
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.torch_internals import tree_map
 from torch_radbp.tensors.vec import Ray, Vec3, rows
 from torch_radbp.texture.reader import TextureValue
@@ -67,6 +68,7 @@ class TableAdjoint(NamedTuple):
     adjoint: Tensor
 
 
+@stage("scene", "arrival", "adj_L", "memo")
 def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], still: tuple[bool, ...], arrival: Arrival, lanes: Tensor,
                    verdict: Verdict | None, adj_L: Vec3, memo: Memo, at: Position, settings: Settings,
                    texture_values: tuple[TextureValue, ...]

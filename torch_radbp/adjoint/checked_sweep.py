@@ -8,6 +8,7 @@ from torch import Tensor
 from torch_radbp.adjoint.bounce import bounce_adjoint
 from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.call.finite import Finding
+from torch_radbp.jit.stages import PlainStages
 from torch_radbp.path.state import Arrival, PathState
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.record import leaves_of
@@ -33,6 +34,6 @@ class CheckedSweep(Sweep):
             self.finding.look(depth, bad, arrival.hit.prim[lanes])
             return above, tables, adj_values
 
-        self.integrand = self.integrand.with_stages(self.integrand.stages._replace(bounce_adjoint=checked))
+        self.integrand = self.integrand.with_stages(PlainStages({bounce_adjoint: checked}))
         self.adjoints = {}
         super().adjoint(state, depth)

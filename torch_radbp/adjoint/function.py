@@ -13,9 +13,9 @@ from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.checked_sweep import CheckedSweep
 from torch_radbp.adjoint.images import render_images
 from torch_radbp.adjoint.record import record_wavefront
-from torch_radbp.adjoint.recorded_sweep import sweep_of
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import Sweep, numbered_leaves
+from torch_radbp.adjoint.taped_sweep import sweep_of
 from torch_radbp.call.chunks import Chunk
 from torch_radbp.call.finite import Finding, NonFiniteError, count_of_bad, finite, gradient_error
 from torch_radbp.call.pixels import asked_of_pixels, filters_of, lane_adjoint, weighted
@@ -26,6 +26,7 @@ from torch_radbp.call.render_call import (
 )
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.call.workers import in_turns
+from torch_radbp.jit.stages import EAGER
 from torch_radbp.public_call import public_call
 from torch_radbp.scene.cone import Cone
 from torch_radbp.tensors.differentiated import detached, differentiable
@@ -187,7 +188,7 @@ def camera_adjoint(call: RenderCall, chunk: Chunk, wanted: tuple[bool, ...], adj
     sensors = [view._replace(camera=summed(with_leaves(view.camera, leaves))) if number == chunk.sensor else other
                for number, other in enumerate(call.views)]
     with torch.enable_grad():
-        start = start_paths(call._replace(views=sensors, stages=call.stages.eager()), Wavefront((chunk,)), 1)
+        start = start_paths(call._replace(views=sensors, stages=EAGER), Wavefront((chunk,)), 1)
         inputs = [leaf for leaf, want in zip(leaves, wanted) if want]
         outputs, adjoints = (leaves_of((ray, cone or ())) for ray, cone in ((start.ray, start.cone), (adj_ray, adj_cone)))
         adjoints = vector_jacobian_product(outputs, inputs, adjoints)

@@ -41,8 +41,7 @@ def check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None
     def trace_again(integrand: Integrand, finding: Finding) -> None:
         for wavefront in call.wavefronts:
             if finding.depth is None:
-                trace_wavefront(call, integrand.with_stages(checked_stages(integrand.stages, finding)), wavefront, 0,
-                                record=False)
+                trace_wavefront(call, integrand.with_stages(checked_stages(finding)), wavefront, 0, record=False)
 
     with torch.no_grad():
         call = call.still()

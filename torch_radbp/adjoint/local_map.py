@@ -14,6 +14,7 @@ from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.interaction import Corners
 from torch_radbp.scene.outgoing_ray import attached_outgoing_ray
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Ray, Vec3, masked, rows
 from torch_radbp.texture.reader import TextureValue
 
@@ -61,6 +62,7 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, ver
                     followed_by(local.material, arrival.state, settings), cone_after(arrival.state, local))
 
 
+@stage("scene", "proposal", "arrival")
 def attached_vertex(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, verdict: Verdict,
                     following: Hit, at: Position, settings: Settings,
                     texture_values: tuple[TextureValue, ...]) -> tuple[Vec3, PathState]:

@@ -22,19 +22,20 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.bounce import empty_memo
+from torch_radbp.adjoint.bounce import Memo, bounce_adjoint, empty_memo
 from torch_radbp.adjoint.local_map import Verdict
 from torch_radbp.adjoint.outside import HELD, ModuleAdjoint, ModuleGradients, values_that_move
 from torch_radbp.adjoint.scatter import Contribution, Gradients
 from torch_radbp.path.event import Ends, Event
-from torch_radbp.path.integrand import Integrand, knowing, taken
+from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.texture_networks import values_of_queues
 from torch_radbp.path.wavefront import Step, put_rows, survivors, take_step
+from torch_radbp.scene.interaction import corner_rows
 from torch_radbp.scene.part import leaves_of_part
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.record import rows_between, with_leaves
-from torch_radbp.tensors.vec import Vec2, Vec3
+from torch_radbp.tensors.vec import Vec2, Vec3, rows
 
 
 class PathRecord(NamedTuple):
@@ -101,7 +102,7 @@ class Sweep:
             still = self.integrand.scene.layout.still[event.appearance] if event.scatters else ()
             self.adjoints[event] = Adjoint(
                 part.proposal, wanted, still, [leaf for leaf in leaves if leaf is not None],
-                knowing(self.integrand.stages.bounce_adjoint, part.tables, wanted, still))
+                self.integrand.stages(bounce_adjoint).knowing(part.tables, wanted, still))
         return self.adjoints[event]
 
     def advance(self, state: PathState, depth: int) -> PathState:
@@ -123,7 +124,7 @@ class Sweep:
         step = self.record.steps.get(depth)
         if step is None:
             step = take_step(self.integrand, state, depth, with_light=False)[-1]
-        self.modules.hold(self.differentiate(state, step, depth), len(state.lane))
+        self.modules.hold(self.differentiate(state, step, self.memo, self.adj_L, depth), len(state.lane))
         if self.modules.lanes > HELD:
             self.finish()
 
@@ -131,11 +132,11 @@ class Sweep:
         """Adds what is still missing to the gradients."""
         self.modules.add_held()
 
-    def differentiate(self, state: PathState, step: Step, depth: int) -> tuple[ModuleAdjoint, ...]:
+    def differentiate(self, state: PathState, step: Step, memo: Memo, adj_L: Vec3, depth: int) -> tuple[ModuleAdjoint, ...]:
         """As `adjoint`, of a bounce whose decisions are known, but for the gradients of modules: returns the adjoints."""
         integrand, arrival = self.integrand, step.arrival(state)
-        same = taken(integrand.stages.bounce_adjoint, arrival=arrival, adj_L=self.adj_L, memo=self.memo,
-                     at=integrand.at(depth), settings=integrand.settings_at(depth))
+        same = integrand.stages(bounce_adjoint).taken(
+            arrival=arrival, adj_L=adj_L, memo=memo, at=integrand.at(depth), settings=integrand.settings_at(depth))
         reached, *of_chunk, at, settings = same
         queues = [(queue, known) for queue, known in zip(step.queues, step.texture_values)
                   if queue.first < queue.last and queue.derivative]
@@ -158,9 +159,9 @@ class Sweep:
             asked_of_modules += self.modules.adjoints(scatterer, places, adj_values)
             found = [Contribution(leaf, *read) for leaf, reads in zip(adjoint.leaves, tables) for read in reads]
             if depth == 0 and above.adj_corners is not None:  # no bounce aims at what the camera sees
-                corners = integrand.part(Ends.SURROUNDINGS).call(integrand.stages.corner_rows, above.hit)
+                corners = integrand.part(Ends.SURROUNDINGS).call(corner_rows, above.hit)
                 found += [Contribution(leaf, row, part) for row, adj_p in zip(corners, above.adj_corners)
                           for leaf, part in zip(self.of_positions, adj_p)]
             self.gradients.add(found)
-            put_rows(self.memo, integrand.stages.rows(state.lane, lanes), above)
+            put_rows(memo, integrand.stages(rows)(state.lane, lanes), above)
         return asked_of_modules

@@ -11,9 +11,11 @@ from torch.utils.checkpoint import checkpoint
 from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.aov import material, path, surface
 from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, UNDIFFERENTIATED, plain
+from torch_radbp.aov.surface import surface_values
 from torch_radbp.call.pixels import deposit, developed
 from torch_radbp.call.render_call import RenderCall, camera_samples, integrand_of, started
 from torch_radbp.call.wavefronts import Wavefront
+from torch_radbp.jit.stages import EAGER
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import first_hit
@@ -58,7 +60,7 @@ def quantities_of(call: RenderCall, names: tuple[str, ...], attached: bool = Fal
     that a wavefront bounds the memory.
     """
     if attached:
-        call = call._replace(stages=call.stages.eager())
+        call = call._replace(stages=EAGER)
     integrand = call.make_integrand(call.scene).with_stages(call.stages)
     quantities = tuple(dict.fromkeys(map(plain, names)))
 
@@ -117,7 +119,7 @@ def lane_values(integrand: Integrand, start: PathState, names: tuple[str, ...], 
     moving = integrand.settings.moving
     if geometric:
         scene = summed(surface.without_materials(integrand.scene))
-        found.update(zip(geometric, integrand.stages.surface_values(scene, start.ray, hit, geometric, moving)))
+        found.update(zip(geometric, integrand.stages(surface_values)(scene, start.ray, hit, geometric, moving)))
     material_names = tuple(name for name in names if name == "albedo" or (
         name == "sh_normal" and material.turns_normals(integrand.scene)))
     if material_names:

@@ -13,6 +13,7 @@ from torch_radbp.scene.material import material_at, material_places
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.lookup import lookup, summed
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import rows, where
 from torch_radbp.texture.reader import TextureValue
 
@@ -45,7 +46,7 @@ def material_values(integrand: Integrand, state: PathState, hit: Hit, names: tup
         texture_values = texture_values_at(integrand.scene, integrand.scatterer(queue.event), places)
         for name in names:
             if name == "albedo" or integrand.scatterer(queue.event).kind.turns_normals:
-                own = integrand.stages.material_value(part, here, texture_values, integrand.settings, name)
+                own = integrand.stages(material_value)(part, here, texture_values, integrand.settings, name)
                 found[name] = tuple(old.index_copy(0, lanes.long(), new) for old, new in zip(found[name], own))
     return tuple(found[name] for name in names)
 
@@ -71,6 +72,7 @@ def turned_normal(scene: SceneTensors, arrival: Arrival, texture_values: tuple[T
 FUNCTIONS = {"albedo": albedo, "sh_normal": turned_normal}
 
 
+@stage("scene")
 def material_value(scene: SceneTensors, arrival: Arrival, texture_values: tuple[TextureValue, ...], settings: Settings,
                    name: str) -> Values:
     """One of these quantities, of lanes that meet one appearance.

@@ -21,6 +21,7 @@ from torch_radbp.scene.part import part_of
 from torch_radbp.scene.placement import for_lanes, shown
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Frame, Ray, Vec2, Vec3, attached, dot, interpolated, where
 
 Values = tuple[Tensor, ...]  # (N,) one for each channel
@@ -111,6 +112,7 @@ def without_materials(scene: SceneTensors) -> SceneTensors:
     return part_of(scene, None)._replace(triangles=triangles)
 
 
+@stage("scene")
 def surface_values(scene: SceneTensors, ray: Ray, hit: Hit, names: tuple[str, ...], moving: bool) -> tuple[Values, ...]:
     """Some quantities, one after the other; 0 where nothing is met. Args as for `sight`."""
     seen, valid = sight(scene, ray, hit, moving), (hit.prim >= 0).to(hit.t.dtype)

@@ -51,6 +51,7 @@ from torch_radbp.boundary.places import (
 )
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Vec2, Vec3, dot, interpolated, rows
 
 PROBES = ((0.1, 0.15, 0.5), (0.3, 0.5, 0.15), (0.5, 0.5, 0.5), (0.7, 0.5, 0.85), (0.9, 0.85, 0.5))  # s, and the aperture
@@ -123,6 +124,7 @@ def beyond_far(camera: Camera, p: Vec3, n: None, aperture: Vec2 | None) -> Tenso
 LEVELS: dict[int, Level] = {RIM: facing, NEAR: beyond_near, FAR: beyond_far}
 
 
+@stage("geometry", "sight")
 def crosses(geometry: Geometry, sight: Sight, faces: Faces, kinds: tuple[int, ...]) -> tuple[Tensor, ...]:
     """True for triangles in which there may be a curve of a kind, in view from somewhere on the lens; (F,) bool for each.
 
@@ -146,6 +148,7 @@ def crosses(geometry: Geometry, sight: Sight, faces: Faces, kinds: tuple[int, ..
     return tuple(of_kind(kind) for kind in kinds)
 
 
+@stage("geometry", "sight")
 def contour_length(geometry: Geometry, sight: Sight, faces: Faces, kind: int) -> tuple[Tensor, Tensor]:
     """The lengths on the film of curves in triangles, in view and on the whole, by some lines through each; (F,) pixels.
 
@@ -167,6 +170,7 @@ def contour_length(geometry: Geometry, sight: Sight, faces: Faces, kind: int) ->
     return inside * (1.0 / len(PROBES)), whole * (1.0 / len(PROBES))
 
 
+@stage("geometry", "sight", "faces", "lot")
 def contour_place(geometry: Geometry, sight: Sight, faces: Faces, lot: Lot, count: Tensor, lane: Tensor,
                   kind: int) -> Places:
     """Places on the curves of one kind, in proportion to lengths on the film.

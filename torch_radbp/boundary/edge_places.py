@@ -30,6 +30,7 @@ from torch_radbp.boundary.silhouette import is_silhouette
 from torch_radbp.boundary.terminators import light_may_end
 from torch_radbp.scene.interaction import clearance
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Vec2, Vec3, dot, normalize, rows, unit_normal
 
 COPLANAR = 1e-6  # half of the difference of unit normals, below which triangles lie in one plane
@@ -39,6 +40,7 @@ INWARDS = 1e-3  # the same as a barycentric weight of the vertex opposite: at mo
 ASKANCE = 1e-2  # cosine between line of sight and interpolated normal at the edge, up to which they are
 
 
+@stage("geometry", "sight")
 def edge_weight(geometry: Geometry, sight: Sight, outline: Outline) -> Tensor:
     """How often edges are picked, (E,) float64: by the pixels of their length in view, those that may jump less by less.
 
@@ -80,6 +82,7 @@ def folds(a: Vec3, b: Vec3, opposite: Sequence[Vec3]) -> tuple[Tensor, Tensor]:
     return tuple(torch.where(half > COPLANAR, half, 0.0) for half in apart)
 
 
+@stage("geometry", "sight", "outline", "lot")
 def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, place: Tensor) -> Places:
     """Places on an outline as a camera sees it, in proportion to lengths on the film.
 

@@ -14,6 +14,7 @@ from torch_radbp.path.bounce import CameraSample
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, rows, unit_normal
 
 NEARER = 1e-3  # share of the distance to an edge from which on what is nearer hides it surely; what is less, by its plane
@@ -35,6 +36,7 @@ class Sent(NamedTuple):
         return rows((self.sample.ray, self.hit), lane + count * way)
 
 
+@stage("geometry", "places", "sent")
 def in_sight(geometry: Geometry, places: Places, chosen: Tensor, sent: Sent, count: Tensor, lane: Tensor,
              kinds: tuple[int, ...]) -> Tensor:
     """(K,) float64, 1 for places that nothing hides, by what the rays to them, behind and ahead of them hit; 0 for others;
@@ -95,6 +97,7 @@ class PathsBeside(NamedTuple):
     hit: Hit
 
 
+@stage("places", "chosen", "sent", "times", "shown")
 def paths_beside(places: Places, chosen: Tensor, sent: Sent, times: Tensor, shown: Tensor, counts: tuple[Tensor, Tensor],
                  lane: Tensor) -> PathsBeside:
     """The paths that begin behind and ahead of places in sight.

@@ -18,8 +18,9 @@ from torch import Tensor
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.geometry import Corners, Geometry
 from torch_radbp.boundary.segments import Segments, crossings, height_above
-from torch_radbp.path.integrand import Stages
+from torch_radbp.jit.stages import Stages
 from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Vec2, Vec3, cross, dot, interpolated, rows
 
 MOST = 1 << 21  # pairs of triangles, or of bodies, that are looked at together
@@ -41,6 +42,7 @@ class Boxes(NamedTuple):
         return found
 
 
+@stage("geometry")
 def boxes_around(geometry: Geometry, faces: Faces) -> Boxes:
     """The boxes around triangles, (F,); float64. A function of lanes."""
     corners = faces.corners(geometry)
@@ -73,7 +75,7 @@ class Met(NamedTuple):
 def intersections(stages: Stages, geometry: Geometry, bodies: Bodies) -> Met:
     """The segments along which bodies meet. `geometry`: of the scene, detached."""
     faces, sizes, moves = bodies
-    boxes = stages.boxes_around(geometry, faces)
+    boxes = stages(boxes_around)(geometry, faces)
     around = boxes_of_bodies(boxes, sizes)
     pairs = meeting(around, moves)
     if not len(pairs.one):

@@ -11,8 +11,9 @@ from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.adjoint.function import asks_for_gradient, first_derivatives_only
 from torch_radbp.adjoint.scatter import Contribution, Gradients, gradients_of
 from torch_radbp.boundary.geometry import Geometry
+from torch_radbp.boundary.motion import asked_of_places, slopes, swept
 from torch_radbp.boundary.places import Places
-from torch_radbp.path.integrand import Stages
+from torch_radbp.jit.stages import Stages
 from torch_radbp.public_call import public_call
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.differentiated import detached, differentiable
@@ -40,7 +41,7 @@ class JumpFunction(torch.autograd.Function):
                 *leaves: Tensor) -> Tensor:
         wanted, wanted_of_camera = asks_for_gradient(geometry), asks_for_gradient(camera)
         geometry, camera = detached(geometry), detached(camera)
-        ctx.slopes = stages.slopes(geometry, camera, tuple(wanted), tuple(wanted_of_camera), jumps.places, jumps.shown,
+        ctx.slopes = stages(slopes)(geometry, camera, tuple(wanted), tuple(wanted_of_camera), jumps.places, jumps.shown,
                                    jumps.kinds)
         ctx.stages, ctx.camera, ctx.film, ctx.jumps = stages, camera, jumps.places.film, jumps._replace(places=None)
         ctx.leaves = [leaf.detach() for leaf in leaves]  # of which only shapes matter
@@ -57,7 +58,7 @@ class JumpFunction(torch.autograd.Function):
         everything = torch.zeros_like(jumps.shown)
         found = [Contribution(leaf, *read) for leaf, reads in enumerate(tables) for read in reads]
         found += [Contribution(len(tables) + number, everything, slope) for number, slope in enumerate(lens)]
-        asked = ctx.stages.asked_of_places(ctx.camera, pixels, ctx.film, jumps.strength, jumps.shown,
+        asked = ctx.stages(asked_of_places)(ctx.camera, pixels, ctx.film, jumps.strength, jumps.shown,
                                            tuple([part.adjoint for part in found]))
         gradients.add([Contribution(leaf, index, adjoint) for (leaf, index, _), adjoint in zip(found, asked)])
         results, _ = gradients_of([gradients])
@@ -80,8 +81,8 @@ def image_of_jumps(stages: Stages, geometry: Geometry, camera: Camera, jumps: Ju
 def recorded_jumps(stages: Stages, geometry: Geometry, camera: Camera, jumps: Jumping, shape: tuple[int, int]) -> Tensor:
     """The same with a derivative that torch records, in either mode."""
     geometry = geometry if has_tangents(geometry) else summed(geometry)
-    swept = stages.swept(geometry, camera, jumps.places, jumps.shown, jumps.kinds)
-    image = swept.new_zeros(len(jumps.strength), shape[0] * shape[1])
+    moved = stages(swept)(geometry, camera, jumps.places, jumps.shown, jumps.kinds)
+    image = moved.new_zeros(len(jumps.strength), shape[0] * shape[1])
     for pixel, count in detached(camera).film.around(rows(jumps.places.film, jumps.shown)):
-        image = image.index_add(1, pixel, torch.stack(jumps.strength) * (swept * count))
+        image = image.index_add(1, pixel, torch.stack(jumps.strength) * (moved * count))
     return image.to(camera.dtype).view(len(image), *shape)

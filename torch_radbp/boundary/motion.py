@@ -16,9 +16,11 @@ from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.differentiated import primal
 from torch_radbp.tensors.lookup import Tap, tapped
 from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Vec2, rows
 
 
+@stage("geometry", "camera", "places")
 def swept(geometry: Geometry, camera: Camera, places: Places, chosen: Tensor, kinds: tuple[int, ...]) -> Tensor:
     """(K,) zeros, attached: the areas of the film that pieces of curves sweep, pixels.
 
@@ -60,6 +62,7 @@ class Slopes(NamedTuple):
     lens: list[Tensor]  # by each wanted leaf of the camera
 
 
+@stage("geometry", "camera", "places")
 def slopes(geometry: Geometry, camera: Camera, wanted: tuple[bool, ...], wanted_of_camera: tuple[bool, ...],
            places: Places, chosen: Tensor, kinds: tuple[int, ...]) -> Slopes:
     """The derivatives of what `swept` gives.
@@ -91,6 +94,7 @@ def by_index(reads: list[TableAdjoint]) -> list[TableAdjoint]:
     return list(found.values())
 
 
+@stage("camera", "pixels", "film")
 def asked_of_places(camera: Camera, pixels: tuple[Tensor, ...], film: Vec2, strength: tuple[Tensor, ...],
                     chosen: Tensor, slopes: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
     """The derivative of the loss by numbers that swept areas have some derivatives by, (K,) float64 each.

@@ -23,8 +23,9 @@ from torch_radbp.boundary.geometry import Geometry, in_world
 from torch_radbp.boundary.intersections import Pairs, segments_between
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.call.render_call import RenderCall
-from torch_radbp.path.integrand import Stages
+from torch_radbp.jit.stages import Stages
 from torch_radbp.raycast.protocol import RayCaster
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Ray, rows
 
 SHARE, FEWEST, MOST = 64, 1 << 11, 1 << 14  # edges that are looked at: one for so many paths, at least, at most
@@ -61,6 +62,7 @@ def probes(count: int, most: int, generator: torch.Generator) -> Probes:
     return Probes((place * (count / most)).long().clamp_max(count - 1), most / count)
 
 
+@stage("geometry", "bodies")
 def ray_along_edge(geometry: Geometry, bodies: BodyEdges, chosen: Tensor) -> Ray:
     """Rays along some edges, in the dtype of the scene: from one end, t = 0, to the other, t = 1.
 
@@ -88,7 +90,7 @@ def self_intersections(caster: RayCaster, stages: Stages, geometry: Geometry, bo
         ends: (S,) int64, how many triangles there are up to the end of each shape.
     """
     chosen = looked_at.edge.to(ends.device)
-    found = list(pierced(caster, stages.ray_along_edge(geometry, bodies, chosen)))
+    found = list(pierced(caster, stages(ray_along_edge)(geometry, bodies, chosen)))
     if not found:
         return None
     edge, other, shown_by = (None if column[0] is None else torch.cat(column) for column in zip(*found))

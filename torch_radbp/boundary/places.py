@@ -14,8 +14,8 @@ from torch_radbp.boundary.geometry import Between, Geometry, positions
 from torch_radbp.boundary.silhouette import Eye
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.view import View
+from torch_radbp.jit.stages import Stages
 from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, CameraSample
-from torch_radbp.path.integrand import Stages
 from torch_radbp.sampling.sampler import (
     CAMERA_COUNTER,
     LaneKey,
@@ -29,6 +29,7 @@ from torch_radbp.sampling.sampler import (
 from torch_radbp.scene.cone import camera_cone
 from torch_radbp.sensor.frustum import Frustum
 from torch_radbp.sensor.kind import Camera
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Vec2, Vec3, dot, interpolated, max_component, rows
 
 APART = 2e-6  # share of its distance by which places on either side of a curve lie off it, through which paths are traced
@@ -113,7 +114,7 @@ known_view = functools.lru_cache(maxsize=16)(eye_and_frustum)
 
 def taken_by(stages: Stages, size: int) -> int:
     """The bytes that places take by such stages, if they take `size` in plain torch."""
-    return int(size * (FUSED if hasattr(stages.edge_place, "into") else 1.0))
+    return int(size * (FUSED if stages.is_compiled else 1.0))
 
 
 class Numbers(NamedTuple):
@@ -234,6 +235,7 @@ def depth_of(camera: Camera, p: Vec3, vertices: Sequence[Vec3], aperture: Vec2 |
     return away / torch.sqrt(dot(towards, towards))
 
 
+@stage("sight", "places", "chosen")
 def rays_beside(sight: Sight, places: Places, chosen: Tensor, count: Tensor, lane: Tensor, cones: bool) -> CameraSample:
     """Rays to places on curves, then rays behind, then rays ahead of the curves: three for each place.
 

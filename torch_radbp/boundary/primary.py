@@ -23,9 +23,11 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.forward_mode import has_tangents
+from torch_radbp.boundary.contour import contour_length, contour_place, crosses
+from torch_radbp.boundary.edge_places import edge_place, edge_weight
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.geometry import Geometry, geometry_of
-from torch_radbp.boundary.in_sight import PathsBeside, Sent
+from torch_radbp.boundary.in_sight import PathsBeside, Sent, in_sight, paths_beside
 from torch_radbp.boundary.jump_function import Jumping, image_of_jumps, recorded_jumps
 from torch_radbp.boundary.moving import MOST_SHOWN
 from torch_radbp.boundary.outline import Jumps, Outline
@@ -41,16 +43,18 @@ from torch_radbp.boundary.places import (
     Sight,
     lot_of,
     numbers_of_places,
+    rays_beside,
     sight_of,
     taken_by,
 )
-from torch_radbp.boundary.segments import Segments
+from torch_radbp.boundary.segments import Segments, segment_place, segment_weight
 from torch_radbp.boundary.silhouette import Eye
 from torch_radbp.boundary.terminators import lamps_of
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.workers import in_turns
 from torch_radbp.jit.order import chosen
-from torch_radbp.path.integrand import Integrand, Stages, taken
+from torch_radbp.jit.stages import Stages
+from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.trace import trace
 from torch_radbp.path.wavefront import first_hit
@@ -136,7 +140,7 @@ def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps
     view, found = call.views[number], None
     with torch.no_grad():
         stages, sight = still.stages, sight_of(still.views[number], lamps)
-        viewed = Viewed(stages, *taken(stages.edge_weight, geometry=geometry_of(still.scene), sight=sight), sight.camera)
+        viewed = Viewed(stages, *stages(edge_weight).taken(geometry=geometry_of(still.scene), sight=sight), sight.camera)
         places = [] if jumps is None else places_of(still, number, viewed, jumps, any(seen.turns))
         if places:
             integrand = integrand_of(still, still.integrand, number)
@@ -153,13 +157,13 @@ def places_of(call: RenderCall, number: int, viewed: Viewed, jumps: Jumps, rims:
     """Places on all curves at which view `number` may jump; `rims`: those of shading normals are among them."""
     stages, found = viewed.stages, []
     if jumps.outline is not None:
-        found.append(lines_in_view(viewed, jumps.outline, stages.edge_weight, stages.edge_place))
+        found.append(lines_in_view(viewed, jumps.outline, stages(edge_weight), stages(edge_place)))
     if jumps.faces is not None:
         kinds = [RIM] * (rims and call.scene.triangles.vertices.n is not None) + [NEAR] + [FAR] * call.views[number].clips
-        flags = stages.crosses(viewed.geometry, viewed.sight, jumps.faces, tuple(kinds))
+        flags = stages(crosses)(viewed.geometry, viewed.sight, jumps.faces, tuple(kinds))
         found += [contours_in_view(viewed, jumps.faces, kind, chosen(own)) for kind, own in zip(kinds, flags)]
     if jumps.segments is not None:
-        found.append(lines_in_view(viewed, jumps.segments, stages.segment_weight, stages.segment_place))
+        found.append(lines_in_view(viewed, jumps.segments, stages(segment_weight), stages(segment_place)))
     found = [curves for curves in found if curves is not None]
     counts = numbers_of_places([curves.length for curves in found], call, call.views[number])
     return [curves.places(count) for curves, count in zip(found, counts)]
@@ -205,7 +209,7 @@ def contours_in_view(viewed: Viewed, faces: Faces, kind: int, crossed: Tensor) -
     if not len(crossed):
         return None
     faces, aperture = rows(faces, crossed), camera.kind.has_aperture
-    inside, whole = stages.contour_length(geometry, sight, faces, kind)
+    inside, whole = stages(contour_length)(geometry, sight, faces, kind)
     length = torch.where(inside > 0.0, inside, whole)
     length = length + (LEAST_OF_LENS if aperture else LEAST) * length.mean() + float(not length.any())
     total = running_sum(length)
@@ -215,7 +219,7 @@ def contours_in_view(viewed: Viewed, faces: Faces, kind: int, crossed: Tensor) -
             count = round(count / max(float((whole > 0.0).double().mean()), 1.0 / MOST_TRIES))
         lines = torch.full((), count, dtype=torch.int32, device=length.device)
         lot = lot_of(length, count, total)
-        return stages.contour_place(geometry, sight, faces, lot, lines, lanes(2 * count, length), kind)
+        return stages(contour_place)(geometry, sight, faces, lot, lines, lanes(2 * count, length), kind)
 
     return CurvesInView(float(total[-1]), places)
 
@@ -242,7 +246,7 @@ def strengths(call: RenderCall, integrand: Integrand, viewed: Viewed, places: Pl
     most = max(FEWEST, max(wavefront.lanes for wavefront in call.wavefronts) // 2)
     blocks = counted.split(max(FEWEST, -(-len(counted) // -(-len(counted) // most))))
 
-    found = InView(places, *taken(viewed.stages.in_sight, places=places), kinds_of(places))
+    found = InView(places, *viewed.stages(in_sight).taken(places=places), kinds_of(places))
 
     def work(share: Iterable[int]) -> list[tuple[Tensor, Tensor]]:
         return [differences(call, integrand, viewed, found, blocks[block], seen) for block in share]
@@ -269,12 +273,12 @@ def differences(call: RenderCall, integrand: Integrand, viewed: Viewed, found: I
     places, table, kinds = found
     sent = torch.full((), len(asked), dtype=torch.int32, device=asked.device)
     lane = lanes(3 * len(asked), asked)
-    sample = stages.rays_beside(sight, table, asked, sent, lane, call.scene.layout.traces_cones)
+    sample = stages(rays_beside)(sight, table, asked, sent, lane, call.scene.layout.traces_cones)
     rays = Sent(sample, first_hit(integrand, sample.ray, 0))
-    times = stages.in_sight(geometry, table, asked, rays, sent, lane[:len(asked)], kinds)
+    times = stages(in_sight)(geometry, table, asked, rays, sent, lane[:len(asked)], kinds)
     clear = chosen(times != 0)
     counts = sent, torch.full_like(sent, len(clear))
-    start: PathsBeside = stages.paths_beside(table, asked, rays, times, clear, counts, lanes(2 * len(clear), asked))
+    start: PathsBeside = stages(paths_beside)(table, asked, rays, times, clear, counts, lanes(2 * len(clear), asked))
     values = seen.evaluate(integrand, started(call, start.sample), start.hit)
     weight = start.sample.weight
     values = torch.stack([value if weight is None else value * weight for value in values]).double()

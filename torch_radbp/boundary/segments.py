@@ -32,6 +32,7 @@ from torch_radbp.boundary.places import (
 )
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import joined as joined_records
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, rows, unit_normal
 
 IN_PLANE = 1e-6  # share of the largest coordinate up to which viewers lie in a plane
@@ -80,6 +81,7 @@ def from_everywhere(segments: Segments) -> SeenFrom:
     return SeenFrom(none, none, torch.zeros_like(none, dtype=torch.bool))
 
 
+@stage("geometry", "sight")
 def segment_weight(geometry: Geometry, sight: Sight, segments: Segments) -> Tensor:
     """The lengths of segments in view, (S,) float64 pixels.
 
@@ -95,6 +97,7 @@ def segment_weight(geometry: Geometry, sight: Sight, segments: Segments) -> Tens
     return torch.where(faces_viewer(geometry, segments, corners, lambda p: -sight.eye.towards(p)), length, 0.0)
 
 
+@stage("geometry", "sight", "segments", "lot")
 def segment_place(geometry: Geometry, sight: Sight, segments: Segments, lot: Lot, place: Tensor) -> Places:
     """Places on segments, in proportion to lengths on the film.
 

@@ -1,7 +1,5 @@
-"""Materials: how light scatters at a surface. Every file of this folder is imported, and registers its plugins."""
+"""Materials: how light scatters at a surface. Each file is imported, and registers its plugins."""
 
-from importlib import import_module
-from pkgutil import iter_modules
+from torch_radbp.plugin.folder import import_files
 
-for _file in iter_modules(__path__, f"{__name__}."):
-    import_module(_file.name)
+import_files(__name__, __path__)

@@ -12,8 +12,9 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.stages import PlainStages
 from torch_radbp.path.bounce import bounce, ending, scattering
-from torch_radbp.path.integrand import Integrand, Stages
+from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import Arrival, Position
 from torch_radbp.plugin import Plugin, Texture
 from torch_radbp.scene import Scene
@@ -112,8 +113,8 @@ def plain_name(parameter: str) -> str:
     return parameter.replace("parametrizations.", "").removesuffix(".original")
 
 
-def checked_stages(stages: Stages, finding: Finding) -> Stages:
-    """Stages that note the first bounce whose terms are not finite; for one chunk."""
+def checked_stages(finding: Finding) -> PlainStages:
+    """Stages in plain torch that note the first bounce whose terms are not finite; for one chunk."""
     depth, counter = -1, None
 
     def checked(stage: Callable, terms_of: Callable) -> Callable:
@@ -129,8 +130,8 @@ def checked_stages(stages: Stages, finding: Finding) -> Stages:
 
         return call
 
-    return stages._replace(bounce=checked(bounce, lambda vertex: [*vertex.Le, *vertex.Ld, *vertex.F]),
-                           ending=checked(ending, list))
+    return PlainStages({bounce: checked(bounce, lambda vertex: [*vertex.Le, *vertex.Ld, *vertex.F]),
+                        ending: checked(ending, list)})
 
 
 def light_is_finite(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, *rest) -> Tensor:

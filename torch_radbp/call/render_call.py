@@ -15,8 +15,9 @@ from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.call.workers import in_turns
 from torch_radbp.call.zeroed_memory import ZeroedMemory
 from torch_radbp.film.window import Window
-from torch_radbp.path.bounce import CameraSample
-from torch_radbp.path.integrand import Integrand, Stages
+from torch_radbp.jit.stages import Stages
+from torch_radbp.path.bounce import CameraSample, film_place, sample_camera
+from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState, start_path
 from torch_radbp.raycast import RayCaster
 from torch_radbp.raycast.protocol import Hit
@@ -88,7 +89,7 @@ def samples_of_chunks(call: RenderCall, wavefront: Wavefront, which: int) -> lis
     """As `camera_samples`, chunk by chunk."""
     def of_chunk(chunk: Chunk) -> CameraSample:
         view = call.views[chunk.sensor]
-        return call.stages.sample_camera(view.camera, view.orders[which], *numbers_of(call, chunk),
+        return call.stages(sample_camera)(view.camera, view.orders[which], *numbers_of(call, chunk),
                                          view.sample_keys[which], call.scene.layout.traces_cones)
 
     return [of_chunk(chunk) for chunk in wavefront.chunks]
@@ -98,7 +99,7 @@ def film_places(call: RenderCall, wavefront: Wavefront, which: int) -> Vec2:
     """Where in their pixels a wavefront's lanes lie, (N,) in [0, 1). `which` as for `start_paths`."""
     def of_chunk(chunk: Chunk) -> Vec2:
         view = call.views[chunk.sensor]
-        return call.stages.film_place(view.camera.film.size_x, view.orders[which], *numbers_of(call, chunk),
+        return call.stages(film_place)(view.camera.film.size_x, view.orders[which], *numbers_of(call, chunk),
                                       view.sample_keys[which])
 
     return joined([of_chunk(chunk) for chunk in wavefront.chunks])
@@ -127,7 +128,7 @@ def pilot_paths(call: RenderCall, lanes: int) -> PathState:
     pixel = torch.linspace(0, grid.columns * grid.rows - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
     sample = torch.arange(lanes, dtype=torch.int32, device=device)
     number = view.window.numbers(pixel % grid.columns, torch.div(pixel, grid.columns, rounding_mode="floor"))
-    return started(call, call.stages.sample_camera(view.camera, view.orders[0], number, sample, view.sample_keys[0],
+    return started(call, call.stages(sample_camera)(view.camera, view.orders[0], number, sample, view.sample_keys[0],
                                                    call.scene.layout.traces_cones))
 
 

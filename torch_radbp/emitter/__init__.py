@@ -1,13 +1,5 @@
-"""Emitters: where light comes from."""
+"""Emitters: where light comes from. Each file is imported, and registers its plugins."""
 
-from torch_radbp.emitter import (  # noqa: F401 (registers the plugins)
-    area,
-    constant,
-    directional,
-    directionalarea,
-    envmap,
-    point,
-    projector,
-    spot,
-    sunsky,
-)
+from torch_radbp.plugin.folder import import_files
+
+import_files(__name__, __path__)

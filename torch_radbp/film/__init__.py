@@ -1,3 +1,5 @@
-"""Films: the pixel grid and its reconstruction filter."""
+"""Films: the pixel grid and its reconstruction filter. Each file is imported, and registers its plugins."""
 
-from torch_radbp.film import box, catmullrom, gaussian, hdrfilm, lanczos, mitchell, tent  # noqa: F401 (registers the plugins)
+from torch_radbp.plugin.folder import import_files
+
+import_files(__name__, __path__)

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torch_radbp.film.filter import Kernel
 from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Vec2, gather
 
 TOGETHER = 8  # samples of a pixel that a lane adds up; compiled, for it takes the more operations the more there are
@@ -32,6 +33,7 @@ class Block(NamedTuple):
     spp: int  # of a pixel, with those that are traced with other lanes
 
 
+@stage("values", "place")
 def deposited(kernel: Kernel, values: tuple[Tensor, ...], place: Vec2, first: Tensor, left: Tensor,
               count: int) -> tuple[Tensor, ...]:
     """The sums over some samples of a pixel of what they count in the pixels around it.
@@ -70,6 +72,7 @@ def paired(terms: list[Tensor]) -> Tensor:
     return terms[0]
 
 
+@stage("pixels", "place")
 def asked(kernel: Kernel, pixels: tuple[Tensor, ...], place: Vec2, entry: Tensor, first: Tensor, left: Tensor, down: Tensor,
           across: Tensor, count: int) -> tuple[Tensor, ...]:
     """What the pixels around a pixel ask of some samples in it: the transpose of `deposited`.
@@ -148,7 +151,7 @@ def parts_of(stage: Callable, block: Block) -> tuple[Tensor, Tensor, int]:
     """`first` and `left`, (P, parts of a pixel), and `count` of lanes that take all samples of a block; see `deposited`."""
     (place, samples, spp), count = block, 1
     # The same for all samples of a pixel: a compiled sum of products rounds otherwise if there are more of them.
-    while hasattr(stage, "into") and count < min(spp, TOGETHER):
+    while stage.is_compiled and count < min(spp, TOGETHER):
         count *= 2
     pixels, device = len(place.x) // samples, place.x.device
     start = torch.arange(0, samples, count, dtype=torch.int32, device=device)
@@ -158,7 +161,7 @@ def parts_of(stage: Callable, block: Block) -> tuple[Tensor, Tensor, int]:
 
 def results_of(stage: Callable, number: int, kernel: Kernel, values: tuple[Tensor, ...], place: Vec2, *lanes) -> Tensor:
     """(number, M) the results of a stage."""
-    if not hasattr(stage, "into"):
+    if not stage.is_compiled:
         return torch.stack(stage(kernel, values, place, *lanes))
     found = torch.empty(number, len(lanes[0]), dtype=place.x.dtype, device=place.x.device)
     stage.into(found.unbind(0), 0, kernel, values, place, *lanes)

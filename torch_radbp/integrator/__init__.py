@@ -1,12 +1,8 @@
-"""Integrators by Mitsuba's names: what they set is what `Renderer` takes for granted."""
+"""Integrators by Mitsuba's names: what they set is what `Renderer` takes for granted.
 
-from torch_radbp.integrator import (  # noqa: F401 (registers the plugins)
-    absent,
-    aov,
-    direct,
-    moment,
-    path,
-    projective,
-    ptracer,
-    volpath,
-)
+Each file is imported, and registers its plugins.
+"""
+
+from torch_radbp.plugin.folder import import_files
+
+import_files(__name__, __path__)

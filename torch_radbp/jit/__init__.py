@@ -15,8 +15,9 @@ In the order of data:
 4. `machine.py` makes machine code of that, `run.py` calls it on tensors, `team.py` on several threads; `allocator.py` has
    them write into memory that was used before, `large_pages.py` into pages that a processor finds sooner.
    `dual.py` has a loop compute tangents beside values, in forward mode.
-5. What calls such functions, casts rays and moves lanes about, bounce after bounce, is itself noted once (`recording.py`)
-   and then run as machine code (`recorded.py`), whatever the numbers of lanes are; helpers take part by a `board.py`.
+5. `stages.py` runs functions that are declared as stages, compiled or in plain torch. What calls them, casts rays and moves
+   lanes about, bounce after bounce, is itself noted once by a `tape.py` (`recording.py`) and then run as machine code
+   (`recorded.py`), whatever the numbers of lanes are; helpers take part by a `board.py`.
 6. `later.py` has code made meanwhile, while other functions are traced: what is recorded needs none before it ends.
    `compiled.py` keeps it for later processes: on disk (`code_cache.py`), by what it depends on (`fingerprint.py`).
 

@@ -57,6 +57,7 @@ from torch_radbp.scene.outgoing_ray import outgoing_ray
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3, masked, max_component, rows
 from torch_radbp.texture.reader import Place, TextureValue
 
@@ -103,6 +104,7 @@ class Vertex(NamedTuple):
     survives: Tensor  # bool: the path goes on
 
 
+@stage("camera")
 def sample_camera(camera: Camera, order: FilmOrder, pixel: Tensor, sample: Tensor, key: SampleKey,
                   cones: bool) -> CameraSample:
     """One camera ray per lane.
@@ -127,6 +129,7 @@ def sample_camera(camera: Camera, order: FilmOrder, pixel: Tensor, sample: Tenso
     return CameraSample(ray, lane, weight, cone, place)
 
 
+@stage()
 def film_place(like: Tensor, order: FilmOrder, pixel: Tensor, sample: Tensor, key: SampleKey) -> Vec2:
     """Where in its pixel each sample lies, as `sample_camera` has it; args as there, `like` has the dtype."""
     return place_in_pixel(bounce_key(film_lane_key(order, pixel, sample, key), CAMERA_COUNTER), like.dtype)
@@ -137,6 +140,7 @@ def place_in_pixel(key: BounceKey, dtype: torch.dtype) -> Vec2:
     return Vec2(*(uniform(key, dimension, dtype) for dimension in (FILM_U, FILM_V)))
 
 
+@stage("scene", "arrival")
 def places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position, settings: Settings) -> tuple[Place, ...]:
     """The places of the values of textures that are read outside, see `places_of`; detached. Args as for `bounce`."""
     return places_of(scene, scene, rows(arrival, lanes), at, Settings(nee=settings.nee))
@@ -173,6 +177,7 @@ def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings,
     return surface_interaction(scene, arrival.state.ray, arrival.hit, slides, here, arrival.front, arrival.state.cone)
 
 
+@stage("scene", "proposal", "arrival")
 def ending(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position,
            settings: Settings, texture_values: tuple[TextureValue, ...]) -> Vec3:
     """The end of the recursion, L_k = E_k, where nothing is scattered: the light that the M paths meet; attached to `scene`.
@@ -182,6 +187,7 @@ def ending(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
     return scattering(scene, proposal, rows(arrival, lanes), at, settings, texture_values).Le
 
 
+@stage("scene", "proposal", "arrival")
 def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position,
            settings: Settings, texture_values: tuple[TextureValue, ...]) -> Vertex:
     """One step of the recursion L_k = E_k + F_k L_{k+1}: what happens at the vertex, and where the path goes from there.
@@ -293,6 +299,7 @@ def light_numbers(key: BounceKey) -> LightNumbers:
     return LightNumbers(*(random_bits(key, dimension) for dimension in (LIGHT_CHOICE, LIGHT_SPLIT, LIGHT_U, LIGHT_V)))
 
 
+@stage("scene", "choice")
 def pick_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, at: Position) -> tuple[Tensor, Tensor]:
     """The elements of the light table that next-event estimation takes at the surfaces that rays meet, and their
     probabilities; `LightPick.element` and `LightPick.pmf`.
@@ -307,6 +314,7 @@ def pick_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, at: Po
     return drawn_element(choice, seen, light_numbers(bounce_key(arrival.state.key, at.counter)))
 
 
+@stage("scene")
 def emitter_met(scene: SceneTensors, hit: Hit) -> tuple[Tensor, LightPick]:
     """Where rays meet an emitter, (N,) bool, and that no light is picked anywhere, (N,).
 
@@ -319,6 +327,7 @@ def emitter_met(scene: SceneTensors, hit: Hit) -> tuple[Tensor, LightPick]:
     return lit, LightPick(torch.zeros_like(hit.prim), zero, zero)
 
 
+@stage("scene", "choice", "arrival")
 def chance_of_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, lanes: Tensor) -> Tensor:
     """`LightPick.chance` of those paths, (M,), that meet an emitter in the tree. Args as for `pick_light` and `bounce`."""
     state, hit = rows((arrival.state, arrival.hit), lanes)

@@ -22,6 +22,7 @@ from torch_radbp.scene.light import emission_places, light_aims, sample_light, s
 from torch_radbp.scene.light_choice import LightNumbers, LightPick
 from torch_radbp.scene.material import evaluate, material_at, material_places, sampling_at
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Vec3, masked, rows
 from torch_radbp.texture.reader import Place, TextureValue
 
@@ -33,6 +34,7 @@ class LightDraw(NamedTuple):
     picked: LightPick
 
 
+@stage("scene", "arrival", "draw")
 def direct_light(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: LightDraw,
                  texture_values: tuple[TextureValue, ...], settings: Settings) -> Vec3:
     """What surfaces send back along the rays that meet them of the light of one sample each, over its density; (M,).
@@ -74,6 +76,7 @@ def scattered_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Ve
     return material_places(scene, si) + emission_places(scene, si)
 
 
+@stage("scene", "arrival", "d")
 def scattered(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3,
               texture_values: tuple[TextureValue, ...]) -> Vec3:
     """What surfaces send back along the rays that meet them of light from given directions: BSDF times cosine, (M,).
@@ -97,13 +100,13 @@ def light_sent_back(integrand: Integrand, state: PathState, hit: Hit, draw: Ligh
         hit: what they meet.
         draw: the light samples.
     """
-    return of_surfaces(integrand, integrand.stages.direct_light, state, hit, draw, direct_light_places,
+    return of_surfaces(integrand, direct_light, state, hit, draw, direct_light_places,
                        Settings(sampling=integrand.settings.sampling))
 
 
 def scattered_light(integrand: Integrand, state: PathState, hit: Hit, d: Vec3) -> Vec3:
     """`scattered` of all rays, as `light_sent_back`."""
-    return of_surfaces(integrand, integrand.stages.scattered, state, hit, d, scattered_places)
+    return of_surfaces(integrand, scattered, state, hit, d, scattered_places)
 
 
 def of_surfaces(integrand: Integrand, stage: Callable, state: PathState, hit: Hit, asked, places_of: Callable,

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from enum import Enum
 from typing import NamedTuple
 
+from torch_radbp.path.bounce import bounce, ending
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.tensors import Layout
 
@@ -21,9 +22,10 @@ class Scatters(NamedTuple):
         """What light is scattered by."""
         return layout.appearances[self.appearance]
 
-    def stage(self, stages) -> Callable:
-        """The one of `Stages` that computes the vertex."""
-        return stages.bounce
+    @property
+    def stage(self) -> Callable:
+        """The stage that computes the vertex."""
+        return bounce
 
 
 class Ends(Enum):
@@ -40,9 +42,10 @@ class Ends(Enum):
     def scatterer(self, layout: Layout) -> None:
         """Nothing."""
 
-    def stage(self, stages) -> Callable:
-        """The one of `Stages` that computes the vertex."""
-        return stages.ending
+    @property
+    def stage(self) -> Callable:
+        """The stage that computes the vertex."""
+        return ending
 
 
 Event = Scatters | Ends

@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.stages import Stage, Stages
+from torch_radbp.path.bounce import places
 from torch_radbp.path.event import Ends, Event
 from torch_radbp.path.queues import ImageLanes
 from torch_radbp.path.state import Arrival, PathState, Position, Settings
@@ -23,100 +25,20 @@ from torch_radbp.texture.reader import Place
 SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
 
 
-class Stages(NamedTuple):
-    """The functions that run once for each chunk, or for each bounce: in plain torch, or compiled."""
-
-    sample_camera: Callable
-    film_place: Callable
-    deposited: Callable
-    asked: Callable
-    bounce: Callable
-    ending: Callable
-    attached_vertex: Callable
-    bounce_adjoint: Callable
-    places: Callable
-    pick_light: Callable
-    emitter_met: Callable
-    chance_of_light: Callable
-    appearance_met: Callable
-    side_met: Callable
-    corner_rows: Callable
-    shines: Callable
-    rows: Callable
-    brightened: Callable
-    direct_light: Callable
-    scattered: Callable
-    surface_values: Callable
-    material_value: Callable
-    edge_weight: Callable
-    edge_place: Callable
-    crosses: Callable
-    contour_length: Callable
-    contour_place: Callable
-    segment_weight: Callable
-    segment_place: Callable
-    rays_beside: Callable
-    in_sight: Callable
-    paths_beside: Callable
-    swept: Callable
-    slopes: Callable
-    asked_of_places: Callable
-    boxes_around: Callable
-    ray_along_edge: Callable
-    edge_bounds: Callable
-    merged_bounds: Callable
-    descended: Callable
-    edge_found: Callable
-    edge_tried: Callable
-    edge_passed: Callable
-    segment_bounds: Callable
-    segment_found: Callable
-    segment_passed: Callable
-    sheets_seen: Callable
-    border_course: Callable
-    cut_course: Callable
-    light_eyes: Callable
-    light_lobes: Callable
-    picked_vertex: Callable
-    light_samples: Callable
-    meets: Callable
-    goes_on: Callable
-    ideal_vertex: Callable
-    no_direction: Callable
-    scattered_ideally: Callable
-    parted: Callable
-    unparted: Callable
-    film_sample: Callable
-    drawn_by_steps: Callable
-
-    def eager(self) -> Stages:
-        """The same in plain torch."""
-        return Stages(*(getattr(stage, "stage", stage) for stage in self))
-
-
-def knowing(stage: Callable, *arguments) -> Callable:
-    """A stage, prepared for calls that begin with these very arguments."""
-    return stage.knowing(*arguments) if hasattr(stage, "knowing") else stage
-
-
-def taken(stage: Callable, **arguments) -> tuple:
-    """Arguments that are the same in several calls of a stage, prepared for them."""
-    return stage.taken(**arguments) if hasattr(stage, "taken") else tuple(arguments.values())
-
-
 class Part(NamedTuple):
     """What the lanes of one queue go through."""
 
     scene: SceneTensors  # the part of the integrand's scene that they read
     proposal: SceneTensors  # the same, detached
-    evaluate: Callable  # the stage of what happens to them, prepared for both
+    evaluate: Stage  # the stage of what happens to them, prepared for both
     tables: Any  # `proposal`, prepared for stages
-    prepared: dict[Callable, Callable]  # other stages, for calls that begin with `proposal`
+    stages: Stages
+    prepared: dict[Callable, Stage]  # other stages, for calls that begin with `proposal`
 
     def call(self, stage: Callable, *arguments):
         """What a stage returns of `proposal` and other arguments."""
         if stage not in self.prepared:
-            self.prepared[stage] = knowing(stage, self.tables)
+            self.prepared[stage] = self.stages(stage).knowing(self.tables)
         return self.prepared[stage](self.proposal, *arguments)
 
 
@@ -129,7 +51,7 @@ class Integrand(NamedTuple):
     settings: Settings
     max_depth: int
     rr_depth: int
-    stages: Stages
+    stages: Stages  # what runs the functions of lanes
     parts: dict[Event, Part]  # filled when one first happens
     clipping: Camera | None = None  # the camera of the paths, if its far plane cuts the scene
     # () int32: so many lanes of the chunk, the first, are of the derivative alone, the others of the image alone. None: all
@@ -137,7 +59,7 @@ class Integrand(NamedTuple):
     differentiated: Tensor | None = None
 
     def with_stages(self, stages: Stages) -> Integrand:
-        """The same integrand, evaluated by other functions."""
+        """The same integrand, run otherwise."""
         return self._replace(stages=stages, parts={})
 
     @property
@@ -156,10 +78,10 @@ class Integrand(NamedTuple):
             scatterer = self.scatterer(event)
             proposal = part_of(self.proposal, scatterer)
             scene = part_of(self.scene, scatterer) if self.attached else proposal
-            stage = event.stage(self.stages)
-            tables, = taken(stage, proposal=proposal)
-            prepared = knowing(stage, tables if scene is proposal else scene, tables)
-            self.parts[event] = Part(scene, proposal, prepared, tables, {})
+            stage = self.stages(event.stage)
+            tables, = stage.taken(proposal=proposal)
+            prepared = stage.knowing(tables if scene is proposal else scene, tables)
+            self.parts[event] = Part(scene, proposal, prepared, tables, self.stages, {})
         return self.parts[event]
 
     def places(self, event: Event, arrival: Arrival, lanes: Tensor, depth: int) -> tuple[Place, ...]:
@@ -167,7 +89,7 @@ class Integrand(NamedTuple):
         scatterer = self.scatterer(event)
         if not self.scene.layout.lit and (scatterer is None or not scatterer.outside):
             return ()
-        return self.part(event).call(self.stages.places, arrival, lanes, self.at(depth), self.settings_at(depth))
+        return self.part(event).call(places, arrival, lanes, self.at(depth), self.settings_at(depth))
 
     def at(self, depth: int) -> Position:
         """The position on the path as tensors."""

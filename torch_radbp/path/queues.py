@@ -14,6 +14,7 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Ray, rows
 
 
@@ -99,6 +100,7 @@ def in_turn(kinds: Sequence[tuple[Event, tuple[bool, bool]]], counts: Sequence[i
     return tuple(queues) or (EMPTY,)
 
 
+@stage("scene")
 def appearance_met(scene: SceneTensors, hit: Hit, nothing: Tensor,
                    image_lanes: ImageLanes | None) -> tuple[Tensor, Tensor | None]:
     """The number of the appearance that each ray meets if it comes from the front, (N,) int32, and where it matters.
@@ -117,6 +119,7 @@ def appearance_met(scene: SceneTensors, hit: Hit, nothing: Tensor,
     return numbered(torch.where(met, lookup(scene.materials.appearance, row), nothing), nothing, image_lanes), differs
 
 
+@stage("scene", "ray", "hit", "image_lanes")
 def side_met(scene: SceneTensors, ray: Ray, hit: Hit, lanes: Tensor, nothing: Tensor,
              image_lanes: ImageLanes | None) -> tuple[Tensor, Tensor]:
     """The number of the appearance of the side that rays meet, (M,) int32, and whether that is the front, (M,) bool.
@@ -135,6 +138,7 @@ def side_met(scene: SceneTensors, ray: Ray, hit: Hit, lanes: Tensor, nothing: Te
     return numbered(number, nothing, image_lanes), front
 
 
+@stage("scene")
 def shines(scene: SceneTensors, hit: Hit, image_lanes: ImageLanes | None) -> Tensor:
     """(N,) bool: rays meet a light, on a surface or around the scene. If some lanes are of the image alone, int32 instead: 0
     where they do, 1 in these lanes, at least 2 elsewhere.

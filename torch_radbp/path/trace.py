@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.recorded_bounce import Bounce, bounces_taken
 from torch_radbp.path.state import PathState
+from torch_radbp.path.taped_bounces import Bounce, bounces_taken
 from torch_radbp.path.wavefront import Onward, Step, bounced, radiance_buffer
 from torch_radbp.path.whole_paths import traced_whole
 from torch_radbp.raycast.protocol import Hit

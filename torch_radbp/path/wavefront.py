@@ -16,10 +16,10 @@ from torch import Tensor
 from torch_radbp.jit.dual import dual, tensors_of
 from torch_radbp.jit.order import chosen, inverted, nothing, put
 from torch_radbp.jit.team import loops_together
-from torch_radbp.path.bounce import Vertex, gathered
+from torch_radbp.path.bounce import Vertex, chance_of_light, emitter_met, gathered, pick_light
 from torch_radbp.path.event import Ends
-from torch_radbp.path.integrand import Integrand, taken
-from torch_radbp.path.queues import ImageLanes, Queue, one_queue, queues_by
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.queues import ImageLanes, Queue, appearance_met, one_queue, queues_by, shines, side_met
 from torch_radbp.path.state import Arrival, PathState
 from torch_radbp.path.texture_networks import values_of_queues
 from torch_radbp.raycast.protocol import Hit
@@ -27,6 +27,7 @@ from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.scene.light_choice import LightPick
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.record import joined, leaves_of, rows_between
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import Ray, Vec3, masked, rows
 from torch_radbp.texture.reader import TextureValue
@@ -108,12 +109,12 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
     bounces = [integrand.part(queue.event).evaluate for queue in queues]
     if not bounces:
         return room_for_vertices(state, 0, with_light), light
-    reached, at = taken(bounces[0], arrival=arrival, at=at)
+    reached, at = bounces[0].taken(arrival=arrival, at=at)
     apart = len(integrand.proposal.layout.appearances) <= FEW
     shows = [(with_light and queue.image) or not apart for queue in queues]
-    kinds = {shown: taken(bounces[0], settings=settings._replace(shown=shown))[0] for shown in set(shows)}
+    kinds = {shown: bounces[0].taken(settings=settings._replace(shown=shown))[0] for shown in set(shows)}
     prepared = [arguments(queue, reached, at, kinds[shown]) for queue, shown in zip(queues, shows)]
-    if len(bounces) == 1 or not hasattr(bounces[0], "into"):
+    if len(bounces) == 1 or not bounces[0].is_compiled:
         return joined([bounce(*of_queue) for bounce, of_queue in zip(bounces, prepared)]), light
     vertices = room_for_vertices(state, step.scattered, any(shows))
     if integrand.attached and inside_dual_level():
@@ -157,12 +158,12 @@ def picked_lights(integrand: Integrand, state: PathState, hit: Hit, depth: int) 
     if not integrand.settings.nee or not integrand.proposal.lights.by_place:
         return None
     part, arrival = integrand.part(Ends.SURROUNDINGS), Arrival(state, hit, None)
-    lit, none = part.call(integrand.stages.emitter_met, hit)
+    lit, none = part.call(emitter_met, hit)
     if depth > 0 and len(lanes := chosen(lit)):
-        put_rows((none.chance,), lanes, (part.call(integrand.stages.chance_of_light, choice, arrival, lanes),))
+        put_rows((none.chance,), lanes, (part.call(chance_of_light, choice, arrival, lanes),))
     if integrand.is_last(depth):
         return none
-    return LightPick(*part.call(integrand.stages.pick_light, choice, arrival, integrand.at(depth)), none.chance)
+    return LightPick(*part.call(pick_light, choice, arrival, integrand.at(depth)), none.chance)
 
 
 def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool,
@@ -176,7 +177,7 @@ def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool,
     """
     layout, part = integrand.proposal.layout, integrand.part(Ends.SURROUNDINGS)
     if last:
-        return None, *one_queue(Ends.LAST_BOUNCE, part.call(integrand.stages.shines, hit, image_lanes))
+        return None, *one_queue(Ends.LAST_BOUNCE, part.call(shines, hit, image_lanes))
     number, front = appearances_met(integrand, ray, hit, image_lanes)
     return front, *queues_by(number, len(layout.appearances), layout.surround is not None, image_lanes is not None)
 
@@ -185,11 +186,11 @@ def appearances_met(integrand: Integrand, ray: Ray, hit: Hit,
                     image_lanes: ImageLanes | None = None) -> tuple[Tensor, Tensor | None]:
     """The numbers of the appearances that rays met, (N,) int32 as `queues_by` takes them, and `Step.front`; args as for
     `queued`."""
-    part, stages = integrand.part(Ends.SURROUNDINGS), integrand.stages
-    number, differs = part.call(stages.appearance_met, hit, integrand.no_appearance, image_lanes)
+    part = integrand.part(Ends.SURROUNDINGS)
+    number, differs = part.call(appearance_met, hit, integrand.no_appearance, image_lanes)
     front = None if differs is None else nothing(differs)
     if differs is not None and len(lanes := chosen(differs)):
-        put_rows((number, front), lanes, part.call(stages.side_met, ray, hit, lanes, integrand.no_appearance, image_lanes))
+        put_rows((number, front), lanes, part.call(side_met, ray, hit, lanes, integrand.no_appearance, image_lanes))
     return number, front
 
 
@@ -262,7 +263,7 @@ class Onward(NamedTuple):
         """(M,) those that go on, packed together."""
         if self.alive is None or len(self.alive) == len(self.paths.lane):
             return self.paths
-        return integrand.stages.rows(self.paths, self.alive)
+        return integrand.stages(rows)(self.paths, self.alive)
 
 
 def bounced(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) -> tuple[PathState, Step, Onward]:
@@ -284,14 +285,15 @@ def bounced(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) ->
     if shown and L is not None:
         order, lane, Le, Ld, visible = rows_between((step.order, vertex.next.lane, vertex.Le, vertex.Ld, step.visible),
                                                     shown[0].first, shown[-1].last)
-        put_rows(L, lane, stages.brightened(L, state.beta, order, lane, Le, Ld, visible))
+        put_rows(L, lane, stages(brightened)(L, state.beta, order, lane, Le, Ld, visible))
     if light is not None:
         order = step.order[last.first:last.last]
-        ended = stages.rows(state.lane, order)
-        put_rows(L, ended, stages.brightened(L, state.beta, order, ended, light, None, None))
+        ended = stages(rows)(state.lane, order)
+        put_rows(L, ended, stages(brightened)(L, state.beta, order, ended, light, None, None))
     return state, step, Onward(vertex.next, surviving(step))
 
 
+@stage("L", "beta")
 def brightened(L: Vec3, beta: Vec3, order: Tensor, lane: Tensor, Le: Vec3, Ld: Vec3 | None, visible: Tensor | None) -> Vec3:
     """The radiance of some lanes after a bounce: beta (Le + visible Ld) more than before.
 

@@ -11,11 +11,11 @@ from torch import Tensor
 from torch_radbp.boundary import bytes_of_edges
 from torch_radbp.call.render_call import RenderCall, pilot_paths
 from torch_radbp.film.splat import TOGETHER
+from torch_radbp.jit.stages import EAGER
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.rendering.bounce_memory import BounceMemory, measured, tables_of
 from torch_radbp.rendering.memory import MemoryPlan, Workload, plan_memory, predict, reaching, record_sizes
 from torch_radbp.rendering.settings import PRIMARY, SHADOW
-from torch_radbp.rendering.stages import EAGER
 from torch_radbp.tensors.differentiated import any_differentiated, detached, differentiable
 from torch_radbp.tensors.torch_internals import tree_flatten
 
@@ -62,7 +62,7 @@ class MemoryPlanner:
                      and any_differentiated(call.scene.triangles.vertices.p))
         still = call.still()
         return Workload(reaching(integrand, pilot_paths(still, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,
-                        call.stages is not EAGER, call.workers, moving,
+                        call.stages.is_compiled, call.workers, moving,
                         record_sizes(integrand, pilot_paths(still, FEW_LANES), triangles), IMAGE_COPIES * image_bytes,
                         self.bounce_memory_of(call, integrand, triangles),
                         columns * min(call.spp, TOGETHER), columns * call.spp)

@@ -20,6 +20,7 @@ from torch_radbp.boundary import EdgesOfCall, JumpWatch, edges_of_call, renderin
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.view import OF_NO_SENSOR, Shot, view_of
 from torch_radbp.call.zeroed_memory import ZeroedMemory
+from torch_radbp.jit.stages import EAGER, compiled
 from torch_radbp.jit.target import COMPILED
 from torch_radbp.jit.team import threads
 from torch_radbp.path.integrand import Integrand
@@ -49,7 +50,6 @@ from torch_radbp.rendering.settings import (
     settings_of_integrand,
 )
 from torch_radbp.rendering.shots import WindowChoice, shots_of
-from torch_radbp.rendering.stages import EAGER, compiled
 from torch_radbp.rendering.zero_gradients import GradientWatch
 from torch_radbp.scene import Scene
 from torch_radbp.scene.pack import pack

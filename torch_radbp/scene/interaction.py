@@ -19,6 +19,7 @@ from torch_radbp.scene.placement import (
 )
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import (
     TINY,
     LocalVec3,
@@ -189,6 +190,7 @@ def clearance(corners: Corners) -> Tensor:
     return ROUNDINGS * 2.0**-24 * power_of_two_above(largest_coordinate(corners))
 
 
+@stage("scene")
 def corner_rows(scene: SceneTensors, hit) -> tuple[Tensor, Tensor, Tensor]:
     """The vertices of the triangles that were hit, (N,) int32 rows of the vertex table."""
     return tuple(lookup(corner, hit.prim.clamp_min(0)) for corner in scene.triangles.corners)

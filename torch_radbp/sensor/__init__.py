@@ -1,3 +1,5 @@
-"""Sensors: where rays start."""
+"""Sensors: where rays start. Each file is imported, and registers its plugins."""
 
-from torch_radbp.sensor import batch, calibrated, orthographic, perspective, sampler, thinlens  # noqa: F401 (registers the plugins)
+from torch_radbp.plugin.folder import import_files
+
+import_files(__name__, __path__)

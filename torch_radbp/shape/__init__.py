@@ -1,14 +1,8 @@
-"""Shapes: all become triangles; analytic shapes are tessellated finely and keep their exact normals."""
+"""Shapes: all become triangles; analytic shapes are tessellated finely and keep their exact normals.
 
-from torch_radbp.shape import (  # noqa: F401 (registers the plugins)
-    cube,
-    cylinder,
-    disk,
-    instance,
-    mesh,
-    rectangle,
-    sdfgrid,
-    serialized,
-    shapegroup,
-    sphere,
-)
+Each file is imported, and registers its plugins.
+"""
+
+from torch_radbp.plugin.folder import import_files
+
+import_files(__name__, __path__)

@@ -12,6 +12,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.tensors.stage import stage
+
 SMALLEST_TANGENT = 1e-8  # squared
 TINY = 1e-24  # keeps a division finite where the quotient is not used; the derivative of rsqrt here is finite in float32
 
@@ -126,6 +128,7 @@ def gather(table: Tensor, index: Tensor) -> Tensor:
     return table.index_select(0, index)
 
 
+@stage("record")
 def rows(record, index: Tensor):
     """The rows `index` of every tensor of a record, in nested tuples; None stays None."""
     if record is None:

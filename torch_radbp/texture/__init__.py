@@ -1,15 +1,5 @@
-"""Textures: functions from surface coordinates to linear RGB."""
+"""Textures: functions from surface coordinates to linear RGB. Each file is imported, and registers its plugins."""
 
-from torch_radbp.texture import (  # noqa: F401 (registers the plugins)
-    bitmap,
-    blackbody,
-    checkerboard,
-    d65,
-    irregular,
-    mesh_attribute,
-    rawconstant,
-    regular,
-    rgb,
-    srgb,
-    uniform,
-)
+from torch_radbp.plugin.folder import import_files
+
+import_files(__name__, __path__)

@@ -33,7 +33,7 @@ from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST
 from torch_radbp.boundary.reflections.crossings import Crossings, crossings
 from torch_radbp.boundary.reflections.curves import Curves, curves_crossed, level
-from torch_radbp.boundary.reflections.differences import SHADOW
+from torch_radbp.boundary.reflections.differences import SHADOW, parted
 from torch_radbp.boundary.reflections.ideal_paths import only_ideal
 from torch_radbp.boundary.reflections.rays import (
     Follows,
@@ -49,7 +49,7 @@ from torch_radbp.boundary.shadows.film_jumps import FilmJumps, image_of
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.workers import in_turns
 from torch_radbp.path.direct_light import LightDraw
-from torch_radbp.path.integrand import Integrand, taken
+from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
 from torch_radbp.tensors.differentiated import any_differentiated, primal
 from torch_radbp.tensors.record import joined, leaves_of
@@ -113,7 +113,7 @@ def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
     with torch.no_grad():
         still = call.still()
         surfaces = surfaces_of(still, reflected.meshes, reflected.lines)
-        tables, = taken(call.stages.parted, surfaces=surfaces)
+        tables, = call.stages(parted).taken(surfaces=surfaces)
     for number, view in enumerate(call.views):
         integrand = integrand_of(still, still.integrand, number)
         searched = Searched(still, number, only_ideal(integrand), surfaces, tables, reflected.shadows)

@@ -25,6 +25,7 @@ from torch_radbp.boundary.reflections.scans import (
 from torch_radbp.boundary.shadows.seen_edges import numbers, salted
 from torch_radbp.sampling.sampler import LaneKey, SampleKey
 from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Vec2, rows
 
 PARTS, TURNS = 6, 2  # into which steps are divided, again and again, as often
@@ -114,9 +115,10 @@ def draws(searched: Searched, count: int, turn: int) -> Tensor:
     """So many uniform numbers, float64, others in each turn."""
     lane = torch.arange(count, dtype=torch.int32, device=searched.call.scene.device)
     key = salted(searched.call.views[searched.number], SALT + 2)
-    return searched.call.stages.drawn_by_steps(key, lane, torch.full_like(key.seed, SALT + turn))
+    return searched.call.stages(drawn_by_steps)(key, lane, torch.full_like(key.seed, SALT + turn))
 
 
+@stage()
 def drawn_by_steps(key: SampleKey, lane: Tensor, counter: Tensor) -> Tensor:
     """Uniform numbers, (N,) float64.
 

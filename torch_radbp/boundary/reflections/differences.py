@@ -14,15 +14,13 @@ from torch_radbp.jit.arguments import Taken
 from torch_radbp.jit.board import board
 from torch_radbp.jit.dual import tensors_of
 from torch_radbp.jit.order import chosen
-from torch_radbp.jit.recorded import Given, Recorded
-from torch_radbp.jit.recording import Reserve
-from torch_radbp.jit.structure import flatten
-from torch_radbp.path.integrand import Stages
+from torch_radbp.jit.stages import Stages
+from torch_radbp.jit.tape import Played, Tape, structure_of
 from torch_radbp.path.integrand import number as number_of
-from torch_radbp.path.recorded_bounce import RECORDINGS, lying, recorded, without_contents
 from torch_radbp.path.wavefront import put_rows
 from torch_radbp.scene.interaction import triangle_normal
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import TINY, Vec3, dot, rows
 
@@ -64,37 +62,30 @@ def difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairi
         pairs: of them.
     """
     depths = tuple([number_of(depth, pairs.first.device) for depth in range(len(path))])
-    made = None
-    if isinstance(surfaces, Taken) and len(pairs.first) and pairs.first.device.type == "cpu" and not inside_dual_level():
-        structure: list = []
-        flatten((pairs, path, depths), [], structure)
-        tables = Given(tensors_of((path, depths, surfaces.argument)))
-        key = stages, surfaces.form.structure, lying(tables.items), tables.pattern, *structure
-
-        def record() -> Recorded | None:
-            own = without_contents(pairs, reserve := Reserve())
-            return recorded([*own, *tables.items], reserve, lambda: depth_by_depth(stages, surfaces, path, own, depths))
-
-        made = RECORDINGS.of(key, record)
-    if made is None:
+    if not isinstance(surfaces, Taken) or not len(pairs.first) or pairs.first.device.type != "cpu" or inside_dual_level():
         return depth_by_depth(stages, surfaces, path, pairs, depths)
-    with board() as address:
-        return made(Given(pairs), tables, len(pairs.first), address)[0]
+    with board() as helpers:
+        kind = stages, surfaces.form.structure, *structure_of((path, depths))
+        tape = Tape(tensors_of((path, depths, surfaces.argument)), kind, board=helpers)
+        played = tape.play(("difference",), lambda pairs: Played(depth_by_depth(stages, surfaces, path, pairs, depths)),
+                           (pairs,), len(pairs.first))
+    return depth_by_depth(stages, surfaces, path, pairs, depths) if played is None else played.results
 
 
 def depth_by_depth(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairing,
                    depths: tuple[Tensor, ...]) -> Difference:
     """As `difference`; `depths`: the numbers of the vertices."""
-    found, whole = stages.unparted(pairs), None
+    found, whole = stages(unparted)(pairs), None
     for depth, vertices in zip(depths, path):
-        found = stages.parted(surfaces, vertices, pairs, found, depth)
+        found = stages(parted)(surfaces, vertices, pairs, found, depth)
         if whole is None:  # what parts at once, or meets nothing ideal, needs no further look
             whole, onwards = found, chosen(found.alike)
-            pairs, found = stages.rows((pairs, found), onwards)
+            pairs, found = stages(rows)((pairs, found), onwards)
     put_rows(whole, onwards, found)
     return whole
 
 
+@stage()
 def unparted(pairs: Pairing) -> Difference:
     """Paths of which nothing is known."""
     nothing = torch.zeros_like(pairs.first, dtype=torch.int32)
@@ -102,6 +93,7 @@ def unparted(pairs: Pairing) -> Difference:
                       torch.ones_like(nothing, dtype=torch.bool))
 
 
+@stage("surfaces", "vertices")
 def parted(surfaces: Surfaces, vertices: Vertices, pairs: Pairing, so_far: Difference, number: Tensor) -> Difference:
     """How paths part that have come so far.
 

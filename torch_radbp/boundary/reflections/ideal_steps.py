@@ -1,7 +1,7 @@
 """The loop over ideal vertices: all paths take one step together, and those go on that are scattered into one direction.
 
 What is done with lanes on a step is recorded once for scenes of one kind, and then done again, as bounces are; see
-`path/recorded_bounce.py`.
+`path/taped_bounces.py`.
 """
 
 from __future__ import annotations
@@ -19,26 +19,19 @@ from torch_radbp.jit.arguments import Taken
 from torch_radbp.jit.board import board
 from torch_radbp.jit.dual import tensors_of
 from torch_radbp.jit.order import chosen, partition
-from torch_radbp.jit.recorded import Given, Recorded
-from torch_radbp.jit.recording import ALL, Reserve
-from torch_radbp.jit.structure import flatten
+from torch_radbp.jit.recording import Reserve
+from torch_radbp.jit.tape import Played, Tape
 from torch_radbp.path.bounce import Vertex
 from torch_radbp.path.event import Scatters
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import Queue
-from torch_radbp.path.recorded_bounce import (
-    RECORDINGS,
-    Tables,
-    lying,
-    recordable,
-    recorded,
-    without_contents,
-)
-from torch_radbp.path.state import PathState
+from torch_radbp.path.state import PathState, Position
+from torch_radbp.path.taped_bounces import blank_lanes, recordable, tape_of
 from torch_radbp.path.wavefront import Onward, Step, appearances_met, bounce_queues, first_hit, put_rows
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import shading_normal, triangle_normal
-from torch_radbp.tensors.vec import Ray, Vec3, dot, max_component
+from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.vec import Ray, Vec3, dot, max_component, rows
 
 # What is known of a vertex, bits of a number: the path meets the side of the shading normal; it is scattered ideally, and
 # goes on; to the other side of the shading normal; on the side of the triangle's own normal; it ends, on a surface that the
@@ -89,21 +82,21 @@ def ideal_step(integrand: Integrand, surfaces: Surfaces, ideal: Ideal, onward: O
     """
     state, stages = onward.packed(integrand), integrand.stages
     hit = first_hit(integrand, state.ray, depth)
-    onwards, ahead = stages.no_direction(state.ray.d), None
+    onwards, ahead = stages(no_direction)(state.ray.d), None
     order, vertex = (state.lane[:0], None) if integrand.is_last(depth) else (
         ideally_scattered(integrand, ideal, state, hit, depth))
     if vertex is not None:
-        goes_on = chosen(stages.scattered_ideally(vertex.next.pdf, vertex.survives, vertex.next.beta))
-        put_rows(onwards, *stages.rows((order, vertex.next.ray.d), goes_on))
+        goes_on = chosen(stages(scattered_ideally)(vertex.next.pdf, vertex.survives, vertex.next.beta))
+        put_rows(onwards, *stages(rows)((order, vertex.next.ray.d), goes_on))
         ahead = Onward(vertex.next, goes_on)
-    return state.lane, stages.ideal_vertex(surfaces, state.ray, hit, onwards), ahead
+    return state.lane, stages(ideal_vertex)(surfaces, state.ray, hit, onwards), ahead
 
 
 def ideally_scattered(integrand: Integrand, ideal: Ideal, state: PathState, hit: Hit,
                       depth: int) -> tuple[Tensor, Vertex | None]:
     """The lanes that may be scattered ideally, (M,) int32, and their vertices; None if there are none."""
     number, front = appearances_met(integrand, state.ray, hit)
-    order, counts = partition(integrand.stages.rows(ideal.queue_of, number), len(ideal.numbers) + 1)
+    order, counts = partition(integrand.stages(rows)(ideal.queue_of, number), len(ideal.numbers) + 1)
     queues, first = [], 0
     for appearance, count in zip(ideal.numbers, counts):
         if count:
@@ -117,16 +110,19 @@ def ideally_scattered(integrand: Integrand, ideal: Ideal, state: PathState, hit:
     return step.order, vertex
 
 
+@stage()
 def no_direction(d: Vec3) -> Vec3:
     """(N,) zeros, to write directions into."""
     return d * 0.0
 
 
+@stage()
 def scattered_ideally(pdf: Tensor, survives: Tensor, beta: Vec3) -> Tensor:
     """(N,) bool: paths go on from vertices, in directions of such densities that are not left to chance."""
     return torch.isinf(pdf) & survives & (max_component(beta) > 0)
 
 
+@stage("surfaces")
 def ideal_vertex(surfaces: Surfaces, ray: Ray, hit: Hit, onwards: Vec3) -> Reached:
     """What is known of vertices that rays meet, (N,); `onwards`: the directions in which paths go on ideally; 0: in none."""
     n = triangle_normal(surfaces, hit)
@@ -140,44 +136,19 @@ def ideal_vertex(surfaces: Surfaces, ray: Ray, hit: Hit, onwards: Vec3) -> Reach
     return Reached(ray, hit, what, cells_met(surfaces, hit))
 
 
-class Recorder:
-    """Takes the steps of some paths by machine code, where they can be recorded.
+def steps_played(integrand: Integrand, surfaces: Taken, ideal: Ideal, tape: Tape, onward: Onward,
+                 depth: int) -> tuple[Tensor, Reached, Onward | None]:
+    """As `ideal_step`, by machine code where that is possible."""
+    def step(onward: Onward, at: Position) -> Played:
+        return Played(ideal_step(integrand, surfaces, ideal, onward, depth))
 
-    Args:
-        board: of the helpers.
-        integrand, surfaces, ideal: as for `ideal_step`.
-        dtype: of the rays.
-    """
+    def blank(arguments: tuple, reserve: Reserve) -> tuple:
+        (onward, _, at) = blank_lanes((arguments[0], None, arguments[1]), reserve)
+        return onward, at
 
-    def __init__(self, board: int, integrand: Integrand, surfaces: Taken, ideal: Ideal, dtype: torch.dtype):
-        self.integrand, self.board, self.ideal, self.surfaces = integrand, board, ideal, surfaces
-        tables, read = Tables(integrand, dtype), tensors_of(surfaces.argument)
-        self.given = Given([*tables.given.items, ideal.queue_of, *read])
-        self.kind = RECORDINGS.kind(tables.kind, surfaces.form.structure, self.given.pattern, lying(read))
-
-    def __call__(self, onward: Onward, depth: int) -> tuple[Tensor, Reached, Onward | None]:
-        """As `ideal_step`."""
-        integrand = self.integrand
-        varying = Given(tensors_of((onward, integrand.at(depth))))
-        structure: list = []
-        flatten(onward, [], structure)
-        key = (self.kind, *structure, varying.pattern, integrand.settings_at(depth), integrand.is_last(depth), depth == 0)
-        made = None
-        if all([leaf.is_contiguous() for leaf in varying.items]):
-            made = RECORDINGS.of(key, partial(self.record, onward, depth))
-        if made is None:
-            return ideal_step(integrand, self.surfaces, self.ideal, onward, depth)
-        found, counts = made(varying, self.given, onward.count, self.board)
-        integrand.caster.count(sum([counts[last] - counts[first] for first, last in made.rays]))
-        return found
-
-    def record(self, onward: Onward, depth: int) -> Recorded | None:
-        """Records a step like this one; None if that is not possible."""
-        reserve = Reserve()
-        paths = without_contents(onward.paths, reserve, ALL if onward.alive is None else ALL + 1)  # of which some end
-        onward = Onward(paths, without_contents((onward.alive,), reserve)[0])
-        given = [*tensors_of((onward, self.integrand.at(depth))), *self.given.items]
-        return recorded(given, reserve, lambda: ideal_step(self.integrand, self.surfaces, self.ideal, onward, depth))
+    key = integrand.settings_at(depth), integrand.is_last(depth), depth == 0
+    played = tape.play(key, step, (onward, integrand.at(depth)), onward.count, blank)
+    return ideal_step(integrand, surfaces, ideal, onward, depth) if played is None else played.results
 
 
 @contextmanager
@@ -187,5 +158,7 @@ def steps_taken(integrand: Integrand, surfaces: Surfaces | Taken, start: PathSta
     if not recordable(integrand):
         yield partial(ideal_step, integrand, surfaces, ideal)
         return
-    with board() as address:
-        yield Recorder(address, integrand, surfaces, ideal, start.pdf.dtype)
+    with board() as helpers:
+        tables = ideal.queue_of, *tensors_of(surfaces.argument)
+        tape = tape_of(integrand, start.pdf.dtype, helpers, tables, ("ideal", ideal.numbers, surfaces.form.structure))
+        yield partial(steps_played, integrand, surfaces, ideal, tape)

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.function import asks_for_gradient, first_derivatives_only
-from torch_radbp.adjoint.recorded_sweep import sweep_of
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import PathRecord, numbered_leaves
+from torch_radbp.adjoint.taped_sweep import sweep_of
 from torch_radbp.boundary.reflections.ideal_paths import only_ideal
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState

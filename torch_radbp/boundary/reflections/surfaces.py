@@ -13,7 +13,7 @@ from torch_radbp.boundary.edge_places import jump_of_creases
 from torch_radbp.boundary.geometry import Geometry, NormalsOnly, geometry_of, in_world
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.call.render_call import RenderCall
-from torch_radbp.path.integrand import Stages
+from torch_radbp.jit.stages import Stages
 from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.raycast.caster_cache import same
 from torch_radbp.raycast.protocol import Hit
@@ -22,6 +22,7 @@ from torch_radbp.scene.interaction import at_corners
 from torch_radbp.scene.placement import for_lanes
 from torch_radbp.scene.tensors import SceneTensors, TriangleTable
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Vec3, interpolated
 
 
@@ -100,7 +101,7 @@ def smooth_parts(stages: Stages, scene: SceneTensors, meshes: Sequence[Outline])
     continues = torch.full((3 * count,), -1, dtype=torch.int32, device=device)
     joints = [torch.zeros(2, 0, dtype=torch.int64, device=device)]
     for mesh in meshes:
-        own = stages.goes_on(geometry, mesh).nonzero().squeeze(1)
+        own = stages(goes_on)(geometry, mesh).nonzero().squeeze(1)
         one, other = (corner[own].long() for corner in mesh.edges.corner[:2])
         faces = torch.div(one, 3, rounding_mode="floor"), torch.div(other, 3, rounding_mode="floor")
         continues[one], continues[other] = faces[1].int(), faces[0].int()
@@ -108,6 +109,7 @@ def smooth_parts(stages: Stages, scene: SceneTensors, meshes: Sequence[Outline])
     return SmoothParts(continues, connected(torch.cat(joints, 1), count).int())
 
 
+@stage("geometry")
 def goes_on(geometry: Geometry, outline: Outline) -> Tensor:
     """(E,) bool: surfaces go on without a jump across edges that are no silhouettes."""
     edges = outline.edges

@@ -77,7 +77,7 @@ def bytes_of_shadows(call: RenderCall) -> int:
     edges = outlines_of(call.module).edges_expected(len(call.scene.triangles.material))
     vertices = max(hidden_light.FEWEST_PATHS, min(hidden_light.MOST, paths // hidden_light.SHARE))
     samples = max(FEWEST, min(border.MOST, paths // border.share_of(call.scene)))
-    of_edge, tried = (sizes[not hasattr(call.stages.edge_tried, "into")] for sizes in (BYTES_OF_EDGE, BYTES_OF_TRIED))
+    of_edge, tried = (sizes[not call.stages.is_compiled] for sizes in (BYTES_OF_EDGE, BYTES_OF_TRIED))
     ways = max(samples * border.LOOKS * GROUP * tried, vertices * hidden_light.LOOKS * BYTES_OF_WAY)
     looked_for = vertices * hidden_light.PLACES * glues(call)
     places = max(samples, looked_for)

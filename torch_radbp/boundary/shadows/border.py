@@ -32,7 +32,7 @@ from torch_radbp.boundary.places import APART, APERTURE_COUNTER, FEWEST, counts_
 from torch_radbp.boundary.shadows.edges_tried import edges_tried, eyes_for_each
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
-from torch_radbp.boundary.shadows.light_points import light_line, light_points
+from torch_radbp.boundary.shadows.light_points import light_eyes, light_line, light_points
 from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
     BESIDE,
@@ -53,10 +53,11 @@ from torch_radbp.boundary.shadows.seen_edges import (
 from torch_radbp.boundary.shadows.ways_down import picked_ones
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.view import View
+from torch_radbp.jit.stages import Stages
 from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, CameraSample
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.event import Ends
-from torch_radbp.path.integrand import Integrand, Stages
+from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import first_hit
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import LaneKey, SampleKey, bounce_key, fine_unit, random_bits
@@ -64,6 +65,7 @@ from torch_radbp.scene.cone import camera_cone
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows, unit_normal
 
 SALT = 0x1F83D9AB  # tells the random numbers of borders from others
@@ -202,7 +204,7 @@ def lit_edges(call: RenderCall, number: int, casting: Casting, lights: Lights, s
     points = rows(points, meant)
     if not len(meant):
         return None
-    eyes = call.integrand.part(Ends.SURROUNDINGS).call(call.stages.light_eyes, points.draw)
+    eyes = call.integrand.part(Ends.SURROUNDINGS).call(light_eyes, points.draw)
     passed = places_lit(call.stages, geometry_of(scene), casting, eyes, salted(view, SALT), count)
     if passed is not None and casting.outline.parts is not None:  # what rests on its receiver is counted in `under_edges.py`
         passed = rows(passed, (rows(casting.outline.parts.counts, passed.edge) == 1.0).nonzero().squeeze(1))
@@ -251,7 +253,7 @@ def borders_in_view(call: RenderCall, number: int, casting: Casting, lights: Lig
     borders, passed, inwards, times = found
     integrand = integrand_of(call, call.integrand, number)
     geometry, camera, aperture = geometry_of(scene), view.camera, aperture_of(view, passed.key)
-    course = integrand.part(Ends.SURROUNDINGS).call(call.stages.border_course, geometry, casting.outline, camera, borders,
+    course = integrand.part(Ends.SURROUNDINGS).call(border_course, geometry, casting.outline, camera, borders,
                                                     inwards, times, aperture)
     counted = ((course.normal.x != 0.0) | (course.normal.y != 0.0)).nonzero().squeeze(1)
     borders, course, key = rows((borders, course, passed.key), counted)
@@ -271,6 +273,7 @@ def borders_in_view(call: RenderCall, number: int, casting: Casting, lights: Lig
                          torch.where(course.sweep > 0, strength, -strength), course.sweep)
 
 
+@stage("scene", "geometry", "outline", "camera")
 def border_course(scene: SceneTensors, geometry: Geometry, outline: Outline, camera: Camera, borders: Borders,
                   inwards: Vec3, times: Tensor, aperture: Vec2 | None) -> BorderCourse:
     """How borders run on the film.
@@ -302,10 +305,11 @@ def aperture_of(view: View, key: LaneKey) -> Vec2 | None:
 def camera_sample(call: RenderCall, view: View, film: Vec2, aperture: Vec2 | None, key: LaneKey) -> CameraSample:
     """The rays through points of the film, pixels from the upper left corner of the window; attached as camera and points
     are."""
-    make = film_sample if any_differentiated((view.camera, film)) else call.stages.film_sample
+    make = film_sample if any_differentiated((view.camera, film)) else call.stages(film_sample)
     return make(view.camera, film, aperture, key, call.scene.layout.traces_cones)
 
 
+@stage("camera")
 def film_sample(camera: Camera, film: Vec2, aperture: Vec2 | None, key: LaneKey, cones: bool) -> CameraSample:
     """As `camera_sample`; `cones`: whether textures ask for them."""
     dtype = camera.dtype
@@ -334,9 +338,10 @@ def into_shade(camera: Camera, film: Vec2, aside: Vec2) -> Vec2:
 
 def sees(integrand: Integrand, ray: Ray, receiver: Hit, p: Vec3) -> Tensor:
     """True where camera rays meet what the borders fall on, (N,) bool; `p` (N,) these."""
-    return integrand.stages.meets(geometry_of(integrand.proposal), ray, first_hit(integrand, ray, 0), receiver, p)
+    return integrand.stages(meets)(geometry_of(integrand.proposal), ray, first_hit(integrand, ray, 0), receiver, p)
 
 
+@stage("geometry")
 def meets(geometry: Geometry, ray: Ray, hit: Hit, receiver: Hit, p: Vec3) -> Tensor:
     """True where what rays hit is what borders fall on, (N,) bool; `p` (N,) world, these.
 

@@ -34,7 +34,7 @@ from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry
 from torch_radbp.boundary.shadows.hidden_light import EVEN, FirstVertex, light_beyond, number_of_paths
 from torch_radbp.boundary.shadows.seen_edges import BESIDE, Passed, corners_of, extent_of, salted, unhidden
-from torch_radbp.boundary.shadows.segment_tree import SegmentTree, ends_of, surfaces_of
+from torch_radbp.boundary.shadows.segment_tree import SegmentTree, ends_of, segment_found, segment_passed, surfaces_of
 from torch_radbp.boundary.shadows.slid import what_slides
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, vertex_at, viewpoints
 from torch_radbp.boundary.shadows.ways_down import picked_ones, ways_down
@@ -43,6 +43,7 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.differentiated import primal
 from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, normalize, rows, unit_normal
 
 SALT = 0x7F4A7C15  # tells the random numbers of these places from others
@@ -105,16 +106,16 @@ def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree) -> Cros
     eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, (points.lobe,))
     seed, count, (segments, tree) = salted(view, SALT), PLACES * len(points.depth), crossing
     ways = ways_down(call.stages, tree, eyes, seed, LOOKS, extent)
-    found = call.stages.segment_found(geometry, segments, tree.slots, eyes, ways, extent)
+    found = call.stages(segment_found)(geometry, segments, tree.slots, eyes, ways, extent)
     found = picked_ones(found, ways.eye, LOOKS, count)
     if found is None:
         return None
-    passed = call.stages.segment_passed(geometry, segments, eyes, found.lot, found.found, found.eye, seed, extent,
+    passed = call.stages(segment_passed)(geometry, segments, eyes, found.lot, found.found, found.eye, seed, extent,
                                         numbers_to(count, found.eye))
     passed = rows(passed, unhidden(call.integrand, passed))
     if not len(passed.edge):
         return None
-    sheets = joined(list(call.stages.sheets_seen(geometry, segments, at, passed, extent)))
+    sheets = joined(list(call.stages(sheets_seen)(geometry, segments, at, passed, extent)))
     passed = joined([passed, passed])
     hit = hit_at(sheets, sheets.beside, integrand.proposal.dtype)
     light = light_beyond(call, integrand, points, hit, passed, at, FirstVertex(True, True)) * sheets.growth
@@ -130,6 +131,7 @@ def hit_at(sheets: Sheets, place: Vec2, dtype: torch.dtype) -> Hit:
     return Hit(sheets.triangle, u, v, torch.zeros_like(u), sheets.instance)
 
 
+@stage("geometry", "segments", "at")
 def sheets_seen(geometry: Geometry, segments: Segments, at: Vec3, passed: Passed,
                 extent: Tensor) -> tuple[Sheets, Sheets]:
     """Both surfaces at places on segments.

@@ -27,9 +27,10 @@ from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.eyes import COPLANAR, Eyes, how_much_counts, how_much_lobes_count
-from torch_radbp.path.integrand import Stages
+from torch_radbp.jit.stages import Stages
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Vec3, angle_between, cross, dot, max_component, normalize, rows, unit_normal, where
 from torch_radbp.texture.interleaved import interleaved
 
@@ -76,7 +77,7 @@ class Descent(NamedTuple):
 def edge_tree(stages: Stages, geometry: Geometry, outline: Outline) -> EdgeTree:
     """The tree over the edges of an outline, of what is detached."""
     slots = outline.slots.edge
-    return tree_over(stages, stages.edge_bounds(geometry, outline, slots, numbers_to(len(slots), slots)), slots)
+    return tree_over(stages, stages(edge_bounds)(geometry, outline, slots, numbers_to(len(slots), slots)), slots)
 
 
 def tree_over(stages: Stages, bounds: EdgeNodes, slots: Tensor) -> EdgeTree:
@@ -84,7 +85,7 @@ def tree_over(stages: Stages, bounds: EdgeNodes, slots: Tensor) -> EdgeTree:
     last, levels = len(slots) // GROUP, []
     for count in level_sizes(last):
         below, size = (levels[-1], len(levels[-1].bend)) if levels else (bounds, len(slots))
-        levels.append(interleaved(stages.merged_bounds(below, numbers_to(count, slots), size // count)))
+        levels.append(interleaved(stages(merged_bounds)(below, numbers_to(count, slots), size // count)))
     return EdgeTree(tuple(reversed(levels)), slots)
 
 
@@ -102,6 +103,7 @@ def numbers_to(count: int, like: Tensor) -> Tensor:
     return torch.arange(count, dtype=torch.int32, device=like.device)
 
 
+@stage("geometry", "outline", "slots")
 def edge_bounds(geometry: Geometry, outline: Outline, slots: Tensor, slot: Tensor) -> EdgeNodes:
     """The bounds of single edges.
 
@@ -147,6 +149,7 @@ def normal_of(geometry: Geometry, corner: Tensor, instance: Tensor | None) -> Ve
     return cross(p[1] - p[0], p[2] - p[0])
 
 
+@stage("below")
 def merged_bounds(below: EdgeNodes, node: Tensor, count: int) -> EdgeNodes:
     """The bounds of nodes, (N,) int32, each over so many, a power of 2, of those `below`: number `count` n and the next."""
     nodes = [rows(below, node * count + place) for place in range(count)]
@@ -225,6 +228,7 @@ def rounded(record, dtype: torch.dtype):
     return with_leaves(record, [leaf.to(dtype) for leaf in leaves_of(record)])
 
 
+@stage("nodes", "eyes")
 def descended(nodes: EdgeNodes, eyes: Eyes, extent: Tensor, at: Descent, count: int) -> Descent:
     """Places some levels farther down: one of all nodes there is picked, so that few ways end where no edge is.
 

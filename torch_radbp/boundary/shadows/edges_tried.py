@@ -24,9 +24,10 @@ from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.seen_edges import angle_seen
 from torch_radbp.boundary.shadows.ways_down import STEPS, Found
 from torch_radbp.jit.order import chosen
-from torch_radbp.path.integrand import Stages
+from torch_radbp.jit.stages import Stages
 from torch_radbp.sampling.sampler import SampleKey, fine_unit, hash32
 from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import rows
 
 FEWEST = 32  # eyes from which each edge is tried: of less, those few tell nothing that are to tell which edges are worth it
@@ -63,7 +64,7 @@ def edges_tried(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes
     def found_from(edges: Tensor, each: int, seed: SampleKey) -> tuple[Found, Tensor]:
         lane, count = numbers_to(each * len(edges), eyes.w), len(eyes.w)
         numbers = (torch.full((), value, dtype=torch.int32, device=lane.device) for value in (each, count))
-        tried = stages.edge_tried(geometry, outline, eyes, edges, seed, *numbers, extent, lane)
+        tried = stages(edge_tried)(geometry, outline, eyes, edges, seed, *numbers, extent, lane)
         kept = chosen(tried.angle > 0.0)
         (eye, angle), edge = rows(tried, kept), rows(edges, torch.div(kept, each, rounding_mode="floor"))
         return Found(edge, torch.full_like(angle, count / each), angle), eye
@@ -88,6 +89,7 @@ def close_to(geometry: Geometry, outline: Outline, found: Tensor) -> Tensor:
     return rows(touched, outline.edges.a) | rows(touched, outline.edges.b)
 
 
+@stage("geometry", "outline", "eyes", "edges")
 def edge_tried(geometry: Geometry, outline: Outline, eyes: Eyes, edges: Tensor, seed: SampleKey, each: Tensor, count: Tensor,
                extent: Tensor, lane: Tensor) -> Tried:
     """What eyes see of edges.

@@ -22,6 +22,7 @@ from torch_radbp.boundary.shadows.followed_light import moved_directions
 from torch_radbp.boundary.shadows.seen_edges import Casting, finite_normal, pace
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, arriving, path_of, vertex_on
 from torch_radbp.call.render_call import RenderCall, integrand_of
+from torch_radbp.jit.stages import EAGER
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.vec import Frame, Vec2, Vec3, dot, normalize, rows
 
@@ -68,7 +69,7 @@ def borders_of_paths(call: RenderCall, number: int, casting: Casting) -> Followe
     shade = sight_of(scene, geometry, casting.outline, start, borders, basis, off=inwards)
     normal = finite_normal(along, times)
     ahead = (shade.x - here.x) * normal.x + (shade.y - here.y) * normal.y > 0
-    eager = integrand.with_stages(integrand.stages.eager())
+    eager = integrand.with_stages(EAGER)
     found = drawn(eager, path_of(call, points.ray, key), points.hit, way.ray.d)
     beta = points.beta * found.scattered * found.share
     light = light_sent_on(call, integrand, borders, way, key) * torch.stack(tuple(beta)).double()

@@ -48,6 +48,7 @@ from torch_radbp.boundary.shadows.seen_edges import (
 )
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, arriving, path_of, vertex_at, vertex_on, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
+from torch_radbp.jit.stages import EAGER
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
 from torch_radbp.raycast.protocol import Hit
@@ -124,7 +125,7 @@ def moved_directions(call: RenderCall, points: Viewpoints, rays: Ray, numbers: N
     integrand = call.make_integrand(call.scene)
     state = path_of(call, rays, points.key)
     state = state._replace(pdf=torch.where(points.slides, state.pdf, 1.0))  # tells which of them slide
-    found = directions_drawn(integrand.with_stages(integrand.stages.eager()), state, points.hit, numbers)
+    found = directions_drawn(integrand.with_stages(EAGER), state, points.hit, numbers)
     return found.map(torch.Tensor.double)
 
 
@@ -151,7 +152,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, first: FirstVe
     start = rows(at, passed.eye)
     beyond = beside(integrand, passed, start, BESIDE * extent_of(geometry))
     own = rows(points, passed.eye)._replace(key=passed.key)
-    eager = integrand.with_stages(integrand.stages.eager())
+    eager = integrand.with_stages(EAGER)
     found = drawn(eager, path_of(call, own.ray, own.key), own.hit, beyond.back.ray.d)
     light = light_beside(call, integrand, own, beyond, found, first)
 

@@ -35,7 +35,7 @@ from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows import film_density, split
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
-from torch_radbp.boundary.shadows.light_points import light_points
+from torch_radbp.boundary.shadows.light_points import light_lobes, light_points
 from torch_radbp.boundary.shadows.lines_through_edges import scattered_towards, solid_angle
 from torch_radbp.boundary.shadows.seen_edges import (
     BESIDE,
@@ -58,14 +58,16 @@ from torch_radbp.boundary.shadows.thinning import chances, thinned
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.call.view import View
+from torch_radbp.jit.stages import Stages
 from torch_radbp.path.event import Ends
-from torch_radbp.path.integrand import Integrand, Stages
+from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.differentiated import primal
 from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3, cross, dot, masked, normalize, rows, unit_normal
 
 SALT = 0x3C6EF372  # tells the random numbers of these places from others
@@ -293,7 +295,7 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
     if call.scene.layout.lights:
         lights = light_points(call.stages, call.scene, call.views[number], len(points.depth))
         meant = ((points.depth > 0) | first.meant(call.scene)[lights.kind]) & ~without_extent(call.scene)[lights.kind]
-        lobe = integrand.part(Ends.SURROUNDINGS).call(call.stages.light_lobes, at, lights.draw)
+        lobe = integrand.part(Ends.SURROUNDINGS).call(light_lobes, at, lights.draw)
         lobes += (lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),)
     return Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, lobes)
 
@@ -322,7 +324,7 @@ def all_cuts(stages: Stages, geometry: Geometry, casting: Casting, points: Viewp
         hit: (N,) where lines from viewpoints through these are cut off.
         light: from cuts to (3, N) what the view sees of the light there, for each unit of `cut_at`'s coordinates.
     """
-    basis, normal, sweep = stages.cut_course(geometry, casting.outline, at, passed, hit, extent_of(geometry))
+    basis, normal, sweep = stages(cut_course)(geometry, casting.outline, at, passed, hit, extent_of(geometry))
     cuts = Cuts(passed.eye, passed.edge, passed.along, hit, basis)
     lost = torch.where((normal.x != 0.0) | (normal.y != 0.0), light(cuts), 0.0)
     return CutsOfView(points, cuts, normal, torch.where(sweep > 0, -lost, lost), sweep)
@@ -346,6 +348,7 @@ def with_used_viewpoints(found: CutsOfView) -> CutsOfView:
     return found._replace(points=rows(found.points, used.long()), cuts=cuts)
 
 
+@stage("geometry", "outline", "at")
 def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, hit: Hit, extent: Tensor) -> CutCourse:
     """How the borders of cuts run.
 

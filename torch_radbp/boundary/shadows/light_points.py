@@ -10,14 +10,15 @@ from torch import Tensor
 from torch_radbp.boundary.shadows.eyes import Eyes, Lobe, lobe_around
 from torch_radbp.boundary.shadows.seen_edges import salted
 from torch_radbp.call.view import View
+from torch_radbp.jit.stages import Stages
 from torch_radbp.path.bounce import light_numbers
 from torch_radbp.path.direct_light import LightDraw
-from torch_radbp.path.integrand import Stages
 from torch_radbp.sampling.alias import AliasTable
 from torch_radbp.sampling.sampler import SampleKey, bounce_key, fine_unit, lane_key, unit
 from torch_radbp.scene.light import Aims, among, light_aims
 from torch_radbp.scene.light_choice import LightPick, TreeChoice
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Vec3, masked, normalize, rows, where
 
 BEHIND = 0.05  # how much edges count behind a light: interpolated normals may let some light go there
@@ -34,9 +35,10 @@ class LightPoints(NamedTuple):
 def light_points(stages: Stages, scene: SceneTensors, view: View, count: int) -> LightPoints:
     """So many light samples, picked by the probabilities with which lights are picked that are the same everywhere."""
     key, number = salted(view, SALT), torch.arange(count, dtype=torch.int32, device=scene.device)
-    return stages.light_samples(scene.lights.choice, scene.lights.kind, key, number)
+    return stages(light_samples)(scene.lights.choice, scene.lights.kind, key, number)
 
 
+@stage("choice", "kind")
 def light_samples(choice: AliasTable | TreeChoice, kind: Tensor, key: SampleKey, number: Tensor) -> LightPoints:
     """The light samples of these numbers, (M,) int32.
 
@@ -61,6 +63,7 @@ def light_samples(choice: AliasTable | TreeChoice, kind: Tensor, key: SampleKey,
     return LightPoints(draw, rows(kind, element).long())
 
 
+@stage("scene")
 def light_eyes(scene: SceneTensors, draw: LightDraw) -> Eyes:
     """Where light samples, (M,), look for edges from; `scene`: detached, any part of it."""
     zero = torch.zeros_like(draw.picked.pmf).double()
@@ -70,6 +73,7 @@ def light_eyes(scene: SceneTensors, draw: LightDraw) -> Eyes:
     return Eyes(where(parallel, -d, start), (~parallel).double(), normal_of(aims, nowhere), zero + BEHIND, zero)
 
 
+@stage("scene")
 def light_lobes(scene: SceneTensors, p: Vec3, draw: LightDraw) -> Lobe:
     """The lights of samples, one for each of some points, as they are seen from there.
 
@@ -82,6 +86,7 @@ def light_lobes(scene: SceneTensors, p: Vec3, draw: LightDraw) -> Lobe:
     return lobe_around(aims("d"), aims("pdf") / draw.picked.pmf.clamp_min(TINY))
 
 
+@stage("scene")
 def light_line(scene: SceneTensors, p: Vec3, draw: LightDraw) -> tuple[Vec3, Vec3, Tensor]:
     """Where the light of samples comes from on its way through points p, and the direction in which it goes; attached.
 

@@ -18,7 +18,8 @@ from torch_radbp.boundary.shadows.eyes import Eyes, how_much_counts, how_much_lo
 from torch_radbp.boundary.shadows.ways_down import Found, PickedOnes, found_among, picked_ones, ways_down
 from torch_radbp.boundary.silhouette import is_silhouette
 from torch_radbp.call.view import View
-from torch_radbp.path.integrand import Integrand, Stages
+from torch_radbp.jit.stages import Stages
+from torch_radbp.path.integrand import Integrand
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import (
     CAMERA_COUNTER,
@@ -32,6 +33,7 @@ from torch_radbp.sampling.sampler import (
     uniform,
 )
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, angle_between, cross, crossing, dot, normalize, rows
 
 BESIDE = 2e-5  # share of the scene's extent by which rays pass edges
@@ -96,6 +98,7 @@ def angle_of(a: Vec3, b: Vec3, eye: Eyes, extent: Tensor) -> Tensor:
     return counts * torch.where(eye.w > 0.0, torch.sqrt(dot(apart, apart)), torch.sqrt(dot(across, across)) / extent)
 
 
+@stage("geometry", "slots", "eyes")
 def edge_found(geometry: Geometry, slots: EdgeSlots, eyes: Eyes, at: Descent, extent: Tensor) -> Found:
     """Silhouettes below the last nodes of the tree, in proportion to their angles.
 
@@ -110,6 +113,7 @@ def edge_found(geometry: Geometry, slots: EdgeSlots, eyes: Eyes, at: Descent, ex
     return found_among(slots.edge, at, first, angles)
 
 
+@stage("geometry", "outline", "eyes", "lot", "found", "eye")
 def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, found: Found, eye: Tensor, seed: SampleKey,
                 extent: Tensor, place: Tensor) -> Passed:
     """Places on some of the edges that were found.
@@ -210,7 +214,7 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
     outline, tree = casting
     extent = extent_of(geometry)
     at = ways_down(stages, tree, eyes, seed, each, extent, tried)
-    found = stages.edge_found(geometry, outline.slots, eyes, at, extent)
+    found = stages(edge_found)(geometry, outline.slots, eyes, at, extent)
     count = min(count, int(torch.count_nonzero(found.times)))
     return places_on(stages, geometry, outline, eyes, seed, picked_ones(found, at.eye, each, count, tried))
 
@@ -220,7 +224,7 @@ def places_on(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, 
     """Places on edges that were `found`; None: there are none. The other args as for `places_seen`."""
     if found is None:
         return None
-    return stages.edge_passed(geometry, outline, eyes, found.lot, found.found, found.eye, seed, extent_of(geometry),
+    return stages(edge_passed)(geometry, outline, eyes, found.lot, found.found, found.eye, seed, extent_of(geometry),
                               numbers_to(found.count, found.eye))
 
 

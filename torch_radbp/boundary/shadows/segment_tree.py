@@ -28,9 +28,10 @@ from torch_radbp.boundary.shadows.edge_tree import (
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.seen_edges import Passed, angle_of, numbers_of_places, passed_at, place_between
 from torch_radbp.boundary.shadows.ways_down import Found, found_among
-from torch_radbp.path.integrand import Stages
+from torch_radbp.jit.stages import Stages
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Vec3, dot, interpolated, normalize, rows, unit_normal
 
 
@@ -45,7 +46,7 @@ def segment_tree(stages: Stages, geometry: Geometry, segments: Segments) -> Segm
     """The tree over some segments; `geometry`: of the scene, detached."""
     start, _ = ends_of(geometry, segments)
     slots = slots_of(torch.zeros_like(segments.triangle), start.stack())
-    bounds = stages.segment_bounds(geometry, segments, slots, numbers_to(len(slots), slots))
+    bounds = stages(segment_bounds)(geometry, segments, slots, numbers_to(len(slots), slots))
     return SegmentTree(segments, tree_over(stages, bounds, slots))
 
 
@@ -55,6 +56,7 @@ def ends_of(geometry: Geometry, segments: Segments) -> tuple[Vec3, Vec3]:
     return tuple(interpolated(corners, end.x, end.y) for end in (segments.start, segments.end))
 
 
+@stage("geometry", "segments", "slots")
 def segment_bounds(geometry: Geometry, segments: Segments, slots: Tensor, slot: Tensor) -> EdgeNodes:
     """The bounds of single segments.
 
@@ -76,6 +78,7 @@ def segment_bounds(geometry: Geometry, segments: Segments, slots: Tensor, slot: 
     return rounded(bounds, geometry.triangles.vertices.p.x.dtype)
 
 
+@stage("geometry", "segments", "slots", "eyes")
 def segment_found(geometry: Geometry, segments: Segments, slots: Tensor, eyes: Eyes, at: Descent, extent: Tensor) -> Found:
     """Segments below the last nodes of the tree, in proportion to the angles under which they are seen.
 
@@ -99,6 +102,7 @@ def segment_found(geometry: Geometry, segments: Segments, slots: Tensor, eyes: E
     return found_among(slots, at, first, angles)
 
 
+@stage("geometry", "segments", "eyes", "lot", "found", "eye")
 def segment_passed(geometry: Geometry, segments: Segments, eyes: Eyes, lot: Lot, found: Found, eye: Tensor, seed: SampleKey,
                    extent: Tensor, place: Tensor) -> Passed:
     """Places on some of the segments that were found, `outwards` to between the surfaces that eyes see there.

@@ -22,7 +22,7 @@ from torch import Tensor
 from torch_radbp.boundary.geometry import Geometry, geometry_of, positions
 from torch_radbp.boundary.places import FEWEST, Places, Sight, lot_of, on_film, sight_of
 from torch_radbp.boundary.primary import lanes
-from torch_radbp.boundary.segments import Segments, place_of
+from torch_radbp.boundary.segments import Segments, place_of, segment_place, segment_weight
 from torch_radbp.boundary.shadows.border import MOST, SHARE, camera_sample, seen_at, sees
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
 from torch_radbp.boundary.shadows.light_points import light_line, light_points
@@ -73,11 +73,11 @@ def strips_in_view(call: RenderCall, number: int, contacts: Segments) -> Strips 
     """
     view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
     sight = sight_of(view, ())
-    weight = call.stages.segment_weight(geometry, sight, contacts)
+    weight = call.stages(segment_weight)(geometry, sight, contacts)
     if not bool((weight > 0.0).any()):
         return None
     count = max(FEWEST, min(MOST, view.width * view.height * call.spp // SHARE))
-    places = call.stages.segment_place(geometry, sight, contacts, lot_of(weight, count, running_sum(weight)),
+    places = call.stages(segment_place)(geometry, sight, contacts, lot_of(weight, count, running_sum(weight)),
                                        lanes(count, weight))
     draw = light_points(call.stages, scene, view, count).draw
     counted = (places.counts & ((places.normal.x != 0.0) | (places.normal.y != 0.0))).nonzero().squeeze(1)

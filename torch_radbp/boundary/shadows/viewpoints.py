@@ -16,8 +16,8 @@ from torch_radbp.call.render_call import RenderCall, started
 from torch_radbp.path.bounce import CameraSample, sample_camera
 from torch_radbp.path.event import Scatters
 from torch_radbp.path.integrand import Integrand, number
-from torch_radbp.path.recorded_bounce import bounces_taken
 from torch_radbp.path.state import PathState
+from torch_radbp.path.taped_bounces import bounces_taken
 from torch_radbp.path.wavefront import Onward, put_rows
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.running_sum import running_sum
@@ -27,6 +27,7 @@ from torch_radbp.scene.nearby import slides_from
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import joined, leaves_of, with_leaves
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, max_component, rows, where
 
 SALT = 0x5BE0CD19  # tells the random numbers of these paths from others,
@@ -134,7 +135,7 @@ def paths_begun(call: RenderCall, number: int, key: SampleKey, count: int, densi
     cell, area = cells_begun(sample - begun + jitter, count, grid.columns * grid.rows, density)
     row = torch.div(cell, grid.columns, rounding_mode="floor")
     column, pixel = cell - row * grid.columns, view.window.numbers(cell - row * grid.columns, row)
-    camera = call.stages.sample_camera(view.camera, view.apart, pixel, sample, key, call.scene.layout.traces_cones)
+    camera = call.stages(sample_camera)(view.camera, view.apart, pixel, sample, key, call.scene.layout.traces_cones)
     place = Vec2(column - view.window.columns.before + camera.place.x.double(),
                  row - view.window.rows.before + camera.place.y.double())
     return Begun(pixel, sample, place, area.expand(count), camera)
@@ -175,11 +176,12 @@ def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, foll
             if meant:
                 reached = Reached(state, step.hit, step.order, step.survives, onward.paths)
                 at = number(SALT + 1 + depth, key.seed.device)
-                put_rows(picked, *stages.picked_vertex(picked, reached, torch.cat(meant), key, at, attached))
+                put_rows(picked, *stages(picked_vertex)(picked, reached, torch.cat(meant), key, at, attached))
             depth += 1
     return picked
 
 
+@stage("picked", "reached")
 def picked_vertex(picked: Picked, reached: Reached, vertex: Tensor, key: SampleKey, counter: Tensor,
                   attached: bool) -> tuple[Tensor, Picked]:
     """The paths of some vertices of a bounce, (N,) int32, and what is picked of them then.

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.places import NEIGHBOURS, Lot, lot_of
-from torch_radbp.boundary.shadows.edge_tree import Descent, EdgeTree, drawn, numbers_to, rounded
+from torch_radbp.boundary.shadows.edge_tree import Descent, EdgeTree, descended, drawn, numbers_to, rounded
 from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.path.integrand import Stages
+from torch_radbp.jit.stages import Stages
 from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import SampleKey, fine_unit, hash32
 from torch_radbp.tensors.lookup import lookup
@@ -36,7 +36,7 @@ def ways_down(stages: Stages, tree: EdgeTree, eyes: Eyes, seed: SampleKey, each:
     dtype = tree.levels[0].bend.dtype if tree.levels else extent.dtype
     seen_from, wide = rounded(eyes, dtype), extent.to(dtype)
     for nodes in tree.levels:
-        at, above = stages.descended(nodes, seen_from, wide, at, len(nodes.bend) // above), len(nodes.bend)
+        at, above = stages(descended)(nodes, seen_from, wide, at, len(nodes.bend) // above), len(nodes.bend)
     return at
 
 

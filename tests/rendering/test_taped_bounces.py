@@ -9,11 +9,12 @@ from tests.derivatives.everything import build_everything
 from tests.gradients import cotangent, unwarned_renderer
 from tests.scenes import cornell, diffuse, load, parameters, rectangle, rgb, sensor, sky_and_points, textured, two_sided
 from tests.texture.networks import Function, lit_room, mlp, room
-from torch_radbp.adjoint import record, recorded_sweep
+from torch_radbp.adjoint import record, taped_sweep
 from torch_radbp.io.transform import translate
 from torch_radbp.jit.recorded import Recorded
+from torch_radbp.jit.tape import RECORDINGS
 from torch_radbp.jit.tiles import TILE
-from torch_radbp.path import recorded_bounce, whole_paths
+from torch_radbp.path import taped_bounces, whole_paths
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
 SETTINGS = {"spp": 4, "max_depth": 5, "rr_depth": 2, "compile": True, "terms": ("interior",)}
@@ -53,8 +54,8 @@ def calls(monkeypatch) -> list[int]:
 
 def singly(monkeypatch) -> None:
     """From here on nothing is recorded."""
-    monkeypatch.setattr(recorded_bounce, "recordable", lambda integrand: False)
-    monkeypatch.setattr(recorded_sweep, "recordable", lambda integrand: False)
+    monkeypatch.setattr(taped_bounces, "recordable", lambda integrand: False)
+    monkeypatch.setattr(taped_sweep, "recordable", lambda integrand: False)
     monkeypatch.setattr(whole_paths, "recordable", lambda integrand: False)
 
 
@@ -117,14 +118,14 @@ def test_a_loop_that_moves_a_mesh_and_changes_colours_uses_the_same_recordings(c
     renderer(seed=0)
     with torch.no_grad():
         renderer(seed=0)  # whose paths are traced whole
-    known = len(recorded_bounce.RECORDINGS.known)
+    known = len(RECORDINGS.known)
     for step in range(3):
         for own in (scene, other):
             with torch.no_grad():
                 own.get_parameter(name).mul_(1.05)
         with torch.no_grad():
             image = renderer(seed=step)
-        assert len(recorded_bounce.RECORDINGS.known) == known and calls
+        assert len(RECORDINGS.known) == known and calls
         with pytest.MonkeyPatch.context() as patch, torch.no_grad():
             singly(patch)
             assert torch.equal(image, fresh(seed=step)) and image.std() > 0
@@ -166,9 +167,9 @@ def test_recordings_serve_other_networks(calls):
     for seed, renderer in enumerate(renderers):
         renderer.scene.white.reflectance = rb.NeuralTexture(mlp(2, 3, seed, width=4 + seed))
     images = [renderers[0](seed=1).detach()]
-    known = len(recorded_bounce.RECORDINGS.known)
+    known = len(RECORDINGS.known)
     images.append(renderers[1](seed=1).detach())
-    assert calls and len(recorded_bounce.RECORDINGS.known) == known
+    assert calls and len(RECORDINGS.known) == known
     with pytest.MonkeyPatch.context() as patch:
         singly(patch)
         for image, renderer in zip(images, renderers):

@@ -9,7 +9,7 @@ from tests.gradients import cotangent
 from tests.scenes import load
 from torch_radbp.boundary.reflections import differences, ideal_steps
 from torch_radbp.jit.recorded import Recorded
-from torch_radbp.path.recorded_bounce import Recordings
+from torch_radbp.jit.tape import Tape
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 SCENES = {"ball": {"ball": BALL, "cube": CUBE}, "lens": {"lens": LENS, "cube": CUBE},
@@ -29,9 +29,13 @@ def test_gradients_have_the_same_bits(name, monkeypatch):
     called, call = [], Recorded.__call__
     monkeypatch.setattr(Recorded, "__call__", lambda *given, **named: called.append(given) or call(*given, **named))
     recorded, steps, parting = gradient(SCENES[name]), [], []
-    once, step, none = len(called), ideal_steps.ideal_step, Recordings()
-    none.of = lambda key, make: parting.append(key)
-    monkeypatch.setattr(differences, "RECORDINGS", none)
+    once, step = len(called), ideal_steps.ideal_step
+
+    class NothingPlayed(Tape):
+        def play(self, *rest):
+            parting.append(rest)
+
+    monkeypatch.setattr(differences, "Tape", NothingPlayed)
     monkeypatch.setattr(ideal_steps, "recordable", lambda integrand: False)
     monkeypatch.setattr(ideal_steps, "ideal_step", lambda *rest: steps.append(rest) or step(*rest))
     singly = gradient(SCENES[name])

@@ -1,0 +1,199 @@
+"""What runs stages: plain torch, or one compiled loop over lanes for each; both have one interface.
+
+    run = compiled()
+    place = run(film_place)(size, order, number, sample)
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from copy import copy
+from typing import Any, Protocol
+
+from torch_radbp.jit.allocator import keep_freed_memory
+from torch_radbp.jit.arguments import Taken
+from torch_radbp.jit.dual import DualFunction
+from torch_radbp.jit.machine import made_once
+from torch_radbp.jit.refusal import UnknownOperation
+from torch_radbp.jit.run import LaneFunction
+from torch_radbp.jit.target import Target
+from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.record import leaves_of
+from torch_radbp.tensors.stage import DECLARED
+from torch_radbp.tensors.torch_internals import inside_dual_level
+
+
+class Stage(Protocol):
+    """A stage as it is run.
+
+    Attributes:
+        is_compiled: whether it is one loop over lanes, which writes into what exists as easily as into new tensors.
+    """
+
+    is_compiled: bool
+
+    def __call__(self, *arguments): ...
+
+    def knowing(self, *arguments) -> Stage:
+        """The same stage, prepared for calls that begin with these very arguments."""
+
+    def taken(self, **arguments) -> tuple:
+        """Arguments by name, prepared for several calls."""
+
+    def room(self, results) -> Any:
+        """What `into` writes into, prepared for several calls."""
+
+    def into(self, results, first: int, *arguments) -> None:
+        """Writes what a call would return into the tensors of `results`, from the entry `first` on."""
+
+
+class Stages(Protocol):
+    """Runs stages: gives for each function that is declared one what runs it, always the same object."""
+
+    is_compiled: bool
+
+    def __call__(self, function: Callable) -> Stage: ...
+
+
+class PlainStage:
+    """A stage in plain torch."""
+
+    is_compiled = False
+
+    def __init__(self, function: Callable):
+        self.function = function
+
+    def __call__(self, *arguments):
+        return self.function(*arguments)
+
+    def knowing(self, *arguments) -> PlainStage:
+        return self
+
+    def taken(self, **arguments) -> tuple:
+        return tuple(arguments.values())
+
+    def room(self, results) -> Any:
+        return results
+
+    def into(self, results, first: int, *arguments) -> None:
+        write(results, first, self.function(*arguments))
+
+
+class CompiledStage:
+    """A stage that is compiled for each kind of scene that it meets, or runs eagerly where it cannot be, and says so once.
+
+    Of dual tensors, in forward mode, values and tangents are computed in one loop.
+
+    Args:
+        function: the stage.
+        tables: see `tensors.stage.stage`.
+        target: see `CompiledStages`.
+    """
+
+    is_compiled = True
+
+    def __init__(self, function: Callable, tables: tuple[str, ...], target: Target | None = None):
+        self.function, self.fused = function, LaneFunction(function, tables, target)
+        self.dual = DualFunction(function, tables, target)
+        self.told: list[str] = []  # why it could not be compiled, once said; one list for all copies
+
+    def knowing(self, *arguments) -> CompiledStage:
+        other = copy(self)
+        other.fused = self.fused.knowing(*arguments)
+        other.dual = self.dual.knowing(*map(as_it_is, arguments))
+        return other
+
+    def taken(self, **arguments) -> tuple[Taken, ...]:
+        return self.fused.taken(**arguments)
+
+    def room(self, results) -> Taken:
+        return self.fused.room(results)
+
+    def __call__(self, *arguments):
+        try:
+            if inside_dual_level() and (parts := self.dual.parts(tuple(map(as_it_is, arguments)))).moving:
+                return self.dual.of_parts(parts)
+            return self.fused(*arguments)
+        except UnknownOperation as error:
+            return self.eagerly(error, arguments)
+
+    def into(self, results, first: int, *arguments) -> None:
+        try:
+            if inside_dual_level() and any_differentiated(as_it_is(results)):
+                parts = self.dual.parts(tuple(map(as_it_is, arguments)))
+                return self.dual.into(as_it_is(results), first, parts)
+            self.fused.into(results, first, *arguments)
+        except UnknownOperation as error:
+            write(as_it_is(results), first, self.eagerly(error, arguments))
+
+    def eagerly(self, error: UnknownOperation, arguments: tuple):
+        """What the stage returns in plain torch; says once why."""
+        if not self.told:
+            self.told.append(str(error))
+            warnings.warn(f"{self.function.__name__} runs eagerly, which is slower: {error}", RuntimeWarning, stacklevel=3)
+        return self.function(*map(as_it_is, arguments))
+
+
+class PlainStages:
+    """Runs stages in plain torch.
+
+    Args:
+        instead: functions that run in the place of stages.
+    """
+
+    is_compiled = False
+
+    def __init__(self, instead: Mapping[Callable, Callable] = {}):
+        self.instead, self.made = instead, {}
+
+    def __call__(self, function: Callable) -> PlainStage:
+        stage = self.made.get(function)
+        if stage is None:
+            stage = self.made.setdefault(function, PlainStage(self.instead.get(function, function)))
+        return stage
+
+
+class CompiledStages:
+    """Runs each stage as a loop of its own, compiled when it is first called.
+
+    Args:
+        target: for which they are compiled; None: for the device that the tensors of a call lie on.
+    """
+
+    is_compiled = True
+
+    def __init__(self, target: Target | None = None):
+        self.target, self.made = target, {}
+
+    def __call__(self, function: Callable) -> CompiledStage:
+        stage = self.made.get(function)
+        if stage is None:
+            stage = self.made.setdefault(function, CompiledStage(function, DECLARED[function], self.target))
+        return stage
+
+    def __iter__(self) -> Iterator[CompiledStage]:
+        """All that were called."""
+        return iter(self.made.values())
+
+
+EAGER = PlainStages()
+
+
+@made_once
+def compiled() -> CompiledStages:
+    """The compiled stages of this process."""
+    keep_freed_memory()
+    return CompiledStages()
+
+
+def write(results, first: int, values) -> None:
+    """Writes values into the tensors of `results` from the entry `first` on; where either has None nothing."""
+    for target, value in zip(leaves_of(results), leaves_of(values)):
+        if target is not None and value is not None:
+            target[first:first + len(value)] = value
+
+
+def as_it_is(argument):
+    """An argument that may be prepared for several calls, as it was given."""
+    return argument.argument if isinstance(argument, Taken) else argument

@@ -1,0 +1,225 @@
+"""A tape: what a step does with lanes is recorded once for arguments of one kind, and done again as machine code.
+
+    tape = Tape(board, tables, kind)
+    played = tape.play(key, step, arguments, count)     # the first call of a kind records, later ones only play
+
+Between the loops of a step Python would decide which comes next. It does so once, while a `Recording` listens.
+What differs from call to call, lanes, numbers of lanes and tables, is given to what was recorded. Recordings are kept for
+the process, by all that they depend on.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Hashable, Sequence
+from functools import partial
+from threading import Lock
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.jit.board import Board
+from torch_radbp.jit.dual import dual, parted, tensors_of
+from torch_radbp.jit.recorded import Given, Recorded
+from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
+from torch_radbp.jit.structure import flatten
+from torch_radbp.jit.tiles import Handed, handed
+from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.torch_internals import inside_dual_level
+
+MOST = 256  # recordings that are kept
+UNKNOWN = object()
+
+
+class Played(NamedTuple):
+    """What a step returns, whether it is recorded or played."""
+
+    results: Any  # tensors in nested tuples; dual ones of dual arguments
+    counts: Sequence[int] = ()  # numbers of lanes, or where among lanes something begins
+    constant: Any = None  # what is the same whenever this recording is played
+
+
+Step = Callable[..., Played]  # of the arguments
+
+
+class Taped(NamedTuple):
+    """A step that was recorded."""
+
+    recorded: Recorded
+    counts: tuple[int, ...]  # the numbers of `Played.counts` among those of the recording
+    constant: Any
+    dual: bool  # the results are values and, by themselves, tangents
+
+
+class Link(NamedTuple):
+    """A step that was recorded to hand its results to the next one."""
+
+    recorded: Recorded
+    handed: Handed
+    results: tuple[Any, Any]  # without contents, values and tangents: dual tensors do not outlive a call
+
+
+class Recordings:
+    """What was recorded, by all that it depends on; None: such things cannot be."""
+
+    def __init__(self) -> None:
+        self.known: dict[tuple, Any] = {}
+        self.kinds: dict[tuple, int] = {}
+        self.making, self.numbers = Lock(), itertools.count()
+
+    def kind(self, *parts) -> int:
+        """A number that stands for these parts of a key, which take their time to compare; they are kept alive."""
+        return self.kinds.setdefault(parts, next(self.numbers))
+
+    def of(self, key: tuple, make: Callable[[], Any]) -> Any:
+        """What a key stands for, recorded now if it is not known."""
+        made = self.known.get(key, UNKNOWN)
+        if made is UNKNOWN:
+            with self.making:
+                made = self.known.get(key, UNKNOWN)
+                if made is UNKNOWN:
+                    if len(self.known) >= MOST:
+                        self.known.pop(next(iter(self.known)))
+                    made = self.known[key] = make()
+        return made
+
+
+RECORDINGS = Recordings()
+
+
+def blank(arguments: Any, reserve: Reserve) -> Any:
+    """The arguments of a step as a recording has them: what has an entry for each lane is without contents."""
+    return without_contents(arguments, reserve)
+
+
+class Tape:
+    """Plays steps that read the same tables.
+
+    Args:
+        tables: tensors, and addresses, that steps read beside their arguments; scenes may have others of the same kind.
+        kind: all else that steps depend on.
+        contexts: of what steps do outside, see `recording.outside`.
+        board: of the helpers; None: nothing is played, only recorded.
+        cast: is told how many rays were cast.
+    """
+
+    def __init__(self, tables: Sequence[Tensor | int], kind: Sequence[Hashable] = (), contexts: Sequence[Any] = (),
+                 board: Board | None = None, cast: Callable[[int], None] | None = None):
+        self.tables, self.contexts, self.board, self.cast = Given(tables), contexts, board, cast
+        self.kind = RECORDINGS.kind(*kind, self.tables.pattern,
+                                    lying([table for table in tables if isinstance(table, Tensor)]))
+        self.kinds: dict[Hashable, int] = {}  # of arguments, by their names
+
+    def play(self, key: tuple, step: Step, arguments: tuple, count: int, blank: Callable = blank, name: Hashable = None,
+             counts: Sequence[int] = ()) -> Played | None:
+        """What a step returns of its arguments; None if it cannot be recorded, and is to be called.
+
+        Args:
+            key: hashable; what the step does depends on nothing else but the tape and the structure of the arguments.
+            step: is called with arguments without contents to record it.
+            arguments: records; tensors with entries have one for each of some lanes.
+            count: of all lanes, at least 1.
+            blank: makes the arguments that are recorded, of these, a `Reserve` and, if there are any, what stands for
+                `counts`.
+            name: arguments of one name have one structure, which is then told once; None: it is told each time.
+            counts: numbers of lanes that the arguments hold, or where some begin, in ascending order.
+        """
+        varying = self.varying(arguments)
+        taped = self.kept(key, arguments, varying, name, partial(self.record, step, arguments, blank, len(counts)))
+        if taped is None:
+            self.board.close()
+            return None
+        results, numbers = taped.recorded(varying, self.tables, count, self.board, counts, self.contexts)
+        if self.cast is not None:
+            self.cast(sum([numbers[last] - numbers[first] for first, last in taped.recorded.rays]))
+        return Played(dual(*results) if taped.dual else results, [numbers[place] for place in taped.counts], taped.constant)
+
+    def link(self, key: tuple, step: Step, arguments: tuple, blank: Callable) -> tuple[Link | None, Given]:
+        """A step whose results are handed to the next one, tile by tile, as the first of its arguments; and its tensors.
+
+        Args are as for `play`; None: it cannot be recorded.
+        """
+        varying = self.varying(arguments)
+        link = self.kept(("link", *key), arguments, varying, None, partial(self.record_link, step, arguments, blank))
+        return link, Given([*varying.items, *self.tables.items])
+
+    @staticmethod
+    def varying(arguments: tuple) -> Given:
+        """The tensors of arguments, one argument after the other."""
+        return Given([tensor for argument in arguments for tensor in tensors_of(argument)])
+
+    def kept(self, key: tuple, arguments: tuple, varying: Given, name: Hashable, make: Callable[[], Any]) -> Any:
+        """What `make` makes of arguments of this kind; None if it cannot be made."""
+        if not all([tensor.is_contiguous() for tensor in varying.items]):
+            return None
+        kind = self.kinds.get(name)
+        if kind is None:
+            kind = RECORDINGS.kind(self.kind, *structure_of(arguments))
+            if name is not None:
+                self.kinds[name] = kind
+        return RECORDINGS.of((kind, varying.pattern, *key), make)
+
+    def record(self, step: Step, arguments: tuple, blank: Callable, counts: int) -> Taped | None:
+        """Records such a step."""
+        reserve = Reserve()
+        borders = Recording([]).borders(counts + 1, ALL)[1:-1] if counts else []
+        arguments = blank(arguments, reserve, borders) if counts else blank(arguments, reserve)
+        try:
+            listener, given, played = self.listened(step, arguments, reserve, borders)
+            results = parted(played.results) if inside_dual_level() else played.results
+            return Taped(Recorded(listener, given, results), tuple([listener.points[count] for count in played.counts]),
+                         played.constant, inside_dual_level())
+        except NotRecordable:
+            return None
+
+    def record_link(self, step: Step, arguments: tuple, blank: Callable) -> Link | None:
+        """Records such a step."""
+        reserve = Reserve()
+        try:
+            listener, given, played = self.listened(step, blank(arguments, reserve), reserve)
+            recorded = Recorded(listener, given, tensors_of(played.results))
+            return Link(recorded, handed(recorded), parted(played.results))
+        except NotRecordable:
+            return None
+
+    def listened(self, step: Step, arguments: tuple, reserve: Reserve,
+                 borders: Sequence[int] = ()) -> tuple[Recording, list[Tensor | int], Played]:
+        """What a step does with arguments without contents, what it is given, and what it returns."""
+        given = [*self.varying(arguments).items, *self.tables.items]
+        listener = Recording(given, borders, reserve, self.contexts)
+        with torch.no_grad(), listening(listener):
+            return listener, given, step(*arguments)
+
+
+def without_contents(record: Any, reserve: Reserve, lanes: int = ALL) -> Any:
+    """A record of lanes like another one, as recordings have them; what is the same there is so here, numbers are kept."""
+    made: dict[int, Tensor] = {}
+
+    def like(leaf):
+        if not isinstance(leaf, Tensor) or leaf.dim() == 0:
+            return leaf
+        return made.setdefault(leaf.data_ptr(), reserve.tensor(leaf.dtype, lanes))
+
+    return dual(*[with_leaves(part, list(map(like, leaves_of(part)))) for part in parted(record)])
+
+
+def structure_of(record: Any) -> list:
+    """What is there and what is not, tangents among it; equal of what one recording serves."""
+    structure: list = []
+    flatten(parted(record) if inside_dual_level() else record, [], structure)
+    return structure
+
+
+def lying(tables: Sequence[Tensor]) -> tuple:
+    """How tables lie in memory, as far as code depends on that."""
+    blocks: dict[tuple, int] = {}  # of rows that several are columns of
+    found = []
+    for table in tables:
+        if table.is_contiguous():
+            found.append((table.dtype, table.dim()))
+        else:
+            width, offset = table.stride(0), table.storage_offset()
+            block = table.untyped_storage().data_ptr(), offset // width, width
+            found.append((table.dtype, width, offset % width, blocks.setdefault(block, len(blocks))))
+    return tuple(found)

@@ -1,0 +1,112 @@
+"""Bounces as machine code: what a bounce does with lanes is recorded once for scenes of one kind, and then played."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+
+import torch
+
+from torch_radbp.jit.board import Board, board
+from torch_radbp.jit.dual import parted, tensors_of
+from torch_radbp.jit.recording import ALL, Reserve
+from torch_radbp.jit.tape import Played, Tape, without_contents
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.queues import EMPTY
+from torch_radbp.path.state import PathState, Position
+from torch_radbp.path.wavefront import Onward, Step, bounced, first_hit
+from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.record import leaves_of
+from torch_radbp.tensors.torch_internals import inside_dual_level
+from torch_radbp.tensors.vec import Vec3
+
+Bounce = Callable[[Integrand, Onward, int, Vec3 | None], tuple[PathState, Step, Onward]]  # `bounced`, or one that is like it
+BounceOf = Callable[[Onward, int, Vec3 | None], tuple[PathState, Step, Onward]]  # the same of an integrand
+
+
+@contextmanager
+def bounces_taken(integrand: Integrand, dtype: torch.dtype, bounce: Bounce = bounced) -> Iterator[BounceOf]:
+    """What takes one bounce after the other, of rays of a dtype: `bounce`, or machine code that does the same."""
+    if not recordable(integrand):
+        yield partial(bounce, integrand)
+        return
+    with board() as helpers:
+        yield partial(played, bounce, integrand, tape_of(integrand, dtype, helpers))
+
+
+def recordable(integrand: Integrand) -> bool:
+    """True if bounces may be recorded: those of compiled stages, on the CPU, which autograd does not record. Who is asked
+    outside is told no tangents."""
+    return (integrand.stages.is_compiled and not (integrand.attached and torch.is_grad_enabled())
+            and not (integrand.proposal.layout.reads_outside and inside_dual_level())
+            and (integrand.caster is None or hasattr(integrand.caster, "reads"))
+            and integrand.proposal.lights.choice.pmf.device.type == "cpu")
+
+
+def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None, more: tuple = (),
+            kind: tuple = ()) -> Tape:
+    """The tape of what steps through a scene.
+
+    Args:
+        integrand: the scene and how to step.
+        dtype: of the rays.
+        board: of the helpers.
+        more: what steps read beside the scene.
+        kind: what they depend on beside it.
+    """
+    caster = integrand.caster
+    numbers = [integrand.no_appearance, *([] if integrand.differentiated is None else [integrand.differentiated])]
+    tables = [*numbers, *tensors_of(integrand.scene), *(() if caster is None else caster.reads(dtype)), *more]
+    present = [part is not None for part in (integrand.clipping, integrand.differentiated, *(
+        getattr(caster, name, None) for name in ("balls", "instances")))]
+    # Stages have the code that recordings call.
+    kind = integrand.stages, integrand.proposal.layout, type(caster), *present, moving_leaves(integrand), *kind
+    return Tape(tables, kind, (integrand.scene,), board, None if caster is None else caster.count)
+
+
+def played(bounce: Bounce, integrand: Integrand, tape: Tape, onward: Onward, depth: int,
+           L: Vec3 | None) -> tuple[PathState, Step, Onward]:
+    """As `bounced`, by machine code where that is possible."""
+    if depth == 0 and onward.hit is None and integrand.rejects_hits:
+        tape.board.close()
+        onward = with_first_hit(integrand, onward)  # who knows how many rays it casts
+    later = onward.hit is None and onward.alive is not None and not inside_dual_level()
+    found = tape.play(*recipe(bounce, integrand, depth), (onward, L, integrand.at(depth)), onward.count, blank_lanes,
+                      "later" if later else None)
+    if found is None:
+        return bounce(integrand, onward, depth, L)
+    (state, step, onward), counts, queues = found
+    places = zip(queues, counts[::2], counts[1::2], step.texture_values)
+    there = [(queue._replace(first=first, last=last), values) for queue, first, last, values in places if last > first]
+    queues, values = zip(*there) if there else ((EMPTY,), ((),))
+    return state, step._replace(queues=queues, texture_values=values), onward
+
+
+def recipe(bounce: Bounce, integrand: Integrand, depth: int) -> tuple[tuple, Callable]:
+    """The key of a bounce on a tape, and what is recorded of it."""
+    def step(onward: Onward, L: Vec3 | None, at: Position) -> Played:
+        state, step, onward = bounce(integrand, onward, depth, L)
+        counts = [border for queue in step.queues for border in (queue.first, queue.last)]
+        return Played((state, step._replace(queues=()), onward), counts, step.queues)
+
+    return (bounce, integrand.settings_at(depth), integrand.is_last(depth), depth == 0), step
+
+
+def blank_lanes(arguments: tuple, reserve: Reserve) -> tuple:
+    """The arguments of a bounce without contents."""
+    onward, L, at = arguments
+    paths = without_contents(onward.paths, reserve, ALL if onward.alive is None else ALL + 1)  # of which some end
+    alive, hit, L = without_contents((onward.alive, onward.hit, L), reserve)
+    return Onward(paths, alive, hit), L, at
+
+
+def with_first_hit(integrand: Integrand, onward: Onward) -> Onward:
+    """Camera paths with what their rays meet."""
+    return onward._replace(hit=first_hit(integrand, detached(onward.packed(integrand).ray), 0))
+
+
+def moving_leaves(integrand: Integrand) -> tuple[int, ...]:
+    """Which leaves of the scene have tangents."""
+    tangents = leaves_of(parted(integrand.scene)[1]) if integrand.attached else ()
+    return tuple([place for place, tangent in enumerate(tangents) if tangent is not None])
