@@ -6,7 +6,7 @@ The pipeline, in the order of data:
 2. `Renderer` (rendering/) packs it into flat tensors (scene/pack.py), attached to the parameters by plain torch.
 3. `path/` traces bounces: L_k = E_k + F_k L_{k+1}; rays are cast by raycast/, never differentiated.
 4. `adjoint/` walks the bounces back: one local vector-Jacobian product each, with the incident radiance in a memo.
-   `adjoint/function.py` is the one `autograd.Function`; `adjoint/schedule.py` says which path states are kept.
+   `adjoint/function.py` is the `autograd.Function` of an image; `adjoint/schedule.py` says which path states are kept.
 5. Images come out as (B, 3, H, W); autograd carries gradients on through `pack` to whatever made the parameters.
 
 The public names are listed in public.py, which is imported, and torch with it, when the first of them is asked for: so

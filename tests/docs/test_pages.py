@@ -75,3 +75,21 @@ def test_nothing_is_fetched_from_other_hosts():
     assert settings["html_theme"] == "furo" and settings["nitpicky"]
     assert all((DOCS / "_static" / name).exists() for name in settings["html_css_files"])
     assert "sphinx.ext.mathjax" not in settings["extensions"]
+
+
+def test_what_the_page_on_the_code_names_is_there():
+    """Files, and functions or methods of the file that is named before them, up to the colon of each entry."""
+    text = (DOCS / "reading_the_code.md").read_text()
+    package, named = ROOT / "torch_radbp", 0
+    for entry in re.findall(r"^\d+\. (.*?):", text, re.MULTILINE | re.DOTALL):
+        source = ""
+        for name in re.findall(r"`([^`]+)`", entry):
+            if name.endswith(".py"):
+                source = (package / name).read_text()
+                continue
+            named += 1
+            for part in name.split("."):
+                assert re.search(rf"^ *(def|class) {part}\b", source, re.MULTILINE), f"{name} in: {entry}"
+    assert named >= 20
+    for path in re.findall(r"`([\w/]+(?:\.py|/))`", text):
+        assert (package / path).exists() or (ROOT / path).exists(), path

@@ -19,8 +19,8 @@ from torch_radbp.tensors.differentiated import with_derivative_of
 class TapeAdjoint(AdjointStrategy):
     """Lets autograd record every operation of the forward pass: the oracle of the tests.
 
-    Memory grows with everything that is computed. Takes no part in the one `autograd.Function`; the loop over bounces is
-    recorded as it runs.
+    Memory grows with everything that is computed. Takes no part in the `autograd.Function` of images; the loop over bounces
+    is recorded as it runs.
     """
 
     taped = True
