@@ -1,0 +1,193 @@
+"""An example of every plugin: objects of a scene by name, and what is seen of them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from docs.plugin_code import Asset, LookAt, Placed, Scale, Widened
+from docs.plugin_scenes import CAMERA, RED
+
+
+class Example(NamedTuple):
+    """What is shown of a plugin."""
+
+    caption: str  # what the picture shows
+    objects: dict[str, Any]
+    like: str = ""  # another plugin of the category, whose picture is the same
+    output: str = ""  # what is seen instead of the image: a quantity of `Renderer.aovs`
+
+
+def ball(caption: str, kind: str, **attributes: Any) -> Example:
+    """A ball of a material."""
+    return Example(caption, {"ball": {"type": "sphere", "bsdf": {"type": kind} | attributes}})
+
+
+def wall(caption: str, kind: str, **attributes: Any) -> Example:
+    """A square whose colour is a texture."""
+    surface = {"type": "diffuse", "reflectance": {"type": kind} | attributes}
+    return Example(caption, {"wall": {"type": "rectangle", "to_world": FACING, "bsdf": surface}})
+
+
+def lone(caption: str, name: str, kind: str, *, like: str = "", output: str = "", **attributes: Any) -> Example:
+    """One object of the scene."""
+    return Example(caption, {name: {"type": kind} | attributes}, like, output)
+
+
+def seen(caption: str, *, sampler: dict[str, Any] | None = None, like: str = "", **film: Any) -> Example:
+    """The camera with another film or sampler."""
+    camera = CAMERA | {"film": {"type": "hdrfilm"} | film} | ({} if sampler is None else {"sampler": sampler})
+    return Example(caption, {"camera": camera}, like)
+
+
+FACING = LookAt((0, 0, 0), (-0.3, -1, 0.2))  # the pose of a square that faces the camera
+ASIDE = LookAt((-1.8, -3.0, 2.6))
+WHITE = {"type": "rgb", "value": [0.8, 0.8, 0.8]}
+PATCHES = {"type": "bitmap", "filename": Asset("patches.png")}
+PAINT = {"type": "diffuse", "reflectance": RED}
+SQUARES = {"type": "checkerboard", "color0": RED, "color1": WHITE, "to_uv": Scale(6, 6)}
+UV = {"type": "diffuse", "reflectance": SQUARES}
+GOLD = {"type": "roughconductor", "material": "Au", "alpha": 0.15}
+
+BSDFS = {
+    "blendbsdf": ball("Squares of red paint and of gold in turn.", "blendbsdf",
+                      weight=SQUARES | {"color0": 0.0, "color1": 1.0}, first=PAINT, second=GOLD),
+    "bumpmap": ball("Red plastic with dents where the image is dark: the ball's outline stays round.", "bumpmap",
+                    heights={"type": "bitmap", "filename": Asset("patches.png"), "raw": True, "to_uv": Scale(2, 2)},
+                    bsdf={"type": "plastic", "diffuse_reflectance": RED}, scale=0.2),
+    "conductor": ball("A mirror of gold.", "conductor", material="Au"),
+    "dielectric": ball("A ball of glass: the floor behind it is seen upside down.", "dielectric", int_ior=1.5),
+    "diffuse": ball("Red paint without gloss.", "diffuse", reflectance=RED),
+    "mask": ball("Red paint with square holes, through which the inside and the floor are seen.", "mask",
+                 opacity=SQUARES | {"color0": 0.0, "color1": 1.0}, bsdf={"type": "twosided", "bsdf": PAINT}),
+    "normalmap": ball("Red plastic with a relief that is only in its shading.", "normalmap",
+                      normalmap={"type": "bitmap", "filename": Asset("relief/normals.exr"), "raw": True,
+                                 "to_uv": Scale(4, 2)},
+                      bsdf={"type": "plastic", "diffuse_reflectance": RED}),
+    "null": ball("A ball that is not seen: light passes as if it were not there.", "null"),
+    "plastic": ball("Smooth red plastic: its coat mirrors the lamp and the sky.", "plastic", diffuse_reflectance=RED,
+                    int_ior=1.5),
+    "principled": ball("Red car paint: half of it metal, under a clear coat.", "principled", base_color=RED, roughness=0.4,
+                       metallic=0.5, clearcoat=1.0, clearcoat_gloss=0.95),
+    "principledthin": ball("A paper lantern: half of the light passes through the thin red sheet.", "principledthin",
+                           base_color=RED, roughness=0.4, diff_trans=1.0),
+    "roughconductor": ball("Gold with a roughness of 0.2.", "roughconductor", material="Au", alpha=0.2),
+    "roughdielectric": ball("Frosted glass with a roughness of 0.15.", "roughdielectric", int_ior=1.5, alpha=0.15),
+    "roughplastic": ball("Red plastic with a roughness of 0.15: the lamp's reflection is blurred.", "roughplastic",
+                         diffuse_reflectance=RED, alpha=0.15),
+    "thindielectric": ball("A soap bubble: the floor is seen through it where it is, the sky as in a mirror.",
+                           "thindielectric", int_ior=1.5),
+    "twosided": Example("A disk of red paint, seen from behind; without `twosided` it would be black.", {
+        "disk": {"type": "disk", "to_world": LookAt((0, 0, 0), (0.3, 1, -0.2)), "bsdf": {"type": "twosided", "bsdf": PAINT}}}),
+}
+TEXTURES = {
+    "bitmap": wall("An image of coloured patches.", "bitmap", filename=Asset("patches.png")),
+    "blackbody": Example("A ball that glows like a candle, at 1900 K.", {
+        "candle": {"type": "sphere", "emitter": {
+            "type": "area", "radiance": {"type": "blackbody", "temperature": 1900.0}}, "radius": 0.5}}),
+    "checkerboard": wall("Red and white squares, three of each in a row.", "checkerboard", color0=RED, color1=WHITE,
+                         to_uv=Scale(3, 3)),
+    "d65": wall("White daylight times 0.6: a neutral grey.", "d65", scale=0.6),
+    "irregular": wall("Orange: the surface reflects most from 600 nm on.", "irregular", wavelengths="400, 500, 600, 700",
+                      values="0.05, 0.1, 0.7, 0.6"),
+    "mesh_attribute": Example("Colours that the vertices of a PLY file bring along.", {
+        "torus": {"type": "ply", "filename": Asset("shapes/torus.ply"), "bsdf": {
+            "type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "vertex_color"}}}}),
+    "rawconstant": wall("The numbers 0.1, 0.4 and 0.5 as red, green and blue.", "rawconstant", value=[0.1, 0.4, 0.5]),
+    "regular": wall("Blue: the surface reflects less and less from 400 to 700 nm.", "regular", wavelength_min=400.0,
+                    wavelength_max=700.0, values="0.7, 0.2, 0.05"),
+    "rgb": wall("The same red everywhere.", "rgb", value=[0.6, 0.12, 0.08]),
+    "srgb": wall("The same green everywhere.", "srgb", color=[0.15, 0.5, 0.1]),
+    "uniform": wall("The same grey everywhere.", "uniform", value=0.5),
+}
+EMITTERS = {
+    "area": Example("A square lamp: soft shadows, and its reflection on the ball.", {
+        "lamp": {"type": "rectangle", "to_world": LookAt((-3, -2, 4)), "emitter": {"type": "area", "radiance": 8.0}}}),
+    "constant": lone("Light from everywhere: it is only darker where things are close to each other.", "sky", "constant",
+                     radiance=0.7),
+    "directional": lone("Parallel light, as of the sun: shadows with sharp edges.", "sun", "directional",
+                        direction=[0.6, 0.5, -1.0], irradiance=2.5),
+    "directionalarea": Example("A beam as wide as the square that sends it: outside of it nothing is lit.", {
+        "lamp": {"type": "rectangle", "to_world": LookAt((-3, -2, 4)),
+                 "emitter": {"type": "directionalarea", "radiance": 3.0}}}),
+    "envmap": lone("The sky of an image, also in the reflection on the ball.", "sky", "envmap",
+                   filename=Asset("lit_balls/sky.exr"), to_world=LookAt((0, 0, 0), (0, 1, 0))),
+    "point": lone("A bulb without size: sharp shadows, and less light further away.", "bulb", "point",
+                  position=[-1.5, -1.5, 2.0], intensity=14.0),
+    "projector": lone("An image that is thrown on the ball and the floor.", "projector", "projector", irradiance=PATCHES,
+                      scale=12.0, fov=40.0, to_world=ASIDE),
+    "spot": lone("A cone of light that fades towards its edge.", "spot", "spot", to_world=ASIDE, intensity=45.0,
+                 cutoff_angle=18.0),
+    "sunsky": lone("A clear day: a warm sun, and shadows that the sky makes blue.", "sky", "sunsky",
+                   sun_direction=[-0.5, -0.4, 0.6], sun_scale=0.05, sky_scale=0.05),
+}
+GROUP = {"type": "shapegroup", "ball": {"type": "sphere", "bsdf": UV},
+         "bar": {"type": "cylinder", "p0": [0, 0, -1.8], "p1": [0, 0, 1.8], "radius": 0.2, "bsdf": PAINT}}
+SHOWN = {"group": GROUP, **{f"place_{number}": {
+    "type": "instance", "group": {"type": "ref", "id": "group"}, "to_world": Placed((size,) * 3, offset)}
+    for number, (size, offset) in enumerate([(0.5, (-0.7, 0.2, -0.1)), (0.4, (0.2, -0.8, -0.28)), (0.3, (0.9, 0, -0.46))], 1)}}
+SHAPES = {
+    "cube": lone("A cube, each face with surface coordinates of its own.", "cube", "cube",
+                 to_world=LookAt((0, 0, 0), (-1, -1.6, 0)), bsdf=UV),
+    "cylinder": lone("A tube without caps.", "tube", "cylinder", p0=[0, 0, -1], p1=[0, 0, 0.6], radius=0.7,
+                     bsdf={"type": "twosided", "bsdf": UV}),
+    "disk": lone("A disk: u grows outwards and v around.", "disk", "disk", to_world=FACING, bsdf=UV),
+    "instance": Example("One group, a ball with a bar through it, shown three times.", SHOWN, "shapegroup"),
+    "mesh": lone("A torus of an STL file, which has no normals: its facets are seen.", "torus", "mesh",
+                 filename=Asset("shapes/torus.stl"), bsdf=PAINT),
+    "obj": lone("A torus of an OBJ file.", "torus", "obj", filename=Asset("shapes/torus.obj"), bsdf=UV),
+    "ply": lone("A torus of a PLY file.", "torus", "ply", filename=Asset("shapes/torus.ply"), bsdf=UV),
+    "rectangle": lone("A square that faces the camera.", "square", "rectangle", to_world=FACING, bsdf=UV),
+    "sdfgrid": lone("Two balls that touch: where the distances of a grid are zero.", "balls", "sdfgrid",
+                    filename=Asset("shapes/two_balls.vol"), to_world=Placed((2, 2, 2), (-1, -1, -1)), bsdf=PAINT),
+    "serialized": lone("A torus of a serialized file, as of Mitsuba 0.5.", "torus", "serialized",
+                       filename=Asset("shapes/torus.serialized"), bsdf=UV),
+    "shapegroup": Example("One group, a ball with a bar through it, shown three times.", SHOWN),
+    "sphere": lone("A ball: u grows around its axis, v from pole to pole.", "ball", "sphere", center=[0, 0, 0], radius=1.0,
+                   bsdf=UV),
+}
+FILM, VIEW = CAMERA["film"], {key: value for key, value in CAMERA.items() if key not in ("type", "fov")}
+SENSORS = {
+    "batch": lone("Two cameras of one batch, side by side.", "cameras", "batch", film=FILM,
+                  left={"type": "perspective", "fov": 34.0, "to_world": LookAt((-2.4, -4.0, 1.5), (0, 0, -0.15))},
+                  right={"type": "perspective", "fov": 34.0, "to_world": LookAt((2.4, -4.0, 1.5), (0, 0, -0.15))}),
+    "calibrated": lone("A wide lens that bends straight lines outwards.", "camera", "calibrated", fx=200.0, k1=-0.25,
+                       **VIEW | {"to_world": LookAt((-0.5, -2.9, 1.0), (0, 0, -0.15))}),
+    "orthographic": lone("No perspective: squares have the same size near and far.", "camera", "orthographic",
+                         **VIEW | {"to_world": Widened(LookAt((-0.8, -4.6, 1.5), (0, 0, -0.15)), 1.4)}),
+    "perspective": lone("A pinhole: what is far is small, and all is sharp.", "camera", "perspective", fov=34.0, **VIEW),
+    "thinlens": lone("A lens that is focused on the front of the ball: the floor behind is blurred.", "camera", "thinlens",
+                     fov=34.0, aperture_radius=0.25, focus_distance=3.9, **VIEW),
+}
+FILMS = {"hdrfilm": seen("The right lower part of the image, rendered alone.", width=256, height=256, crop_offset_x=128,
+                         crop_offset_y=128, crop_width=128, crop_height=128)}
+FILTERS = {
+    "box": seen("Each sample counts in one pixel: edges are stairs.", width=32, height=32, rfilter={"type": "box"}),
+    "catmullrom": seen("Sharp edges, with a faint line beside each.", width=32, height=32, rfilter={"type": "catmullrom"}),
+    "gaussian": seen("Soft edges, the default.", width=32, height=32, rfilter={"type": "gaussian", "stddev": 0.5}),
+    "lanczos": seen("The sharpest edges, with a line beside each.", width=32, height=32,
+                    rfilter={"type": "lanczos", "lobes": 3}),
+    "mitchell": seen("Between soft edges and sharp ones.", width=32, height=32, rfilter={"type": "mitchell"}),
+    "tent": seen("Soft edges.", width=32, height=32, rfilter={"type": "tent", "radius": 1.0}),
+}
+SAMPLERS = {
+    "independent": seen("Four samples of each pixel: grainy where light is soft.", width=64, height=64,
+                        sampler={"type": "independent", "sample_count": 4}),
+    "ldsampler": seen("Four samples of each pixel: less grain than with `independent`.", width=64, height=64,
+                      sampler={"type": "ldsampler", "sample_count": 4}),
+    **{name: seen("The same points as those of `ldsampler`.", width=64, height=64, like="ldsampler",
+                  sampler={"type": name, "sample_count": 4}) for name in ("multijitter", "orthogonal", "stratified")},
+}
+NESTED = {"type": "path", "max_depth": 8}
+INTEGRATORS = {
+    "aov": lone("The distance from the camera, beside the image: from black, near, to white, far.", "integrator", "aov",
+                aovs="distance:depth", image=NESTED, output="depth"),
+    "direct": lone("Light that comes straight from the lamp: shadows are black.", "integrator", "direct"),
+    "direct_projective": lone("The image of `direct`.", "integrator", "direct_projective", like="direct"),
+    "moment": lone("The image of the nested integrator.", "integrator", "moment", image=NESTED, like="path"),
+    "path": lone("Light that is reflected up to seven times: the floor lights the ball from below.", "integrator", "path",
+                 max_depth=8),
+    **{name: lone("The image of `path`.", "integrator", name, max_depth=8, like="path")
+       for name in ("prb", "prb_basic", "prb_projective", "prbvolpath", "ptracer", "volpath", "volpathmis")},
+}
+EXAMPLES = {"bsdf": BSDFS, "texture": TEXTURES, "emitter": EMITTERS, "shape": SHAPES, "sensor": SENSORS, "film": FILMS,
+            "rfilter": FILTERS, "sampler": SAMPLERS, "integrator": INTEGRATORS}
