@@ -26,17 +26,17 @@ class LookAt(NamedTuple):
         return {"lookat": {name: listed(point) for name, point in self._asdict().items()}}
 
 
-class Widened(NamedTuple):
-    """The pose of a camera without perspective, which sees as much of the world as the pose has scale."""
+class Scaled(NamedTuple):
+    """A pose with a scale along its axes."""
 
     pose: LookAt
     factor: float
 
     def python(self) -> str:
-        return f"{self.pose.python()} @ torch.diag(torch.tensor([{self.factor}, {self.factor}, 1.0, 1.0]))"
+        return f"{self.pose.python()} @ torch.diag(torch.tensor([{listed([self.factor] * 3)}, 1.0]))"
 
     def operations(self) -> dict[str, dict[str, str]]:
-        return {"scale": {"x": str(self.factor), "y": str(self.factor)}, **self.pose.operations()}
+        return {"scale": {"value": str(self.factor)}, **self.pose.operations()}
 
 
 class Scale(NamedTuple):

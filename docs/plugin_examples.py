@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from docs.plugin_code import Asset, LookAt, Placed, Scale, Widened
+from docs.plugin_code import Asset, LookAt, Placed, Scale, Scaled
 from docs.plugin_scenes import CAMERA, RED
 
 
@@ -33,13 +33,25 @@ def lone(caption: str, name: str, kind: str, *, like: str = "", output: str = ""
     return Example(caption, {name: {"type": kind} | attributes}, like, output)
 
 
-def seen(caption: str, *, sampler: dict[str, Any] | None = None, like: str = "", **film: Any) -> Example:
+def seen(caption: str, *, like: str = "", film: dict[str, Any], **others: Any) -> Example:
     """The camera with another film or sampler."""
-    camera = CAMERA | {"film": {"type": "hdrfilm"} | film} | ({} if sampler is None else {"sampler": sampler})
-    return Example(caption, {"camera": camera}, like)
+    return Example(caption, {"camera": CAMERA | {"film": {"type": "hdrfilm"} | film} | others}, like)
+
+
+def filtered(caption: str, kind: str, **attributes: Any) -> Example:
+    """The edge of a glowing disk, by a few pixels."""
+    film = {"type": "hdrfilm", "width": 32, "height": 32, "rfilter": {"type": kind} | attributes}
+    disk = {"type": "disk", "to_world": FACING, "emitter": {"type": "area", "radiance": 0.5}}
+    return Example(caption, {"camera": CAMERA | {"fov": 20.0, "film": film, "to_world": ABOVE}, "disk": disk})
+
+
+def sampled(caption: str, kind: str, like: str = "") -> Example:
+    """The ball by four samples of each pixel."""
+    return seen(caption, like=like, film={"width": 64, "height": 64}, sampler={"type": kind, "sample_count": 4})
 
 
 FACING = LookAt((0, 0, 0), (-0.3, -1, 0.2))  # the pose of a square that faces the camera
+ABOVE = LookAt((-0.8, -4.6, 1.5), (0, 0, 0.7))
 ASIDE = LookAt((-1.8, -3.0, 2.6))
 WHITE = {"type": "rgb", "value": [0.8, 0.8, 0.8]}
 PATCHES = {"type": "bitmap", "filename": Asset("patches.png")}
@@ -51,8 +63,9 @@ GOLD = {"type": "roughconductor", "material": "Au", "alpha": 0.15}
 BSDFS = {
     "blendbsdf": ball("Squares of red paint and of gold in turn.", "blendbsdf",
                       weight=SQUARES | {"color0": 0.0, "color1": 1.0}, first=PAINT, second=GOLD),
-    "bumpmap": ball("Red plastic with dents where the image is dark: the ball's outline stays round.", "bumpmap",
-                    heights={"type": "bitmap", "filename": Asset("patches.png"), "raw": True, "to_uv": Scale(2, 2)},
+    "bumpmap": ball("Red plastic with bumps that are only in its shading: the outline stays round.", "bumpmap",
+                    heights={"type": "bitmap", "filename": Asset("textured_room/plaster.png"), "raw": True,
+                             "to_uv": Scale(4, 2)},
                     bsdf={"type": "plastic", "diffuse_reflectance": RED}, scale=0.2),
     "conductor": ball("A mirror of gold.", "conductor", material="Au"),
     "dielectric": ball("A ball of glass: the floor behind it is seen upside down.", "dielectric", int_ior=1.5),
@@ -63,27 +76,30 @@ BSDFS = {
                       normalmap={"type": "bitmap", "filename": Asset("relief/normals.exr"), "raw": True,
                                  "to_uv": Scale(4, 2)},
                       bsdf={"type": "plastic", "diffuse_reflectance": RED}),
-    "null": ball("A ball that is not seen: light passes as if it were not there.", "null"),
+    "null": Example("A red ball within a larger one that is not seen: light passes as if it were not there.", {
+        "ball": {"type": "sphere", "bsdf": {"type": "null"}}, "core": {"type": "sphere", "radius": 0.6, "bsdf": PAINT}}),
     "plastic": ball("Smooth red plastic: its coat mirrors the lamp and the sky.", "plastic", diffuse_reflectance=RED,
                     int_ior=1.5),
     "principled": ball("Red car paint: half of it metal, under a clear coat.", "principled", base_color=RED, roughness=0.4,
                        metallic=0.5, clearcoat=1.0, clearcoat_gloss=0.95),
-    "principledthin": ball("A paper lantern: half of the light passes through the thin red sheet.", "principledthin",
-                           base_color=RED, roughness=0.4, diff_trans=1.0),
+    "principledthin": Example("A paper lantern: half of the light of the lamp within passes through the thin red sheet.", {
+        "ball": {"type": "sphere", "bsdf": {"type": "principledthin", "base_color": RED, "diff_trans": 1.0}},
+        "bulb": {"type": "sphere", "center": [0, 0, -0.4], "radius": 0.3, "emitter": {"type": "area", "radiance": 8.0}}}),
     "roughconductor": ball("Gold with a roughness of 0.2.", "roughconductor", material="Au", alpha=0.2),
     "roughdielectric": ball("Frosted glass with a roughness of 0.15.", "roughdielectric", int_ior=1.5, alpha=0.15),
     "roughplastic": ball("Red plastic with a roughness of 0.15: the lamp's reflection is blurred.", "roughplastic",
                          diffuse_reflectance=RED, alpha=0.15),
     "thindielectric": ball("A soap bubble: the floor is seen through it where it is, the sky as in a mirror.",
                            "thindielectric", int_ior=1.5),
-    "twosided": Example("A disk of red paint, seen from behind; without `twosided` it would be black.", {
-        "disk": {"type": "disk", "to_world": LookAt((0, 0, 0), (0.3, 1, -0.2)), "bsdf": {"type": "twosided", "bsdf": PAINT}}}),
+    "twosided": Example("A tube that is painted red outside and gold inside.", {
+        "tube": {"type": "cylinder", "p0": [0, 0, -1], "p1": [0, 0, 0.2], "radius": 0.9,
+                 "bsdf": {"type": "twosided", "outside": PAINT, "inside": GOLD}}}),
 }
 TEXTURES = {
-    "bitmap": wall("An image of coloured patches.", "bitmap", filename=Asset("patches.png")),
-    "blackbody": Example("A ball that glows like a candle, at 1900 K.", {
-        "candle": {"type": "sphere", "emitter": {
-            "type": "area", "radiance": {"type": "blackbody", "temperature": 1900.0}}, "radius": 0.5}}),
+    "bitmap": wall("An image, painted on a square.", "bitmap", filename=Asset("textured_room/painting.png")),
+    "blackbody": Example("A ball that glows at 1650 K, as embers do.", {
+        "ember": {"type": "sphere", "emitter": {
+            "type": "area", "radiance": {"type": "blackbody", "temperature": 1650.0}}, "radius": 0.5}}),
     "checkerboard": wall("Red and white squares, three of each in a row.", "checkerboard", color0=RED, color1=WHITE,
                          to_uv=Scale(3, 3)),
     "d65": wall("White daylight times 0.6: a neutral grey.", "d65", scale=0.6),
@@ -101,7 +117,7 @@ TEXTURES = {
 }
 EMITTERS = {
     "area": Example("A square lamp: soft shadows, and its reflection on the ball.", {
-        "lamp": {"type": "rectangle", "to_world": LookAt((-3, -2, 4)), "emitter": {"type": "area", "radiance": 8.0}}}),
+        "lamp": {"type": "rectangle", "to_world": LookAt((-3, -2, 4)), "emitter": {"type": "area", "radiance": 15.0}}}),
     "constant": lone("Light from everywhere: it is only darker where things are close to each other.", "sky", "constant",
                      radiance=0.7),
     "directional": lone("Parallel light, as of the sun: shadows with sharp edges.", "sun", "directional",
@@ -118,7 +134,7 @@ EMITTERS = {
     "spot": lone("A cone of light that fades towards its edge.", "spot", "spot", to_world=ASIDE, intensity=45.0,
                  cutoff_angle=18.0),
     "sunsky": lone("A clear day: a warm sun, and shadows that the sky makes blue.", "sky", "sunsky",
-                   sun_direction=[-0.5, -0.4, 0.6], sun_scale=0.05, sky_scale=0.05),
+                   sun_direction=[-0.5, -0.4, 0.6], sun_scale=1.2, sky_scale=1.2),
 }
 GROUP = {"type": "shapegroup", "ball": {"type": "sphere", "bsdf": UV},
          "bar": {"type": "cylinder", "p0": [0, 0, -1.8], "p1": [0, 0, 1.8], "radius": 0.2, "bsdf": PAINT}}
@@ -127,7 +143,7 @@ SHOWN = {"group": GROUP, **{f"place_{number}": {
     for number, (size, offset) in enumerate([(0.5, (-0.7, 0.2, -0.1)), (0.4, (0.2, -0.8, -0.28)), (0.3, (0.9, 0, -0.46))], 1)}}
 SHAPES = {
     "cube": lone("A cube, each face with surface coordinates of its own.", "cube", "cube",
-                 to_world=LookAt((0, 0, 0), (-1, -1.6, 0)), bsdf=UV),
+                 to_world=Scaled(LookAt((0, 0, -0.4), (-1, -1.6, -0.4)), 0.6), bsdf=UV),
     "cylinder": lone("A tube without caps.", "tube", "cylinder", p0=[0, 0, -1], p1=[0, 0, 0.6], radius=0.7,
                      bsdf={"type": "twosided", "bsdf": UV}),
     "disk": lone("A disk: u grows outwards and v around.", "disk", "disk", to_world=FACING, bsdf=UV),
@@ -150,37 +166,34 @@ SENSORS = {
     "batch": lone("Two cameras of one batch, side by side.", "cameras", "batch", film=FILM,
                   left={"type": "perspective", "fov": 34.0, "to_world": LookAt((-2.4, -4.0, 1.5), (0, 0, -0.15))},
                   right={"type": "perspective", "fov": 34.0, "to_world": LookAt((2.4, -4.0, 1.5), (0, 0, -0.15))}),
-    "calibrated": lone("A wide lens that bends straight lines outwards.", "camera", "calibrated", fx=200.0, k1=-0.25,
+    "calibrated": lone("A wide lens that bends straight lines outwards.", "camera", "calibrated", fx=240.0, k1=-0.15,
                        **VIEW | {"to_world": LookAt((-0.5, -2.9, 1.0), (0, 0, -0.15))}),
     "orthographic": lone("No perspective: squares have the same size near and far.", "camera", "orthographic",
-                         **VIEW | {"to_world": Widened(LookAt((-0.8, -4.6, 1.5), (0, 0, -0.15)), 1.4)}),
+                         **VIEW | {"to_world": Scaled(LookAt((-0.8, -4.6, 1.5), (0, 0, -0.15)), 1.4)}),
     "perspective": lone("A pinhole: what is far is small, and all is sharp.", "camera", "perspective", fov=34.0, **VIEW),
     "thinlens": lone("A lens that is focused on the front of the ball: the floor behind is blurred.", "camera", "thinlens",
-                     fov=34.0, aperture_radius=0.25, focus_distance=3.9, **VIEW),
+                     fov=34.0, aperture_radius=0.12, focus_distance=3.9, **VIEW),
 }
-FILMS = {"hdrfilm": seen("The right lower part of the image, rendered alone.", width=256, height=256, crop_offset_x=128,
-                         crop_offset_y=128, crop_width=128, crop_height=128)}
+FILMS = {"hdrfilm": seen("The right lower part of the image, rendered alone.", film={
+    "width": 256, "height": 256, "crop_offset_x": 128, "crop_offset_y": 128, "crop_width": 128, "crop_height": 128})}
 FILTERS = {
-    "box": seen("Each sample counts in one pixel: edges are stairs.", width=32, height=32, rfilter={"type": "box"}),
-    "catmullrom": seen("Sharp edges, with a faint line beside each.", width=32, height=32, rfilter={"type": "catmullrom"}),
-    "gaussian": seen("Soft edges, the default.", width=32, height=32, rfilter={"type": "gaussian", "stddev": 0.5}),
-    "lanczos": seen("The sharpest edges, with a line beside each.", width=32, height=32,
-                    rfilter={"type": "lanczos", "lobes": 3}),
-    "mitchell": seen("Between soft edges and sharp ones.", width=32, height=32, rfilter={"type": "mitchell"}),
-    "tent": seen("Soft edges.", width=32, height=32, rfilter={"type": "tent", "radius": 1.0}),
+    "box": filtered("Each sample counts in one pixel: edges are stairs.", "box"),
+    "catmullrom": filtered("Sharp edges, with a faint line beside each.", "catmullrom"),
+    "gaussian": filtered("Soft edges, the default.", "gaussian", stddev=0.5),
+    "lanczos": filtered("The sharpest edges, with a line beside each.", "lanczos", lobes=3),
+    "mitchell": filtered("Between soft edges and sharp ones.", "mitchell"),
+    "tent": filtered("Soft edges.", "tent", radius=1.0),
 }
 SAMPLERS = {
-    "independent": seen("Four samples of each pixel: grainy where light is soft.", width=64, height=64,
-                        sampler={"type": "independent", "sample_count": 4}),
-    "ldsampler": seen("Four samples of each pixel: less grain than with `independent`.", width=64, height=64,
-                      sampler={"type": "ldsampler", "sample_count": 4}),
-    **{name: seen("The same points as those of `ldsampler`.", width=64, height=64, like="ldsampler",
-                  sampler={"type": name, "sample_count": 4}) for name in ("multijitter", "orthogonal", "stratified")},
+    "independent": sampled("Four samples of each pixel: grainy where light is soft.", "independent"),
+    "ldsampler": sampled("Four samples of each pixel: less grain than with `independent`.", "ldsampler"),
+    **{name: sampled("The same points as those of `ldsampler`.", name, "ldsampler")
+       for name in ("multijitter", "orthogonal", "stratified")},
 }
 NESTED = {"type": "path", "max_depth": 8}
 INTEGRATORS = {
-    "aov": lone("The distance from the camera, beside the image: from black, near, to white, far.", "integrator", "aov",
-                aovs="distance:depth", image=NESTED, output="depth"),
+    "aov": lone("The normals of what is seen, beside the image; as colours.", "integrator", "aov", aovs="normals:sh_normal",
+                image=NESTED, output="sh_normal"),
     "direct": lone("Light that comes straight from the lamp: shadows are black.", "integrator", "direct"),
     "direct_projective": lone("The image of `direct`.", "integrator", "direct_projective", like="direct"),
     "moment": lone("The image of the nested integrator.", "integrator", "moment", image=NESTED, like="path"),

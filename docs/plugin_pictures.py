@@ -32,7 +32,7 @@ def draw(category: str, name: str, picture: Path) -> None:
     scene, output = scene_of(category, name), EXAMPLES[category][name].output
     if output:
         values = rb.Renderer(scene).aovs([output], spp=SAMPLES)[output]
-        images = (values / values.max()).clamp(0, 1)
+        images = (values - values.min()) / (values.max() - values.min())
     else:
         images = rb.render(scene, spp=None if category == "sampler" else SAMPLES)
     image = torch.cat(list(images), -1)

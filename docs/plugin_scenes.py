@@ -4,25 +4,25 @@ from __future__ import annotations
 
 from typing import Any
 
-from docs.plugin_code import LookAt, Placed, Scale, python, xml
+from docs.plugin_code import LookAt, Placed, Scale, Scaled, python, xml
 
 ROUND = {"type": "path", "max_depth": 8}
 CAMERA = {"type": "perspective", "fov": 34.0, "to_world": LookAt((-0.8, -4.6, 1.5), (0, 0, -0.15)),
           "film": {"type": "hdrfilm", "width": 256, "height": 256}}
-CHECKED = {"type": "checkerboard", "color0": 0.2, "color1": 0.6, "to_uv": Scale(20, 20)}
+CHECKED = {"type": "checkerboard", "color0": 0.2, "color1": 0.6, "to_uv": Scale(400, 400)}
 RED = {"type": "rgb", "value": [0.6, 0.12, 0.08]}
 SCENE = {
     "integrator": ROUND,
     "camera": CAMERA,
-    "sky": {"type": "sunsky", "sun_direction": [-0.5, -0.4, 0.6], "sun_scale": 0.0, "sky_scale": 0.7},
-    "lamp": {"type": "rectangle", "to_world": LookAt((-3, -2, 4)), "emitter": {"type": "area", "radiance": 4.0}},
-    "floor": {"type": "rectangle", "to_world": Placed((20, 20, 1), (0, 0, -1)),
+    "sky": {"type": "sunsky", "sun_direction": [-0.5, -0.4, 0.6], "sun_scale": 0.0, "sky_scale": 2.0},
+    "lamp": {"type": "rectangle", "to_world": Scaled(LookAt((-4, -2.5, 5)), 2.0), "emitter": {"type": "area", "radiance": 4.0}},
+    "floor": {"type": "rectangle", "to_world": Placed((400, 400, 1), (0, 0, -1)),
               "bsdf": {"type": "diffuse", "reflectance": CHECKED}},
-    "ball": {"type": "sphere", "bsdf": {"type": "roughplastic", "diffuse_reflectance": RED, "alpha": 0.1}},
+    "ball": {"type": "sphere", "bsdf": {"type": "roughplastic", "diffuse_reflectance": RED, "alpha": 0.3}},
 }
 LACKING = {  # what the examples of a category bring along, or what would hide them
     "bsdf": ("ball",), "texture": ("ball",), "shape": ("ball",), "emitter": ("sky", "lamp"), "sensor": ("camera",),
-    "film": ("camera",), "rfilter": ("camera",), "sampler": ("camera",), "integrator": ("integrator", "sky"),
+    "film": ("camera",), "rfilter": ("camera", "ball"), "sampler": ("camera",), "integrator": ("integrator", "sky"),
 }
 ASSETS = 'assets=rb.asset("patches.png").parent'
 PLACE = "<!-- the example -->"
