@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 
 from torch_radbp.plugin import REGISTRY, Attribute, Point3, Texture, attributes, options, plugin_categories
 
+MODULES = {"np.": "import numpy as np", "torch.": "import torch", "rb.": "import torch_radbp as rb"}
 WIDTH = 88  # of a line, about what fits beside the table of contents
 
 
@@ -93,6 +94,12 @@ def python(value: Any, before: str = "") -> str:
     outer = " " * (len(before) - len(before.lstrip()))
     starts = {key: f'{outer}    "{key}": ' for key in value}
     return "{\n" + "".join(f"{starts[key]}{python(item, starts[key])},\n" for key, item in value.items()) + outer + "}"
+
+
+def runnable(source: str) -> str:
+    """Source with the imports that it needs."""
+    used = [line for start, line in MODULES.items() if start in source]
+    return "\n".join([*used, *[""] * bool(used), source])
 
 
 def xml(objects: dict[str, Any]) -> str:

@@ -138,9 +138,10 @@ EMITTERS = {
 }
 GROUP = {"type": "shapegroup", "ball": {"type": "sphere", "bsdf": UV},
          "bar": {"type": "cylinder", "p0": [0, 0, -1.8], "p1": [0, 0, 1.8], "radius": 0.2, "bsdf": PAINT}}
-SHOWN = {"group": GROUP, **{f"place_{number}": {
-    "type": "instance", "group": {"type": "ref", "id": "group"}, "to_world": Placed((size,) * 3, offset)}
-    for number, (size, offset) in enumerate([(0.5, (-0.7, 0.2, -0.1)), (0.4, (0.2, -0.8, -0.28)), (0.3, (0.9, 0, -0.46))], 1)}}
+PLACES = {"left": Placed((0.5, 0.5, 0.5), (-0.7, 0.2, -0.1)), "middle": Placed((0.4, 0.4, 0.4), (0.2, -0.8, -0.28)),
+          "right": Placed((0.3, 0.3, 0.3), (0.9, 0, -0.46))}
+SHOWN = {"group": GROUP, **{name: {"type": "instance", "shapegroup": {"type": "ref", "id": "group"}, "to_world": place}
+                            for name, place in PLACES.items()}}
 SHAPES = {
     "cube": lone("A cube, each face with surface coordinates of its own.", "cube", "cube",
                  to_world=Scaled(LookAt((0, 0, -0.4), (-1, -1.6, -0.4)), 0.6), bsdf=UV),

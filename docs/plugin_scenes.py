@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from docs.plugin_code import LookAt, Placed, Scale, Scaled, python, xml
+from docs.plugin_code import LookAt, Placed, Scale, python, runnable, xml
 
 ROUND = {"type": "path", "max_depth": 8}
 CAMERA = {"type": "perspective", "fov": 34.0, "to_world": LookAt((-0.8, -4.6, 1.5), (0, 0, -0.15)),
@@ -15,7 +15,7 @@ SCENE = {
     "integrator": ROUND,
     "camera": CAMERA,
     "sky": {"type": "sunsky", "sun_direction": [-0.5, -0.4, 0.6], "sun_scale": 0.0, "sky_scale": 2.0},
-    "lamp": {"type": "rectangle", "to_world": Scaled(LookAt((-4, -2.5, 5)), 2.0), "emitter": {"type": "area", "radiance": 4.0}},
+    "lamp": {"type": "sphere", "center": [-4, -2.5, 5], "radius": 2.0, "emitter": {"type": "area", "radiance": 5.0}},
     "floor": {"type": "rectangle", "to_world": Placed((400, 400, 1), (0, 0, -1)),
               "bsdf": {"type": "diffuse", "reflectance": CHECKED}},
     "ball": {"type": "sphere", "bsdf": {"type": "roughplastic", "diffuse_reflectance": RED, "alpha": 0.3}},
@@ -42,9 +42,9 @@ def python_scene(category: str) -> str:
     """The source that renders `example`."""
     described = python({"type": "scene"} | surroundings(category), "scene = rb.load_dict(")
     described = described.replace('    "type": "scene",\n', '    "type": "scene",\n    **example,\n', 1)
-    return (f"scene = rb.load_dict({described})\n"
-            f"images = rb.render(scene{samples(category)})  # one for each camera\n"
-            'rb.save_image("example.png", images[0])')
+    return runnable(f"scene = rb.load_dict({described})\n"
+                    f"images = rb.render(scene{samples(category)})  # one for each camera\n"
+                    'rb.save_image("example.png", images[0])')
 
 
 def xml_scene(category: str) -> str:
@@ -55,4 +55,4 @@ def xml_scene(category: str) -> str:
 
 def xml_render(category: str) -> str:
     """The source that renders scene.xml."""
-    return f'scene = rb.load("scene.xml", {ASSETS})\nimages = rb.render(scene{samples(category)})'
+    return runnable(f'scene = rb.load("scene.xml", {ASSETS})\nimages = rb.render(scene{samples(category)})')

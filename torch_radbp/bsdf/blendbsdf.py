@@ -174,7 +174,7 @@ class BlendBSDF(BSDF):
     darker than the mixture of its own images.
 
     Args:
-        weight: of the second material. Of a constant colour the mean is used, of a colour bitmap the luminance.
+        weight: of the second material, in [0, 1]. Of a constant colour the mean is used, of a colour bitmap the luminance.
         bsdf: the two materials, in order.
 
     Raises:

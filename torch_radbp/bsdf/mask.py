@@ -35,7 +35,8 @@ class Mask(BSDF):
 
     Args:
         nested_bsdf: the material.
-        opacity: 0 lets all light pass, 1 none. Of a constant colour the mean is used, of a colour bitmap the luminance.
+        opacity: in [0, 1]; 0 lets all light pass, 1 none. Of a constant colour the mean is used, of a colour bitmap the
+            luminance.
 
     Raises:
         ValueError: if an opacity is out of range.

@@ -49,7 +49,7 @@ class RoughConductor(BSDF):
         distribution: of the microfacets' normals, beckmann or ggx.
         alpha: roughness, 0.1 by default; for Beckmann the root mean square slope times sqrt(2).
         alpha_u, alpha_v: instead of alpha, roughness along the direction in which the surface coordinate u grows, and
-            across. Of a constant colour the mean is used, of a colour bitmap the luminance; likewise for alpha.
+            across it. Of a constant colour the mean is used, of a colour bitmap the luminance; likewise for alpha.
         eta: real part of the index of refraction; 0 by default.
         k: imaginary part, the extinction coefficient; 1 by default, which with eta = 0 reflects all light.
         material: name of a metal in `ior.CONDUCTORS`, in place of eta and k; or "none".

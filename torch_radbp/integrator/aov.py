@@ -15,7 +15,6 @@ class ArbitraryOutputVariables(Nesting):
 
     Args:
         aovs: name:quantity pairs, separated by commas: "dd.y:depth,nn:sh_normal".
-        integrators, hide_emitters, block_size, samples_per_pass, timeout: see `Nesting`.
 
     Raises:
         ValueError: if a pair is none, a quantity is not known, or a name is given twice.

@@ -15,7 +15,6 @@ class Nesting(IntegratorSettings):
     Args:
         integrators: by name; one, or none for outputs without an image of a name.
         hide_emitters: that of the nested integrator.
-        block_size, samples_per_pass, timeout: see `IntegratorSettings`.
 
     Raises:
         ValueError: if there are several, or `hide_emitters` is set but not in the nested one.

@@ -32,7 +32,11 @@ class VolumePath(WithoutMedia):
 
 @register("integrator", "volpathmis")
 class SpectralVolumePath(WithoutMedia):
-    """Mitsuba's volumetric path tracer with spectral multiple importance sampling, without media; see `WithoutMedia`."""
+    """Mitsuba's volumetric path tracer with spectral multiple importance sampling, without media; see `WithoutMedia`.
+
+    Args:
+        use_spectral_mis: of media; without effect.
+    """
 
     def __init__(self, *, max_depth: int = -1, rr_depth: int = 5, use_spectral_mis: bool = True,
                  hide_emitters: bool = False, block_size: int = 0, samples_per_pass: int = -1, timeout: float = -1.0):

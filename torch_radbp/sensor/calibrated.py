@@ -194,7 +194,6 @@ class Calibrated(ProjectiveCamera):
             prism p1, p2, sx1 and sy1 as well.
         omega: radians, between 0 and pi; of field_of_view, which needs it.
         near_clip, far_clip: distances between which surfaces are seen, along the viewing axis; of a fisheye, from the eye.
-        shutter_open, shutter_close: accepted, but without effect on a camera without motion.
     """
 
     optional_parameters: ClassVar = (*BrownConrady._fields, "sx1", "sy1", "omega")  # that there are if they are given

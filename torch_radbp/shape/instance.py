@@ -21,6 +21,7 @@ class Instance(Shape):
     and wherever they move. A sphere in a group is cast as triangles.
 
     Args:
+        to_world: the pose of the group; affine.
         shapegroup: what is shown; usually a reference to an object of the scene.
 
     Raises:
