@@ -1,6 +1,6 @@
 """Makes assets/shapes: a torus in four formats of meshes, and the distances of two balls that touch.
 
-    python assets/make_shapes.py
+    python -m assets.make_shapes
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ AROUND, ACROSS, GRID = 32, 16, 24
 
 def torus() -> MeshArrays:
     """A torus of radius 1 with a tube of 0.35, which leans towards -y; colours follow the angle around it."""
-    u, v = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 1, AROUND + 1), np.linspace(0, 1, ACROSS + 1), indexing="ij"))
+    u, v = np.meshgrid(np.linspace(0, 1, AROUND + 1), np.linspace(0, 1, ACROSS + 1), indexing="ij")
+    u, v = u.ravel(), v.ravel()
     around, across = 2 * np.pi * u, 2 * np.pi * v
     outwards = np.stack([np.cos(around), np.sin(around), np.zeros_like(u)], 1)
     normals = np.cos(across)[:, None] * outwards + np.sin(across)[:, None] * np.array([0.0, 0.0, 1.0])

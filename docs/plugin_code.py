@@ -84,7 +84,8 @@ def listed(numbers: Iterable[float]) -> str:
 def python(value: Any, before: str = "") -> str:
     """The source of a value, which stands after `before` in a line."""
     if hasattr(value, "python"):
-        return value.python()
+        source = value.python()
+        return source if len(before + source) < WIDTH else source.replace(" @ ", f"\n{' ' * len(before)}@ ")
     if not isinstance(value, dict):
         return f'"{value}"' if isinstance(value, str) else repr(value)
     entries = [f'"{key}": {python(item)}' for key, item in value.items()]

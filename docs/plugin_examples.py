@@ -97,9 +97,9 @@ BSDFS = {
 }
 TEXTURES = {
     "bitmap": wall("An image, painted on a square.", "bitmap", filename=Asset("textured_room/painting.png")),
-    "blackbody": Example("A ball that glows at 1650 K, as embers do.", {
-        "ember": {"type": "sphere", "emitter": {
-            "type": "area", "radiance": {"type": "blackbody", "temperature": 1650.0}}, "radius": 0.5}}),
+    "blackbody": Example("A grey ball, lit from the right by a lamp that glows at 2000 K.", {
+        "ball": {"type": "sphere"}, "bulb": {"type": "sphere", "center": [2, -2, 1.5], "radius": 0.6, "emitter": {
+            "type": "area", "radiance": {"type": "blackbody", "temperature": 2000.0}}}}),
     "checkerboard": wall("Red and white squares, three of each in a row.", "checkerboard", color0=RED, color1=WHITE,
                          to_uv=Scale(3, 3)),
     "d65": wall("White daylight times 0.6: a neutral grey.", "d65", scale=0.6),
@@ -138,8 +138,8 @@ EMITTERS = {
 }
 GROUP = {"type": "shapegroup", "ball": {"type": "sphere", "bsdf": UV},
          "bar": {"type": "cylinder", "p0": [0, 0, -1.8], "p1": [0, 0, 1.8], "radius": 0.2, "bsdf": PAINT}}
-PLACES = {"left": Placed((0.5, 0.5, 0.5), (-0.7, 0.2, -0.1)), "middle": Placed((0.4, 0.4, 0.4), (0.2, -0.8, -0.28)),
-          "right": Placed((0.3, 0.3, 0.3), (0.9, 0, -0.46))}
+PLACES = {"left": Placed((0.5, 0.5, 0.5), (-0.7, 0.2, -0.1)), "middle": Placed((0.4, 0.4, 0.4), (0.2, -0.8, -0.3)),
+          "right": Placed((0.3, 0.3, 0.3), (0.9, 0, -0.5))}
 SHOWN = {"group": GROUP, **{name: {"type": "instance", "shapegroup": {"type": "ref", "id": "group"}, "to_world": place}
                             for name, place in PLACES.items()}}
 SHAPES = {

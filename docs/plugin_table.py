@@ -12,6 +12,8 @@ from docs.escaped import escaped
 from torch_radbp.plugin import Attribute, Texture, attributes, options
 
 SECTION = re.compile(r"^(Args|Attributes|Raises|Returns|Reference):", re.MULTILINE)
+EVIDENT = re.compile(r"^Derivatives:\s+with\s+respect\s+to\s+(its\s+texels|it|both|all|all\s+of\s+them|these|`value`|"
+                     r"its\s+value)\.(\s|$)", re.MULTILINE)  # as the marks in the table say
 WORDS = {"bool": "true or false", "int": "integer", "float": "number", "str": "string", "Matrix4": "4 x 4 transform",
          "Point3": "point", "Filename": "file", "Tensor": "array", "Samples": "spectrum",
          "TriangleMesh": "trimesh.Trimesh or trimesh.Scene"}
@@ -60,10 +62,9 @@ def sections(cls: type) -> Iterator[tuple[str, str]]:
 
 def prose(plugin: type) -> list[str]:
     """The paragraphs of a docstring, without what the table has."""
-    text = dict(sections(plugin))[""]
-    text = re.sub(r"^Parameters: .*?\.(?:\s|$)", "", text, flags=re.MULTILINE | re.DOTALL)
-    text = re.sub(r"^\s*Derivatives: with respect to (its texels|it|both|all|all of them|these)\.", "", text, flags=re.M)
-    return [escaped(paragraph.strip()) for paragraph in text.split("\n\n") if paragraph.strip()]
+    text = re.sub(r"^Parameters: .*?\.(?:\s|$)", "", dict(sections(plugin))[""], flags=re.MULTILINE | re.DOTALL)
+    text = EVIDENT.sub("", text)
+    return [escaped(paragraph.rstrip()) for paragraph in text.split("\n\n") if paragraph.strip()]
 
 
 def kind_of(annotation: Any) -> str:

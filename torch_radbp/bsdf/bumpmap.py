@@ -38,9 +38,9 @@ class BumpMapKind(TurnedKind):
 class BumpMap(BSDF):
     """A material seen as if the surface were lifted along its normal, by heights that an image gives. Nothing is moved.
 
-    Parameters: `nested_texture`, a texture; `scale`, a number. Derivatives: with respect to both and to the parameters of
-    the material. The slope of a bilinear image jumps at the centres of its texels; what is discontinuous besides (see
-    `torch_radbp.bsdf.turned`) has no derivative where it jumps.
+    Parameters: `nested_texture`, a texture; `scale`, a number. Derivatives: with respect to the heights, the scale and the
+    parameters of the material. The slope of a bilinear image jumps at the centres of its texels; what is discontinuous
+    besides (see `torch_radbp.bsdf.turned`) has no derivative where it jumps.
 
     Two things are right here that are not in Mitsuba 3.9.1: the slope of an image that is not square under a `to_uv` that
     turns it, and the direction of brushed materials on bumps, which follows u there as if the surface lay in the world's

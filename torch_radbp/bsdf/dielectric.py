@@ -77,7 +77,7 @@ class Dielectric(BSDF):
     """A smooth boundary between two transparent media, such as glass and air; the normal points to the outside.
 
     Parameters: `eta`, a number; `specular_reflectance`, `specular_transmittance`, textures. Derivatives: with respect to all
-    of them; of directions, in attached mode, with respect to `eta` and the surface.
+    parameters; of directions, in attached mode, with respect to `eta` and the surface.
 
     Attributes:
         eta: index of refraction inside over the one outside; `int_ior` over `ext_ior` at first.

@@ -31,8 +31,8 @@ class NormalMapKind(TurnedKind):
 class NormalMap(BSDF):
     """A material seen as if the surface had other normals, which an image gives relative to the shading frame.
 
-    Parameters: `normalmap`, a texture. Derivatives: with respect to its texels, and to the parameters of the material. What
-    is discontinuous in the normal (see `torch_radbp.bsdf.turned`) has no derivative where it jumps.
+    Parameters: `normalmap`, a texture. Derivatives: with respect to the texels of the normals, and to the parameters of the
+    material. What is discontinuous in the normal (see `torch_radbp.bsdf.turned`) has no derivative where it jumps.
 
     Args:
         normalmap: the normal n as a colour (n + 1) / 2, of any length: (0.5, 0.5, 1) turns nothing. Read with `raw`, or sRGB

@@ -43,7 +43,7 @@ class RoughConductor(BSDF):
     """A metal with a rough surface, black from behind: microfacets that each are a mirror. No light is scattered twice.
 
     Parameters: `alpha` or `alpha_u` and `alpha_v`, `eta`, `k`, `specular_reflectance`, textures. Derivatives: with respect
-    to their texels; roughness below 1e-4 counts as 1e-4 and has the derivatives that it has there.
+    to all parameters; roughness below 1e-4 counts as 1e-4 and has the derivatives that it has there.
 
     Args:
         distribution: of the microfacets' normals, beckmann or ggx.

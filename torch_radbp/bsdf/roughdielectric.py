@@ -133,8 +133,8 @@ class RoughDielectric(Dielectric):
     """A rough boundary between two transparent media: microfacets that reflect and refract light once.
 
     Parameters: `alpha` or `alpha_u` and `alpha_v`, textures; `eta`, a number; `specular_reflectance`,
-    `specular_transmittance`, textures. Derivatives: with respect to all of them; roughness below 1e-4 counts as 1e-4 and has
-    the derivatives that it has there.
+    `specular_transmittance`, textures. Derivatives: with respect to all parameters; roughness below 1e-4 counts as 1e-4 and
+    has the derivatives that it has there.
 
     Attributes:
         eta: index of refraction inside over the one outside; `int_ior` over `ext_ior` at first.

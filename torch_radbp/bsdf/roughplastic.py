@@ -78,7 +78,7 @@ class RoughPlastic(Plastic):
     """A rough plastic, black from behind: a diffuse base under a dielectric coat of microfacets.
 
     Parameters: `alpha`, `eta`, numbers; `diffuse_reflectance`, `specular_reflectance`, textures. Derivatives: with respect
-    to all of them; roughness below 1e-4 counts as 1e-4 and has the derivatives that it has there.
+    to all parameters; roughness below 1e-4 counts as 1e-4 and has the derivatives that it has there.
 
     The coat is sampled with the probability that Mitsuba has, but by the reflectances at the point and not by their means
     over the surface, and as if each were at least 0.02.

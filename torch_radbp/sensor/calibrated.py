@@ -182,8 +182,9 @@ class Calibrated(ProjectiveCamera):
 
     A pixel into which no direction is projected is black.
 
-    Parameters: `to_world` (4, 4); `fx`, `fy`, `cx`, `cy`, `skew` (), pixels of the whole image; and those coefficients that
-    are given, (): to recover one, give it as 0.
+    Parameters: `to_world` (4, 4); `fx`, `fy`, `cx`, `cy`, `skew` (), pixels of the whole image; and those coefficients of
+    `k1`, `k2`, `k3`, `k4`, `k5`, `k6`, `p1`, `p2`, `sx1`, `sy1`, `omega` that are given, (). To recover a coefficient, give
+    it as 0.
 
     Args:
         fx, fy: focal lengths, pixels; `fy` is `fx` if it is not given.

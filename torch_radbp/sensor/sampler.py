@@ -42,17 +42,17 @@ class Jittered(LowDiscrepancy):
 
 @register("sampler", "stratified")
 class Stratified(Jittered):
-    """Even samples of each pixel."""
+    """Even samples of each pixel: the points of `ldsampler`."""
 
 
 @register("sampler", "multijitter")
 class MultiJitter(Jittered):
-    """Even samples of each pixel."""
+    """Even samples of each pixel: the points of `ldsampler`."""
 
 
 @register("sampler", "orthogonal")
 class Orthogonal(Jittered):
-    """Even samples of each pixel.
+    """Even samples of each pixel: the points of `ldsampler`.
 
     Args:
         strength: of Mitsuba's points; without effect here.

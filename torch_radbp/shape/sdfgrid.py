@@ -26,11 +26,12 @@ class SDFGrid(Surface):
 
     Parameters: `grid` (Z, Y, X, 1), `to_world` (4, 4). Derivatives: with respect to both.
 
-    Tessellated by marching cubes, see `zero_set`: vertices are on the surface exactly, with at least 60 cells to the longest
-    side of the cube. The triangles are found anew when the grid has changed; a mirroring `to_world` keeps the normals
-    outwards. As in Mitsuba there are no coordinates uv: textures are read at (0, 0). It may carry an emitter, which Mitsuba
-    cannot sample. Mitsuba 3.9.1 exchanges the sizes of voxels along x and z, so that its image is another unless they are
-    equal; loses the surface where `to_world` turns it; and bends smooth normals at the upper borders of the grid.
+    Tessellated by marching cubes, see `torch_radbp.shape.zero_set`: vertices are on the surface exactly, with at least 60
+    cells to the longest side of the cube. The triangles are found anew when the grid has changed; a mirroring `to_world`
+    keeps the normals outwards. As in Mitsuba there are no coordinates uv: textures are read at (0, 0). It may carry an
+    emitter, which Mitsuba cannot sample. Mitsuba 3.9.1 exchanges the sizes of voxels along x and z, so that its image is
+    another unless they are equal; loses the surface where `to_world` turns it; and bends smooth normals at the upper borders
+    of the grid.
 
     Args:
         filename: a volume of one channel, such as Mitsuba's .vol. Either this or `grid`.
