@@ -8,6 +8,9 @@ from docs.plugin_code import Asset, LookAt, Placed, Scale, Scaled
 from docs.plugin_scenes import CAMERA, RED
 
 
+FEW, MANY = 128, 512  # samples for each pixel of a picture; light that passes straight through a surface is found by chance
+
+
 class Example(NamedTuple):
     """What is shown of a plugin."""
 
@@ -15,11 +18,12 @@ class Example(NamedTuple):
     objects: dict[str, Any]
     like: str = ""  # another plugin of the category, whose picture is the same
     output: str = ""  # what is seen instead of the image: a quantity of `Renderer.aovs`
+    samples: int = FEW
 
 
-def ball(caption: str, kind: str, **attributes: Any) -> Example:
+def ball(caption: str, kind: str, samples: int = FEW, **attributes: Any) -> Example:
     """A ball of a material."""
-    return Example(caption, {"ball": {"type": "sphere", "bsdf": {"type": kind} | attributes}})
+    return Example(caption, {"ball": {"type": "sphere", "bsdf": {"type": kind} | attributes}}, samples=samples)
 
 
 def wall(caption: str, kind: str, **attributes: Any) -> Example:
@@ -68,16 +72,17 @@ BSDFS = {
                              "to_uv": Scale(4, 2)},
                     bsdf={"type": "plastic", "diffuse_reflectance": RED}, scale=0.2),
     "conductor": ball("A mirror of gold.", "conductor", material="Au"),
-    "dielectric": ball("A ball of glass: the floor behind it is seen upside down.", "dielectric", int_ior=1.5),
+    "dielectric": ball("A ball of glass: the floor behind it is seen upside down.", "dielectric", MANY, int_ior=1.5),
     "diffuse": ball("Red paint without gloss.", "diffuse", reflectance=RED),
-    "mask": ball("Red paint with square holes, through which the inside and the floor are seen.", "mask",
+    "mask": ball("Red paint with square holes, through which the inside and the floor are seen.", "mask", MANY,
                  opacity=SQUARES | {"color0": 0.0, "color1": 1.0}, bsdf={"type": "twosided", "bsdf": PAINT}),
     "normalmap": ball("Red plastic with a relief that is only in its shading.", "normalmap",
                       normalmap={"type": "bitmap", "filename": Asset("relief/normals.exr"), "raw": True,
                                  "to_uv": Scale(4, 2)},
                       bsdf={"type": "plastic", "diffuse_reflectance": RED}),
     "null": Example("A red ball within a larger one that is not seen: light passes as if it were not there.", {
-        "ball": {"type": "sphere", "bsdf": {"type": "null"}}, "core": {"type": "sphere", "radius": 0.6, "bsdf": PAINT}}),
+        "ball": {"type": "sphere", "bsdf": {"type": "null"}}, "core": {"type": "sphere", "radius": 0.6, "bsdf": PAINT}},
+        samples=MANY),
     "plastic": ball("Smooth red plastic: its coat mirrors the lamp and the sky.", "plastic", diffuse_reflectance=RED,
                     int_ior=1.5),
     "principled": ball("Red car paint: half of it metal, under a clear coat.", "principled", base_color=RED, roughness=0.4,
@@ -86,11 +91,11 @@ BSDFS = {
         "ball": {"type": "sphere", "bsdf": {"type": "principledthin", "base_color": RED, "diff_trans": 1.0}},
         "bulb": {"type": "sphere", "center": [0, 0, -0.4], "radius": 0.3, "emitter": {"type": "area", "radiance": 8.0}}}),
     "roughconductor": ball("Gold with a roughness of 0.2.", "roughconductor", material="Au", alpha=0.2),
-    "roughdielectric": ball("Frosted glass with a roughness of 0.15.", "roughdielectric", int_ior=1.5, alpha=0.15),
+    "roughdielectric": ball("Frosted glass with a roughness of 0.15.", "roughdielectric", MANY, int_ior=1.5, alpha=0.15),
     "roughplastic": ball("Red plastic with a roughness of 0.15: the lamp's reflection is blurred.", "roughplastic",
                          diffuse_reflectance=RED, alpha=0.15),
     "thindielectric": ball("A soap bubble: the floor is seen through it where it is, the sky as in a mirror.",
-                           "thindielectric", int_ior=1.5),
+                           "thindielectric", MANY, int_ior=1.5),
     "twosided": Example("A tube that is painted red outside and gold inside.", {
         "tube": {"type": "cylinder", "p0": [0, 0, -1], "p1": [0, 0, 0.2], "radius": 0.9,
                  "bsdf": {"type": "twosided", "outside": PAINT, "inside": GOLD}}}),
@@ -138,7 +143,7 @@ EMITTERS = {
 }
 GROUP = {"type": "shapegroup", "ball": {"type": "sphere", "bsdf": UV},
          "bar": {"type": "cylinder", "p0": [0, 0, -1.8], "p1": [0, 0, 1.8], "radius": 0.2, "bsdf": PAINT}}
-PLACES = {"left": Placed((0.5, 0.5, 0.5), (-0.7, 0.2, -0.1)), "middle": Placed((0.4, 0.4, 0.4), (0.2, -0.8, -0.3)),
+PLACES = {"left": Placed((0.5, 0.5, 0.5), (-1, 1, -0.1)), "middle": Placed((0.4, 0.4, 0.4), (0.2, -0.8, -0.3)),
           "right": Placed((0.3, 0.3, 0.3), (0.9, 0, -0.5))}
 SHOWN = {"group": GROUP, **{name: {"type": "instance", "shapegroup": {"type": "ref", "id": "group"}, "to_world": place}
                             for name, place in PLACES.items()}}

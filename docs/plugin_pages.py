@@ -38,7 +38,7 @@ def out_of_date(picture: Path) -> bool:
 
 def index() -> Iterator[str]:
     """The lines of the index."""
-    yield from ("# Plugins", "", "What a scene is made of, by Mitsuba's names, with its parameters and defaults. "
+    yield from ("# Plugins", "", "What a scene is made of, by Mitsuba's names, with examples, parameters and defaults. "
                 "`radbp info scene.xml` says how a scene's own parameters are called.", "", ":::{toctree}", ":hidden:",
                 "", *REGISTRY, ":::", "", "| | |", "|---|---|")
     for category in REGISTRY:

@@ -17,7 +17,7 @@ from docs.plugin_code import python
 from docs.plugin_examples import EXAMPLES
 from docs.plugin_scenes import surroundings
 
-WIDTH, SAMPLES = 256, 256
+WIDTH = 256  # at least; images of fewer pixels are enlarged, so that these are seen
 
 
 def scene_of(category: str, name: str) -> rb.Scene:
@@ -28,13 +28,13 @@ def scene_of(category: str, name: str) -> rb.Scene:
 
 
 def draw(category: str, name: str, picture: Path) -> None:
-    """Renders the example of a plugin into a PNG; images of fewer pixels are enlarged, so that these are seen."""
-    scene, output = scene_of(category, name), EXAMPLES[category][name].output
-    if output:
-        values = rb.Renderer(scene).aovs([output], spp=SAMPLES)[output]
+    """Renders the example of a plugin into a PNG."""
+    scene, example = scene_of(category, name), EXAMPLES[category][name]
+    if example.output:
+        values = rb.Renderer(scene).aovs([example.output], spp=example.samples)[example.output]
         images = (values - values.min()) / (values.max() - values.min())
     else:
-        images = rb.render(scene, spp=None if category == "sampler" else SAMPLES)
+        images = rb.render(scene, spp=None if category == "sampler" else example.samples)
     image = torch.cat(list(images), -1)
     factor = -(-WIDTH // image.shape[-1])
     rb.save_image(picture, image.repeat_interleave(factor, -1).repeat_interleave(factor, -2))
