@@ -59,8 +59,8 @@ PAGES = {
     "texture": Category("Textures and spectra", "What varies over a surface, and colours. Every texture of a material can "
                         "also be a network: [](../tutorials/07_network.md)."),
     "emitter": Category("Emitters", "What sends light. The pictures show a ball under each of them alone."),
-    "shape": Category("Shapes", "Surfaces. All have a pose, `to_world`, with derivatives. The squares in the pictures follow "
-                      "the surface coordinates u and v, which textures are read at."),
+    "shape": Category("Shapes", "Surfaces. All have a pose, `to_world`, with derivatives. The squares in the pictures "
+                      "follow the surface coordinates u and v, which textures are read at."),
     "sensor": Category("Sensors", "Cameras. Their poses and optics have derivatives. The pictures show the same scene."),
     "film": Category("Films", "The size of an image and how samples become pixels."),
     "rfilter": Category("Reconstruction filters", "How much a sample counts in the pixels around it. The pictures show the "

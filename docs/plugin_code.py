@@ -85,7 +85,10 @@ def python(value: Any, before: str = "") -> str:
     """The source of a value, which stands after `before` in a line."""
     if hasattr(value, "python"):
         source = value.python()
-        return source if len(before + source) < WIDTH else source.replace(" @ ", f"\n{' ' * len(before)}@ ")
+        if len(before + source) < WIDTH:
+            return source
+        start = "\n" + " " * len(before)
+        return source.replace("], [", f"],{start} [") if source.startswith("[[") else source.replace(" @ ", f"{start}@ ")
     if not isinstance(value, dict):
         return f'"{value}"' if isinstance(value, str) else repr(value)
     entries = [f'"{key}": {python(item)}' for key, item in value.items()]

@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 from docs.plugin_code import Asset, LookAt, Placed, Scale, Scaled
 from docs.plugin_scenes import CAMERA, RED
 
-
-FEW, MANY = 128, 512  # samples for each pixel of a picture; light that passes straight through a surface is found by chance
+FEW, MANY = 128, 512  # samples for each pixel of a picture; light that passes through a surface is found by chance
 
 
 class Example(NamedTuple):

@@ -14,7 +14,7 @@ from docs.plugin_scenes import PLACE, python_scene, xml_render, xml_scene
 from docs.plugin_table import prose, table
 from torch_radbp.plugin import REGISTRY
 
-SOURCES = [*Path(__file__).parent.glob("plugin_*.py")]
+DRAWN_BY = [Path(__file__).with_name(f"plugin_{name}.py") for name in ("examples", "pictures", "scenes")]
 
 
 def write_plugin_pages(folder: Path) -> None:
@@ -33,7 +33,7 @@ def write_plugin_pages(folder: Path) -> None:
 
 def out_of_date(picture: Path) -> bool:
     """True if a picture is missing, or older than what draws it."""
-    return not picture.exists() or picture.stat().st_mtime < max(source.stat().st_mtime for source in SOURCES)
+    return not picture.exists() or picture.stat().st_mtime < max(source.stat().st_mtime for source in DRAWN_BY)
 
 
 def index() -> Iterator[str]:
