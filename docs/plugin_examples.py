@@ -88,7 +88,8 @@ BSDFS = {
                        metallic=0.5, clearcoat=1.0, clearcoat_gloss=0.95),
     "principledthin": Example("A paper lantern: half of the light of the lamp within passes through the thin red sheet.", {
         "ball": {"type": "sphere", "bsdf": {"type": "principledthin", "base_color": RED, "diff_trans": 1.0}},
-        "bulb": {"type": "sphere", "center": [0, 0, -0.4], "radius": 0.3, "emitter": {"type": "area", "radiance": 8.0}}}),
+        "bulb": {"type": "sphere", "center": [0, 0, -0.4], "radius": 0.3, "emitter": {"type": "area", "radiance": 8.0}}},
+        samples=MANY),
     "roughconductor": ball("Gold with a roughness of 0.2.", "roughconductor", material="Au", alpha=0.2),
     "roughdielectric": ball("Frosted glass with a roughness of 0.15.", "roughdielectric", MANY, int_ior=1.5, alpha=0.15),
     "roughplastic": ball("Red plastic with a roughness of 0.15: the lamp's reflection is blurred.", "roughplastic",
@@ -97,12 +98,13 @@ BSDFS = {
                            "thindielectric", MANY, int_ior=1.5),
     "twosided": Example("A tube that is painted red outside and gold inside.", {
         "tube": {"type": "cylinder", "p0": [0, 0, -1], "p1": [0, 0, 0.2], "radius": 0.9,
-                 "bsdf": {"type": "twosided", "outside": PAINT, "inside": GOLD}}}),
+                 "bsdf": {"type": "twosided", "outside": PAINT, "inside": GOLD}}},
+        samples=MANY),
 }
 TEXTURES = {
     "bitmap": wall("An image, painted on a square.", "bitmap", filename=Asset("textured_room/painting.png")),
     "blackbody": Example("A grey ball, lit from the right by a lamp that glows at 2000 K.", {
-        "ball": {"type": "sphere"}, "bulb": {"type": "sphere", "center": [2, -2, 1.5], "radius": 0.6, "emitter": {
+        "ball": {"type": "sphere"}, "glow": {"type": "rectangle", "to_world": LookAt((3, -3, 2.5)), "emitter": {
             "type": "area", "radiance": {"type": "blackbody", "temperature": 2000.0}}}}),
     "checkerboard": wall("Red and white squares, three of each in a row.", "checkerboard", color0=RED, color1=WHITE,
                          to_uv=Scale(3, 3)),

@@ -15,7 +15,7 @@ SCENE = {
     "integrator": ROUND,
     "camera": CAMERA,
     "sky": {"type": "sunsky", "sun_direction": [-0.5, -0.4, 0.6], "sun_scale": 0.0, "sky_scale": 2.0},
-    "lamp": {"type": "sphere", "center": [-4, -2.5, 5], "radius": 2.0, "emitter": {"type": "area", "radiance": 5.0}},
+    "lamp": {"type": "rectangle", "to_world": LookAt((-2.5, -2, 3.5)), "emitter": {"type": "area", "radiance": 7.0}},
     "floor": {"type": "rectangle", "to_world": Placed((400, 400, 1), (0, 0, -1)),
               "bsdf": {"type": "diffuse", "reflectance": CHECKED}},
     "ball": {"type": "sphere", "bsdf": {"type": "roughplastic", "diffuse_reflectance": RED, "alpha": 0.3}},

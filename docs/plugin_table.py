@@ -76,7 +76,8 @@ def kind_of(annotation: Any) -> str:
 def name_of(member: Any) -> str:
     """A member of an annotation, in words."""
     if origin := getattr(member, "__origin__", None):
-        return f"one or more of {name_of(member.__args__[-1])}" + (", by name" if origin is dict else "")
+        inner = name_of(member.__args__[-1])
+        return f"{inner}s by name" if origin is dict else f"one or more of {inner}"
     return getattr(member, "category", "") or WORDS[member.__name__]
 
 

@@ -13,7 +13,7 @@ class Nesting(IntegratorSettings):
     """The base of integrators that add outputs to those of a nested one.
 
     Args:
-        integrators: by name; one, or none for outputs without an image of a name.
+        integrators: one, or none for outputs without an image of a name.
         hide_emitters: that of the nested integrator.
 
     Raises:
