@@ -184,12 +184,12 @@ SENSORS = {
 FILMS = {"hdrfilm": seen("The right lower part of the image, rendered alone.", film={
     "width": 256, "height": 256, "crop_offset_x": 128, "crop_offset_y": 128, "crop_width": 128, "crop_height": 128})}
 FILTERS = {
-    "box": filtered("Each sample counts in one pixel: edges are stairs.", "box"),
-    "catmullrom": filtered("Sharp edges, with a faint line beside each.", "catmullrom"),
-    "gaussian": filtered("Soft edges, the default.", "gaussian", stddev=0.5),
-    "lanczos": filtered("The sharpest edges, with a line beside each.", "lanczos", lobes=3),
-    "mitchell": filtered("Between soft edges and sharp ones.", "mitchell"),
-    "tent": filtered("Soft edges.", "tent", radius=1.0),
+    "box": filtered("Each sample counts in one pixel: the edge is one pixel wide.", "box"),
+    "catmullrom": filtered("A sharp edge, with a faint darker line beside it.", "catmullrom"),
+    "gaussian": filtered("A soft edge; the default.", "gaussian", stddev=0.5),
+    "lanczos": filtered("The sharpest edge, with the darkest line beside it.", "lanczos", lobes=3),
+    "mitchell": filtered("Between a soft edge and a sharp one.", "mitchell"),
+    "tent": filtered("A soft edge.", "tent", radius=1.0),
 }
 SAMPLERS = {
     "independent": sampled("Four samples of each pixel: grainy where light is soft.", "independent"),
