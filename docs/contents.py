@@ -55,14 +55,16 @@ GROUPS = {
 }
 PAGES = {
     "bsdf": Category("BSDFs", "How surfaces scatter light. The pictures show a ball of each on a checkered floor, under a "
-                     "square lamp and an even sky. Your own: [](../tutorials/09_own_material.md)."),
+                     "lamp and a clear sky. Your own: [](../tutorials/09_own_material.md)."),
     "texture": Category("Textures and spectra", "What varies over a surface, and colours. Every texture of a material can "
                         "also be a network: [](../tutorials/07_network.md)."),
     "emitter": Category("Emitters", "What sends light. The pictures show a ball under each of them alone."),
-    "shape": Category("Shapes", "Surfaces. All have a pose, `to_world`, with derivatives."),
-    "sensor": Category("Sensors", "Cameras. Their poses and optics have derivatives."),
+    "shape": Category("Shapes", "Surfaces. All have a pose, `to_world`, with derivatives. The squares in the pictures "
+                      "follow the surface coordinates u and v, which textures are read at."),
+    "sensor": Category("Sensors", "Cameras. Their poses and optics have derivatives. The pictures show the same scene."),
     "film": Category("Films", "The size of an image and how samples become pixels."),
-    "rfilter": Category("Reconstruction filters", "How much a sample counts in the pixels around it."),
+    "rfilter": Category("Reconstruction filters", "How much a sample counts in the pixels around it. The pictures show the "
+                        "edge of a glowing disk by 32 x 32 pixels."),
     "sampler": Category("Samplers", "Which random numbers the samples of a pixel get."),
     "integrator": Category("Integrators", "What of the light transport an image shows. How derivatives are computed, "
                            "`adjoint=` of {py:obj}`Renderer <torch_radbp.Renderer>` says."),

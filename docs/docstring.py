@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import inspect
-import re
 from collections.abc import Iterable
 from typing import Any
 
 import griffe
+
+from docs.escaped import escaped
 
 TITLES = {"parameters": "Parameters", "attributes": "Attributes", "returns": "Returns", "raises": "Raises"}
 
@@ -45,9 +46,3 @@ def entries(section: griffe.DocstringSection) -> Iterable[str]:
         name = entry.annotation if section.kind.value == "raises" else entry.name
         text = escaped(entry.description).replace("\n", "\n  ")
         yield f"- `{name}`: {text}" if name else f"- {text}"
-
-
-def escaped(text: str) -> str:
-    """Text without what Markdown would take for HTML, outside of `code`."""
-    parts = re.split(r"(`[^`]*`)", text)
-    return "".join(part if part.startswith("`") else part.replace("<", "&lt;") for part in parts)

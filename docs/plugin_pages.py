@@ -1,34 +1,44 @@
-"""Writes a page for each category of plugins from their registry: docstrings, parameters with defaults, and pictures."""
+"""Writes a page for each category of plugins from their registry: pictures, examples, and parameters with defaults."""
 
 from __future__ import annotations
 
-import inspect
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
-
-import torch
 
 from docs.contents import PAGES
-from docs.docstring import escaped, markdown_of
-from docs.plugin_pictures import EXAMPLES, draw
-from torch_radbp.plugin import REGISTRY, Attribute, attributes, options
+from docs.plugin_code import python, runnable, xml
+from docs.plugin_examples import EXAMPLES
+from docs.plugin_pictures import draw
+from docs.plugin_scenes import PLACE, python_scene, xml_render, xml_scene
+from docs.plugin_table import prose, table
+from torch_radbp.plugin import REGISTRY
 
-WORDS = {bool: "true or false", int: "integer", float: "number", str: "string", type(None): "none"}
+DRAWN_BY = [Path(__file__).with_name(f"plugin_{name}.py") for name in ("examples", "pictures", "scenes")]
 
 
 def write_plugin_pages(folder: Path) -> None:
-    """Writes a page for each category, their index, and the pictures that are not there yet, into a folder."""
+    """Writes a page for each category, their index, and the pictures that are missing or out of date, into a folder."""
     folder.mkdir(exist_ok=True)
     for category in REGISTRY:
-        (folder / f"{category}.md").write_text("\n".join(page(category, folder)) + "\n")
+        (folder / f"{category}.md").write_text("\n".join(page(category)) + "\n")
+        for name, example in EXAMPLES[category].items():
+            picture = folder / f"{category}_{name}.png"
+            if not example.like and out_of_date(picture):
+                with warnings.catch_warnings():
+                    warnings.simplefilter("error")
+                    draw(category, name, picture)
     (folder / "index.md").write_text("\n".join(index()) + "\n")
+
+
+def out_of_date(picture: Path) -> bool:
+    """True if a picture is missing, or older than what draws it."""
+    return not picture.exists() or picture.stat().st_mtime < max(source.stat().st_mtime for source in DRAWN_BY)
 
 
 def index() -> Iterator[str]:
     """The lines of the index."""
-    yield from ("# Plugins", "", "What a scene is made of, by Mitsuba's names, with its parameters and defaults. "
+    yield from ("# Plugins", "", "What a scene is made of, by Mitsuba's names, with examples, parameters and defaults. "
                 "`radbp info scene.xml` says how a scene's own parameters are called.", "", ":::{toctree}", ":hidden:",
                 "", *REGISTRY, ":::", "", "| | |", "|---|---|")
     for category in REGISTRY:
@@ -36,53 +46,30 @@ def index() -> Iterator[str]:
         yield f"| [{PAGES[category].title}]({category}.md) | {names} |"
 
 
-def page(category: str, folder: Path) -> Iterator[str]:
+def page(category: str) -> Iterator[str]:
     """The lines of a category's page."""
-    yield from (f"# {PAGES[category].title}", "", PAGES[category].about)
-    for name, plugin in sorted(REGISTRY[category].items()):
-        yield from ("", f"## {name}", "")
-        if name in EXAMPLES.get(category, {}):
-            picture = folder / f"{category}_{name}.png"
-            if not picture.exists():
-                with warnings.catch_warnings():
-                    warnings.simplefilter("error")
-                    draw(category, name, picture)
-            yield from (f"![An example of {name}]({picture.name})", "", f"*{shown(EXAMPLES[category][name], name)}*", "")
-        yield from (markdown_of(plugin) if inspect.getdoc(plugin) else "", "", *table(attributes(plugin)))
+    yield from (f"# {PAGES[category].title}", "", f"{PAGES[category].about} An example is a part of "
+                "[this scene](#the-scene-around-the-examples). ∂ marks what has derivatives.")
+    for name in sorted(REGISTRY[category]):
+        yield from ("", f"## {name}", "", *entry(category, name))
+    yield from ("", "## The scene around the examples", "", "In Python: an example, and after it these lines.", "",
+                *fenced("python", python_scene(category)), "",
+                f"In XML: `scene.xml`, in which an example stands in the place of `{PLACE}`,", "",
+                *fenced("xml", xml_scene(category)), "", "and what renders it; `assets` is the folder of the files that "
+                "come with the package.", "", *fenced("python", xml_render(category)))
 
 
-def table(schema: dict[str, Attribute]) -> Iterator[str]:
-    """The lines of a table of parameters."""
-    if schema:
-        yield from ("| key | what it is | default |", "|---|---|---|")
-    for name, attribute in schema.items():
-        default = "needed" if attribute.required else "" if attribute.default is None else f"`{attribute.default}`"
-        yield f"| `{name}` | {kind_of(attribute.annotation)} | {default} |"
+def entry(category: str, name: str) -> Iterator[str]:
+    """The lines of a plugin: what it is, a picture, an example twice, its keys, and what else there is to know."""
+    plugin, example = REGISTRY[category][name], EXAMPLES[category][name]
+    first, *others = prose(plugin)
+    yield from (first, "", f"![{example.caption}]({category}_{example.like or name}.png)", "", f"*{example.caption}*", "",
+                *fenced("python", runnable(f"example = {python(example.objects, 'example = ')}")), "",
+                *fenced("xml", xml(example.objects)), "", *table(plugin))
+    for paragraph in others:
+        yield from ("", paragraph)
 
 
-def kind_of(annotation: Any) -> str:
-    """What an attribute takes, in words."""
-    members = [option for option in options(annotation) if option is not type(None)]
-    return " or ".join(escaped(WORDS.get(member) or name_of(member)) for member in members)
-
-
-def name_of(member: Any) -> str:
-    """A member of an annotation, in words."""
-    if getattr(member, "__origin__", None) is list:
-        return f"one or more of {name_of(member.__args__[0])}"
-    return getattr(member, "category", "") or {"Matrix4": "4 x 4 transform", "Point3": "point", "Filename": "file",
-                                               "TriangleMesh": "trimesh.Trimesh or trimesh.Scene",
-                                               "Tensor": "array"}.get(member.__name__, member.__name__)
-
-
-def shown(value: Any, name: str = "") -> str:
-    """The example of a plugin in a few words."""
-    if isinstance(value, dict):
-        inner = ", ".join(f"{key} {shown(item)}" for key, item in value.items() if key != "type")
-        kind = name or value["type"]
-        return f"{kind}: {inner}" if name and inner else f"{kind} ({inner})" if inner else kind
-    if isinstance(value, torch.Tensor):
-        return f"({' x '.join(map(str, value.shape))} numbers)"
-    if isinstance(value, list):
-        return ", ".join(f"{item:g}" for item in value)
-    return Path(value).name if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else str(value)
+def fenced(language: str, text: str) -> Iterator[str]:
+    """The lines of a block of code."""
+    yield from (f"```{language}", *text.splitlines(), "```")

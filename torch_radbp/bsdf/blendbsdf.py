@@ -164,17 +164,18 @@ def is_still(weight: Texture) -> bool:
 class BlendBSDF(BSDF):
     """A mixture of two materials, each of any kind: `bsdf_0` where the weight is 0, `bsdf_1` where it is 1.
 
-    Parameters: `weight`, a texture in [0, 1]. Derivatives: with respect to its texels, and to the parameters of both
-    materials. Each is sampled with the probability of its weight, but at least 0.02. Where the weight is 0 or 1, one is not
-    sampled at all, unless derivatives with respect to the weight are asked for, which need both, or a `mesh_attribute` gives
-    it: less noise of the same image. Weights a little outside, where an optimizer may step, continue the mixture linearly.
+    Parameters: `weight`, a texture in [0, 1]. Derivatives: with respect to the weight's texels, and to the parameters of
+    both materials. Each is sampled with the probability of its weight, but at least 0.02. Where the weight is 0 or 1, one is
+    not sampled at all, unless derivatives with respect to the weight are asked for, which need both, or a `mesh_attribute`
+    gives it: less noise of the same image. Weights a little outside, where an optimizer may step, continue the mixture
+    linearly.
 
     What a blend scatters is exactly the mixture of what its materials scatter, ideal reflection and refraction included.
     Mitsuba 3.9.1 differs: where one material is smooth and the other reflects or refracts ideally, its image is some percent
     darker than the mixture of its own images.
 
     Args:
-        weight: of the second material. Of a constant colour the mean is used, of a colour bitmap the luminance.
+        weight: of the second material, in [0, 1]. Of a constant colour the mean is used, of a colour bitmap the luminance.
         bsdf: the two materials, in order.
 
     Raises:

@@ -38,19 +38,18 @@ class BumpMapKind(TurnedKind):
 class BumpMap(BSDF):
     """A material seen as if the surface were lifted along its normal, by heights that an image gives. Nothing is moved.
 
-    Parameters: `nested_texture`, a texture: the heights in units of the scene; `scale`, a number, by which they are
-    multiplied. Derivatives: with respect to both and to the parameters of the material. The slope of a bilinear image jumps
-    at the centres of its texels; what is discontinuous besides (see `torch_radbp.bsdf.turned`) has no derivative where it
-    jumps.
+    Parameters: `nested_texture`, a texture; `scale`, a number. Derivatives: with respect to the heights, the scale and the
+    parameters of the material. The slope of a bilinear image jumps at the centres of its texels; what is discontinuous
+    besides (see `torch_radbp.bsdf.turned`) has no derivative where it jumps.
 
     Two things are right here that are not in Mitsuba 3.9.1: the slope of an image that is not square under a `to_uv` that
     turns it, and the direction of brushed materials on bumps, which follows u there as if the surface lay in the world's
     xy plane.
 
     Args:
-        nested_texture: the heights, read with `raw`, or sRGB is decoded that was never encoded; under any name. Of a colour
-            bitmap the luminance. Squares of a checkerboard, texels of a bitmap that is read by the nearest, attributes of
-            faces and colours are level: their steps turn nothing.
+        nested_texture: the heights in units of the scene, read with `raw`, or sRGB is decoded that was never encoded; under
+            any name. Of a colour bitmap the luminance. Squares of a checkerboard, texels of a bitmap that is read by the
+            nearest, attributes of faces and colours are level: their steps turn nothing.
         nested_bsdf: the material.
         scale: a factor on the heights.
         flip_invalid_normals: turn normals round that face away from the viewer.

@@ -35,8 +35,8 @@ class ConductorKind(DeltaKind):
 class Conductor(BSDF):
     """A mirror of metal, black from behind.
 
-    Parameters: `eta`, `k`, `specular_reflectance`, textures. Derivatives: with respect to their texels, and in attached mode
-    to the surface that reflects.
+    Parameters: `eta`, `k`, `specular_reflectance`, textures. Derivatives: with respect to all parameters, and in attached
+    mode to the surface that reflects.
 
     Args:
         eta: real part of the index of refraction; 0 by default.

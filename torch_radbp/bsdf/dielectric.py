@@ -76,9 +76,11 @@ class DielectricKind(DeltaKind):
 class Dielectric(BSDF):
     """A smooth boundary between two transparent media, such as glass and air; the normal points to the outside.
 
-    Parameters: `eta`, a number, the index of refraction inside over the one outside; `specular_reflectance`,
-    `specular_transmittance`, textures. Derivatives: with respect to all of them; of directions, in attached mode, with
-    respect to `eta` and the surface.
+    Parameters: `eta`, a number; `specular_reflectance`, `specular_transmittance`, textures. Derivatives: with respect to all
+    parameters; of directions, in attached mode, with respect to `eta` and the surface.
+
+    Attributes:
+        eta: index of refraction inside over the one outside; `int_ior` over `ext_ior` at first.
 
     Args:
         int_ior: index of refraction inside, a number or a material of `ior.DIELECTRICS`.

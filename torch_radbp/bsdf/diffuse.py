@@ -39,6 +39,9 @@ class Diffuse(BSDF):
 
     Parameters: `reflectance`, a texture. Derivatives: with respect to its texels. Values above 1, which Mitsuba takes too
     unless they are written as <rgb>, are used as they are; there the surface makes light, and it is warned of.
+
+    Args:
+        reflectance: the fraction of light that is reflected.
     """
 
     def __init__(self, *, reflectance: Texture | float = 0.5):

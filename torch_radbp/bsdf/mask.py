@@ -26,16 +26,17 @@ class MaskKind(BlendKind):
 class Mask(BSDF):
     """A material that lets a part of the light pass straight through: a blend with `null`.
 
-    Parameters: `opacity`, a texture in [0, 1]. Derivatives: with respect to its texels, and to the parameters of the
-    material; right where the opacity is 0 or 1, too, see `BlendBSDF`. Where surfaces move, lines at which the opacity jumps
-    count where the camera sees them; paths that meet the mask later are glued to it, so that there edges count that are seen
-    through its holes. That light behind is not found by next-event estimation: see `Null`. Mitsuba 3.9.1's `path`
+    Parameters: `opacity`, a texture in [0, 1]. Derivatives: with respect to the texels of the opacity, and to the parameters
+    of the material; right where the opacity is 0 or 1, too, see `blendbsdf`. Where surfaces move, lines at which the opacity
+    jumps count where the camera sees them; paths that meet the mask later are glued to it, so that there edges count that
+    are seen through its holes. That light behind is not found by next-event estimation: see `null`. Mitsuba 3.9.1's `path`
     loses direct light on masks where paths end in them, or leave the scene through them and nothing surrounds it
     (`tests/bsdf/test_closed_mask.py`).
 
     Args:
         nested_bsdf: the material.
-        opacity: 0 lets all light pass, 1 none. Of a constant colour the mean is used, of a colour bitmap the luminance.
+        opacity: in [0, 1]; 0 lets all light pass, 1 none. Of a constant colour the mean is used, of a colour bitmap the
+            luminance.
 
     Raises:
         ValueError: if an opacity is out of range.

@@ -31,12 +31,12 @@ class NormalMapKind(TurnedKind):
 class NormalMap(BSDF):
     """A material seen as if the surface had other normals, which an image gives relative to the shading frame.
 
-    Parameters: `normalmap`, a texture: the normal n as a colour (n + 1) / 2, so that (0.5, 0.5, 1) turns nothing; its length
-    does not matter. Derivatives: with respect to its texels, and to the parameters of the material. What is discontinuous in
-    the normal (see `torch_radbp.bsdf.turned`) has no derivative where it jumps.
+    Parameters: `normalmap`, a texture. Derivatives: with respect to the texels of the normals, and to the parameters of the
+    material. What is discontinuous in the normal (see `torch_radbp.bsdf.turned`) has no derivative where it jumps.
 
     Args:
-        normalmap: read with `raw`, or sRGB is decoded that was never encoded. x points to where the coordinate u grows.
+        normalmap: the normal n as a colour (n + 1) / 2, of any length: (0.5, 0.5, 1) turns nothing. Read with `raw`, or sRGB
+            is decoded that was never encoded. x points to where the coordinate u grows.
         nested_bsdf: the material.
         flip_invalid_normals: turn normals round that face away from the viewer.
         use_shadowing_function: let light fade towards the horizon of the surface.

@@ -120,11 +120,14 @@ class PlasticKind(Kind):
 class Plastic(BSDF):
     """A smooth plastic, black from behind: a diffuse base under a smooth dielectric coat.
 
-    Parameters: `eta`, a number, the index of refraction inside over the one outside; `diffuse_reflectance`,
-    `specular_reflectance`, textures. Derivatives: with respect to all of them.
+    Parameters: `eta`, a number; `diffuse_reflectance`, `specular_reflectance`, textures. Derivatives: with respect to all of
+    them.
 
     The coat is sampled with the probability that Mitsuba has, but by the reflectances at the point and not by their means
     over the surface, and as if each were at least 0.02.
+
+    Attributes:
+        eta: index of refraction inside over the one outside; `int_ior` over `ext_ior` at first.
 
     Args:
         diffuse_reflectance: of the base; above 1, where it makes light, it is warned of.

@@ -23,8 +23,8 @@ PART_OF = {"sheen_tint": "sheen", "clearcoat_gloss": "clearcoat"}  # without whi
 class Principled(BSDF):
     """A material by parameters for artists, most of them between 0 and 1, after Burley.
 
-    Parameters: textures, but for `eta` or `specular`, a number. Derivatives: with respect to all of them, also where one is
-    zero; below a roughness of 0.032 reflections have the derivatives that they have there. As in Mitsuba, a white base
+    Parameters: textures, but for `eta` or `specular`, a number. Derivatives: with respect to all parameters, also where one
+    is zero; below a roughness of 0.032 reflections have the derivatives that they have there. As in Mitsuba, a white base
     reflects a few per cent more light than it receives, and more with sheen; metal and glass do not.
 
     What is not given, or is zero and does not require a gradient, costs nothing. Each lobe is sampled with the probability

@@ -171,11 +171,11 @@ def crosses(m: Vec3, wo: Vec3) -> Tensor:
 class PrincipledThin(BSDF):
     """A thin sheet by parameters for artists, most of them between 0 and 1, after Burley; the same from both sides.
 
-    Parameters: textures. Derivatives: with respect to all of them, also where one is zero. What is not given, or is zero and
-    does not require a gradient, costs nothing. Each lobe is sampled with the probability that Mitsuba has, but as if its
-    weights were at least 0.02. As in Mitsuba, a white base reflects a few per cent more light than it receives.
-    Directions that follow a parameter (`sampling="attached"`) miss the jump at which transmitted light ends: there the
-    derivatives by roughness, anisotropy and index of refraction are biased, and a warning says so.
+    Parameters: textures. Derivatives: with respect to all parameters, also where one is zero. What is not given, or is zero
+    and does not require a gradient, costs nothing. Each lobe is sampled with the probability that Mitsuba has, but as if its
+    weights were at least 0.02. As in Mitsuba, a white base reflects a few per cent more light than it receives. Directions
+    that follow a parameter (`sampling="attached"`) miss the jump at which transmitted light ends: there the derivatives by
+    roughness, anisotropy and index of refraction are biased, and a warning says so.
 
     Args:
         base_color: of the diffuse base, and of light that passes; above 1, where it makes light, it is warned of.

@@ -43,13 +43,13 @@ class RoughConductor(BSDF):
     """A metal with a rough surface, black from behind: microfacets that each are a mirror. No light is scattered twice.
 
     Parameters: `alpha` or `alpha_u` and `alpha_v`, `eta`, `k`, `specular_reflectance`, textures. Derivatives: with respect
-    to their texels; roughness below 1e-4 counts as 1e-4 and has the derivatives that it has there.
+    to all parameters; roughness below 1e-4 counts as 1e-4 and has the derivatives that it has there.
 
     Args:
         distribution: of the microfacets' normals, beckmann or ggx.
         alpha: roughness, 0.1 by default; for Beckmann the root mean square slope times sqrt(2).
         alpha_u, alpha_v: instead of alpha, roughness along the direction in which the surface coordinate u grows, and
-            across. Of a constant colour the mean is used, of a colour bitmap the luminance; likewise for alpha.
+            across it. Of a constant colour the mean is used, of a colour bitmap the luminance; likewise for alpha.
         eta: real part of the index of refraction; 0 by default.
         k: imaginary part, the extinction coefficient; 1 by default, which with eta = 0 reflects all light.
         material: name of a metal in `ior.CONDUCTORS`, in place of eta and k; or "none".

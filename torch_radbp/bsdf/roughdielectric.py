@@ -132,15 +132,18 @@ def apart_from_one(eta: Tensor) -> Tensor:
 class RoughDielectric(Dielectric):
     """A rough boundary between two transparent media: microfacets that reflect and refract light once.
 
-    Parameters: `alpha` or `alpha_u` and `alpha_v`, textures; `eta`, a number, the index of refraction inside over the one
-    outside; `specular_reflectance`, `specular_transmittance`, textures. Derivatives: with respect to all of them;
-    roughness below 1e-4 counts as 1e-4 and has the derivatives that it has there.
+    Parameters: `alpha` or `alpha_u` and `alpha_v`, textures; `eta`, a number; `specular_reflectance`,
+    `specular_transmittance`, textures. Derivatives: with respect to all parameters; roughness below 1e-4 counts as 1e-4 and
+    has the derivatives that it has there.
+
+    Attributes:
+        eta: index of refraction inside over the one outside; `int_ior` over `ext_ior` at first.
 
     Args:
         distribution: of the microfacets' normals, beckmann or ggx.
         alpha: roughness, 0.1 by default; for Beckmann the root mean square slope times sqrt(2).
         alpha_u, alpha_v: instead of alpha, roughness along the direction in which the surface coordinate u grows, and
-            across. Of a constant colour the mean is used, of a colour bitmap the luminance; likewise for alpha.
+            across it. Of a constant colour the mean is used, of a colour bitmap the luminance; likewise for alpha.
         int_ior: index of refraction inside, a number or a material of `ior.DIELECTRICS`.
         ext_ior: index of refraction outside; must differ from int_ior.
         specular_reflectance: a factor on reflected light; physical surfaces have 1, more is warned of.

@@ -77,12 +77,14 @@ class RoughPlasticKind(MicrofacetKind):
 class RoughPlastic(Plastic):
     """A rough plastic, black from behind: a diffuse base under a dielectric coat of microfacets.
 
-    Parameters: `alpha` and `eta`, numbers, the roughness and the index of refraction inside over the one outside;
-    `diffuse_reflectance`, `specular_reflectance`, textures. Derivatives: with respect to all of them; roughness below 1e-4
-    counts as 1e-4 and has the derivatives that it has there.
+    Parameters: `alpha`, `eta`, numbers; `diffuse_reflectance`, `specular_reflectance`, textures. Derivatives: with respect
+    to all parameters; roughness below 1e-4 counts as 1e-4 and has the derivatives that it has there.
 
     The coat is sampled with the probability that Mitsuba has, but by the reflectances at the point and not by their means
     over the surface, and as if each were at least 0.02.
+
+    Attributes:
+        eta: index of refraction inside over the one outside; `int_ior` over `ext_ior` at first.
 
     Args:
         distribution: of the microfacets' normals, beckmann or ggx.

@@ -62,8 +62,11 @@ class ThinDielectric(Dielectric):
     For windows that are one sheet of triangles; a closed body of glass is a `dielectric`. As with `null`, next-event
     estimation does not look through.
 
-    Parameters: `eta`, a number, the index of refraction inside over the one outside; `specular_reflectance`,
-    `specular_transmittance`, textures. Derivatives: with respect to all of them.
+    Parameters: `eta`, a number; `specular_reflectance`, `specular_transmittance`, textures. Derivatives: with respect to all
+    of them.
+
+    Attributes:
+        eta: index of refraction inside over the one outside; `int_ior` over `ext_ior` at first.
 
     Args:
         int_ior: index of refraction of the pane, a number or a material of `ior.DIELECTRICS`.

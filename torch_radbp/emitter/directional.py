@@ -44,6 +44,7 @@ class Directional(Light):
 
     Args:
         direction: in which the light travels, of any length; either this or `to_world`.
+        irradiance: W / m^2.
         to_world: its +z axis is that direction; scale and the other axes have no effect.
     """
 

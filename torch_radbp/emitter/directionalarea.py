@@ -54,7 +54,7 @@ class DirectionalArea(SurfaceLight):
     Mitsuba's particle tracer renders the same; its path tracers, which do not look for the foot of the perpendicular, see no
     light at all.
 
-    Parameters: `radiance`, a texture. Derivatives: with respect to its texels and to the shape, except for the contribution
+    Parameters: `radiance`, a texture. Derivatives: with respect to the texels and to the shape, except for the contribution
     of the edge of the beam, where the light is discontinuous.
     """
 

@@ -210,6 +210,7 @@ class Envmap(Light):
         filename: EXR, HDR, PFM, PNG, JPEG, BMP, TGA, WebP or TIFF. Either this or `bitmap`.
         bitmap, data: (H, W), (H, W, 1) or (H, W, 3) linear values, or bytes (uint8) in sRGB; both names mean the same.
         scale: multiplies the image.
+        to_world: turns the sky, whose pole is +y otherwise.
         mis_compensation: sample only texels brighter than the average, and leave the rest to BSDF sampling (Karlik et al.
             2019).
     """

@@ -169,7 +169,11 @@ class SurfaceKind(LightKind):
 
 
 class Light(Emitter):
-    """What an emitter's plugin gives to the tracer."""
+    """What an emitter's plugin gives to the tracer.
+
+    Args:
+        sampling_weight: relative to that of other emitters; 0: next-event estimation never picks it.
+    """
 
     sampling_weight: float
 

@@ -39,7 +39,9 @@ class Point(Light):
     Parameters: `position` (3,), `intensity`. Derivatives: with respect to both.
 
     Args:
-        position: world coordinates; either this or the translation of `to_world`.
+        position: world coordinates; either this or `to_world`.
+        to_world: its translation is the position.
+        intensity: W / sr.
     """
 
     def __init__(self, *, position: Point3 | None = None, to_world: Matrix4 | None = None,

@@ -219,10 +219,11 @@ class Sunsky(Light):
     Args:
         turbidity: of the air, from 1 (clearest) to 10.
         albedo: of the ground, from 0 to 1.
-        sun_direction: towards the sun, world space, any length; or it follows from place and time:
+        sun_direction: towards the sun, world space, any length; or it follows from place and time.
         latitude, longitude: degrees, north and east.
         timezone: hours ahead of Greenwich.
         year, month, day, hour, minute, second: local time.
+        complex_sun: not supported, must be false.
         sun_aperture: degrees across the sun's disc; its irradiance stays the same.
         sun_scale, sky_scale: multiply the light of the sun and of the sky.
         to_world: a rotation, perhaps with a scale, which has no effect.

@@ -13,8 +13,7 @@ class SurfaceLight(Light):
     """Emits `radiance`, a texture or a module on the shape that carries it; the kind says where to, and in which unit.
 
     Args:
-        radiance: of the light.
-        sampling_weight: relative to that of other emitters; 0: next-event estimation never picks it.
+        radiance: of the light; `area`: W / (m^2 sr), `directionalarea`: W / m^2.
     """
 
     takes_modules = True

@@ -8,7 +8,11 @@ from torch_radbp.plugin import positive, register
 
 @register("rfilter", "box")
 class Box(Filter):
-    """Constant within `radius` pixels of the centre (one pixel wide by default)."""
+    """Constant within `radius` pixels of the centre (one pixel wide by default).
+
+    Args:
+        radius: pixels.
+    """
 
     def __init__(self, *, radius: float = 0.5):
         super().__init__()

@@ -15,7 +15,11 @@ CUT = 4.0  # standard deviations
 
 @register("rfilter", "gaussian")
 class Gaussian(Filter):
-    """A Gaussian of standard deviation `stddev` pixels, cut at 4 `stddev` and lowered to reach zero there, as Mitsuba's."""
+    """A Gaussian of standard deviation `stddev` pixels, cut at 4 `stddev` and lowered to reach zero there, as Mitsuba's.
+
+    Args:
+        stddev: the standard deviation, pixels.
+    """
 
     def __init__(self, *, stddev: float = 0.5):
         super().__init__()

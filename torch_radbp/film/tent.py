@@ -10,7 +10,11 @@ from torch_radbp.plugin import positive, register
 
 @register("rfilter", "tent")
 class Tent(Filter):
-    """Falls linearly to zero at `radius` pixels."""
+    """Falls linearly to zero at `radius` pixels.
+
+    Args:
+        radius: pixels.
+    """
 
     def __init__(self, *, radius: float = 1.0):
         super().__init__()

@@ -14,8 +14,7 @@ class ArbitraryOutputVariables(Nesting):
     """The image of a nested integrator, and outputs beside it: `renderer.aovs()` gives those that are listed here.
 
     Args:
-        aovs: name:quantity pairs, separated by commas: "dd.y:depth,nn:sh_normal".
-        integrators, hide_emitters, block_size, samples_per_pass, timeout: see `Nesting`.
+        aovs: name:quantity pairs, separated by commas: `dd.y:depth,nn:sh_normal`.
 
     Raises:
         ValueError: if a pair is none, a quantity is not known, or a name is given twice.

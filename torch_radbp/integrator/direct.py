@@ -18,7 +18,6 @@ class Direct(IntegratorSettings):
             More are taken as 1, and a warning says so: the image is the same in expectation, `spp` makes it quieter.
         bsdf_samples: samples of the BSDF for each camera ray; 0, by which Mitsuba leaves out lights seen in mirrors, is not
             supported. More than 1 are taken as 1, likewise.
-        hide_emitters, block_size, samples_per_pass, timeout: see `IntegratorSettings`.
 
     Raises:
         ValueError: for numbers of samples that contradict each other, or are not supported.

@@ -10,9 +10,6 @@ from torch_radbp.plugin import register
 class Moment(Nesting):
     """The image of a nested integrator; beside it, as in Mitsuba, all its outputs and the image in CIE XYZ, and of each of
     these, under a name that begins with m2_, the mean square of the samples.
-
-    Args:
-        integrators, hide_emitters, block_size, samples_per_pass, timeout: see `Nesting`.
     """
 
     def outputs(self) -> dict[str, str]:

@@ -13,9 +13,8 @@ class Nesting(IntegratorSettings):
     """The base of integrators that add outputs to those of a nested one.
 
     Args:
-        integrators: by name; one, or none for outputs without an image of a name.
+        integrators: one, or none for outputs without an image of a name.
         hide_emitters: that of the nested integrator.
-        block_size, samples_per_pass, timeout: see `IntegratorSettings`.
 
     Raises:
         ValueError: if there are several, or `hide_emitters` is set but not in the nested one.

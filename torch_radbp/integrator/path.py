@@ -13,7 +13,6 @@ class Path(IntegratorSettings):
     Args:
         max_depth: 1 = emission only, 2 = direct light, -1 = unlimited.
         rr_depth: number of scattering events after which Russian roulette begins.
-        hide_emitters, block_size, samples_per_pass, timeout: see `IntegratorSettings`.
     """
 
     def __init__(self, *, max_depth: int = -1, rr_depth: int = 5, hide_emitters: bool = False, block_size: int = 0,

@@ -42,8 +42,8 @@ class ProjectivePathReplay(PathReplay):
     """`prb`, with the boundary terms that `Renderer` has: those of edges in view and of borders of shadows.
 
     Args:
-        max_depth, rr_depth, hide_emitters, block_size, samples_per_pass, timeout: as of `prb`.
-        sppc, sppp, sppi, guiding, guiding_proj, guiding_rounds, project_seed: see `sampling_of_boundaries`.
+        sppc, sppp, sppi, guiding, guiding_proj, guiding_rounds, project_seed: how Mitsuba samples boundaries; without
+            effect.
     """
 
     def __init__(self, *, max_depth: int = 6, rr_depth: int = 5, hide_emitters: bool = False, sppc: int | None = None,
@@ -61,8 +61,8 @@ class ProjectiveDirect(IntegratorSettings):
     """`direct`, with the boundary terms that `Renderer` has: those of edges in view and of borders of shadows.
 
     Args:
-        hide_emitters, block_size, samples_per_pass, timeout: see `IntegratorSettings`.
-        sppc, sppp, sppi, guiding, guiding_proj, guiding_rounds, project_seed: see `sampling_of_boundaries`.
+        sppc, sppp, sppi, guiding, guiding_proj, guiding_rounds, project_seed: how Mitsuba samples boundaries; without
+            effect.
     """
 
     max_depth = 2

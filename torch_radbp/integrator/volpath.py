@@ -27,12 +27,23 @@ class WithoutMedia(Path):
 
 @register("integrator", "volpath")
 class VolumePath(WithoutMedia):
-    """Mitsuba's volumetric path tracer, without media; see `WithoutMedia`."""
+    """Mitsuba's volumetric path tracer, without media: what `path` renders.
+
+    Light that passes straight through a surface (`null`, `mask`, `thindielectric`) is a bounce here, as in `path`; in
+    Mitsuba's it is not counted towards `max_depth`.
+    """
 
 
 @register("integrator", "volpathmis")
 class SpectralVolumePath(WithoutMedia):
-    """Mitsuba's volumetric path tracer with spectral multiple importance sampling, without media; see `WithoutMedia`."""
+    """Mitsuba's volumetric path tracer with spectral multiple importance sampling, without media.
+
+    Light that passes straight through a surface (`null`, `mask`, `thindielectric`) is a bounce here, as in `path`; in
+    Mitsuba's it is not counted towards `max_depth`.
+
+    Args:
+        use_spectral_mis: of media; without effect.
+    """
 
     def __init__(self, *, max_depth: int = -1, rr_depth: int = 5, use_spectral_mis: bool = True,
                  hide_emitters: bool = False, block_size: int = 0, samples_per_pass: int = -1, timeout: float = -1.0):
@@ -43,4 +54,8 @@ class SpectralVolumePath(WithoutMedia):
 
 @register("integrator", "prbvolpath")
 class VolumePathReplay(PathReplay, WithoutMedia):
-    """Mitsuba's path replay backpropagation through media, without media; see `WithoutMedia`."""
+    """Mitsuba's path replay backpropagation through media, without media: what `prb` renders.
+
+    Light that passes straight through a surface (`null`, `mask`, `thindielectric`) is a bounce here, as in `path`; in
+    Mitsuba's it is not counted towards `max_depth`.
+    """

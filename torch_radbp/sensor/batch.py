@@ -18,6 +18,8 @@ class Batch(Sensor):
 
     Args:
         sensors: one or more, of any kind but this.
+        film: of all images side by side: its width is divided among the sensors.
+        sampler: the random numbers; an `ldsampler` by default.
         shutter_open, shutter_close: accepted, but without effect on cameras without motion.
 
     Raises:

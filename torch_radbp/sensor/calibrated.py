@@ -182,8 +182,9 @@ class Calibrated(ProjectiveCamera):
 
     A pixel into which no direction is projected is black.
 
-    Parameters: `to_world` (4, 4); `fx`, `fy`, `cx`, `cy`, `skew` (), pixels of the whole image; and those coefficients that
-    are given, (): to recover one, give it as 0.
+    Parameters: `to_world` (4, 4); `fx`, `fy`, `cx`, `cy`, `skew` (), pixels of the whole image; and those coefficients of
+    `k1`, `k2`, `k3`, `k4`, `k5`, `k6`, `p1`, `p2`, `sx1`, `sy1`, `omega` that are given, (). To recover a coefficient, give
+    it as 0.
 
     Args:
         fx, fy: focal lengths, pixels; `fy` is `fx` if it is not given.
@@ -194,7 +195,6 @@ class Calibrated(ProjectiveCamera):
             prism p1, p2, sx1 and sy1 as well.
         omega: radians, between 0 and pi; of field_of_view, which needs it.
         near_clip, far_clip: distances between which surfaces are seen, along the viewing axis; of a fisheye, from the eye.
-        shutter_open, shutter_close: accepted, but without effect on a camera without motion.
     """
 
     optional_parameters: ClassVar = (*BrownConrady._fields, "sx1", "sy1", "omega")  # that there are if they are given

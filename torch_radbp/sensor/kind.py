@@ -153,6 +153,13 @@ class ProjectiveCamera(Sensor):
     """A sensor at `to_world` with a near and a far plane.
 
     Parameters: `to_world` (4, 4), and those of the subclass.
+
+    Args:
+        to_world: the pose, such as `rb.look_at` gives; the camera looks along its +z, with +y up.
+        near_clip, far_clip: distances along the viewing axis between which surfaces are seen.
+        focus_distance, shutter_open, shutter_close: accepted, but without effect on a camera without lens and motion.
+        film: the size of the image; an `hdrfilm` by default.
+        sampler: the random numbers; an `ldsampler` by default.
     """
 
     takes_scale: ClassVar[bool] = False  # the length of its axes says how much it sees

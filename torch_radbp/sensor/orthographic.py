@@ -83,7 +83,7 @@ class Orthographic(ProjectiveCamera):
     Args:
         near_clip, far_clip: distances along the viewing axis between which surfaces are seen. As in Mitsuba, the near plane
             is scaled with `to_world`, and the far one lies far_clip - near_clip behind it whatever the scale.
-        focus_distance, shutter_open, shutter_close: accepted, but without effect on a camera without lens and motion.
+        to_world: the pose, such as `rb.look_at` gives, times a scale: how much of the world is seen.
     """
 
     takes_scale = True

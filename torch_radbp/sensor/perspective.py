@@ -81,7 +81,16 @@ class PinholeKind(ProjectiveKind):
 
 
 class FieldOfViewCamera(ProjectiveCamera):
-    """A camera with a field of view: `x_fov` (), degrees along x, beside `to_world`."""
+    """A camera with a field of view: `x_fov` (), degrees along x, beside `to_world`.
+
+    Attributes:
+        x_fov: degrees, along x, which follows from `fov` or `focal_length`.
+
+    Args:
+        fov: degrees, along `fov_axis`. Either this or `focal_length`.
+        focal_length: such as "50mm", for a 35 mm film (36 x 24 mm, measured along the diagonal).
+        fov_axis: x, y, diagonal, smaller or larger.
+    """
 
     fov_axis, focal_length = "x", None
 
@@ -121,12 +130,7 @@ class Perspective(FieldOfViewCamera):
     Parameters: `to_world` (4, 4), `x_fov` (), `principal_point_offset_x`, `principal_point_offset_y` ().
 
     Args:
-        fov: degrees, along `fov_axis`. Either this or `focal_length`.
-        focal_length: such as "50mm", for a 35 mm film (36 x 24 mm, measured along the diagonal).
-        fov_axis: x, y, diagonal, smaller or larger.
-        near_clip, far_clip: distances along the viewing axis between which surfaces are seen.
         principal_point_offset_x, principal_point_offset_y: shift of the image, as a fraction of its size.
-        focus_distance, shutter_open, shutter_close: accepted, but without effect on a pinhole without motion.
     """
 
     def __init__(self, *, to_world: Matrix4 | None = None, fov: float | None = None, focal_length: str | None = None,

@@ -7,7 +7,7 @@ from torch_radbp.plugin import Sampler, boolean, integer, register
 
 @register("sampler", "independent")
 class Independent(Sampler):
-    """Independent random numbers for every sample. Arguments: see `Sampler`."""
+    """Independent random numbers for every sample."""
 
     low_discrepancy = False
 
@@ -16,7 +16,7 @@ class Independent(Sampler):
 class LowDiscrepancy(Sampler):
     """A low-discrepancy sequence for the samples of each pixel, and of pixels beside each other; the default of sensors.
 
-    Arguments: see `Sampler`. Unbiased for any number of samples, and best for powers of two. Different seeds and sensors are
+    Unbiased for any number of samples, and best for powers of two. Different seeds and sensors are
     independent; pixels of one image are not: their noise cancels in what sums over them. See
     `torch_radbp.sampling.sampler`. Mitsuba's plugin of this name serves the same purpose with other numbers.
     """
@@ -42,20 +42,19 @@ class Jittered(LowDiscrepancy):
 
 @register("sampler", "stratified")
 class Stratified(Jittered):
-    """Even samples of each pixel. Arguments: see `Jittered`."""
+    """Even samples of each pixel: the points of `ldsampler`."""
 
 
 @register("sampler", "multijitter")
 class MultiJitter(Jittered):
-    """Even samples of each pixel. Arguments: see `Jittered`."""
+    """Even samples of each pixel: the points of `ldsampler`."""
 
 
 @register("sampler", "orthogonal")
 class Orthogonal(Jittered):
-    """Even samples of each pixel.
+    """Even samples of each pixel: the points of `ldsampler`.
 
     Args:
-        sample_count, seed, jitter: see `Jittered`.
         strength: of Mitsuba's points; without effect here.
     """
 

@@ -86,10 +86,8 @@ class ThinLens(FieldOfViewCamera):
     Parameters: `to_world` (4, 4), `x_fov`, `aperture_radius`, `focus_distance` (), the lengths in units of the world.
 
     Args:
-        aperture_radius: of the lens.
+        aperture_radius: of the lens, from whose middle the field of view is measured.
         focus_distance: of the sharp plane along the viewing axis; by default `far_clip`.
-        fov, focal_length, fov_axis, near_clip, far_clip: as of `perspective`, seen from the middle of the lens.
-        shutter_open, shutter_close: accepted, but without effect on a camera without motion.
     """
 
     def __init__(self, *, aperture_radius: float, to_world: Matrix4 | None = None, fov: float | None = None,

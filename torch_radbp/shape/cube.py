@@ -20,7 +20,7 @@ FACES = (
 
 @register("shape", "cube")
 class Cube(Mesh):
-    """A cube of six faces with their own vertices, normals and uv, numbered as in Mitsuba. Parameters: see `Mesh`.
+    """A cube of six faces with their own vertices, normals and uv, numbered as in Mitsuba.
 
     Args:
         face_normals: leaves `vertex_normals` out, so that faces are shaded flat wherever their vertices move.

@@ -20,8 +20,8 @@ START, END = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)  # of the unit cylinder's axis
 class Cylinder(Tessellated):
     """A cylinder without caps, normals outwards, with exact shading normals; uv = (azimuth / 2 pi, height / length).
 
-    Parameters: `to_world` (4, 4), which includes `p0`, `p1` and `radius`. Tessellated into 512 sectors of the same area; the
-    deviation from the exact surface is 1.3e-5 of the radius.
+    Parameters: `to_world` (4, 4). `p0`, `p1` and `radius` become a part of `to_world`. Tessellated into 512 sectors of the
+    same area; the deviation from the exact surface is 1.3e-5 of the radius.
 
     Args:
         p0: the end of the axis where v is 0; None: (0, 0, 0).

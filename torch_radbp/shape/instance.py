@@ -15,12 +15,13 @@ from torch_radbp.transforms import mirrors, transform, transform_normals, transf
 class Instance(Shape):
     """The shapes of a group, under `to_world`.
 
-    Parameters: `to_world` (4, 4). A mirroring one keeps the normals on their side of the surface, as in Mitsuba.
+    Parameters: `to_world` (4, 4). A mirroring `to_world` keeps the normals on their side of the surface, as in Mitsuba.
 
     The triangles of the group are kept once, and its tree for ray casting is built once, however many instances there are
     and wherever they move. A sphere in a group is cast as triangles.
 
     Args:
+        to_world: the pose of the group; affine.
         shapegroup: what is shown; usually a reference to an object of the scene.
 
     Raises:

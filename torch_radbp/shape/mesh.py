@@ -33,6 +33,11 @@ class Mesh(Surface):
     loaded; if `to_world` changes, they move along. `faces` (F, 3) int64 is a buffer. Attributes of vertices and faces, see
     `add_attribute`, are parameters, too.
 
+    Attributes:
+        vertex_positions: (V, 3), world space.
+        vertex_normals: (V, 3), world space, of any length; if the mesh has any.
+        vertex_texcoords: (V, 2) surface coordinates; if the mesh has any.
+
     Args:
         recompute_normals: shade smoothly, with normals that are not a parameter but are computed from the positions at every
             rendering (`angle_weighted_normals`), with derivatives. Mitsuba does so whenever positions change.
@@ -185,7 +190,8 @@ class FileMesh(Mesh):
         filename: the file.
         face_normals: shade flat; else the file's vertex normals are used, or smooth ones if it has none, as in Mitsuba.
         flip_tex_coords: use 1 - v, as Mitsuba does.
-        recompute_normals: see `Mesh`; instead of the file's vertex normals.
+        recompute_normals: shade smoothly, with normals that are computed from the positions at every rendering, instead of
+            those of the file.
         shape_index: which mesh of a serialized file; None: the file is of another kind.
 
     Raises:
@@ -214,7 +220,7 @@ class FileMesh(Mesh):
 
 @register("shape", "obj")
 class OBJ(FileMesh):
-    """A Wavefront OBJ file. Parameters: see `Mesh`."""
+    """A Wavefront OBJ file."""
 
     def __init__(self, *, filename: Filename, face_normals: bool = False, flip_tex_coords: bool = True,
                  recompute_normals: bool = False, to_world: Matrix4 | None = None, flip_normals: bool = False,
@@ -225,7 +231,7 @@ class OBJ(FileMesh):
 
 @register("shape", "ply")
 class PLY(FileMesh):
-    """A Stanford PLY file. Parameters: see `Mesh`."""
+    """A Stanford PLY file."""
 
     def __init__(self, *, filename: Filename, face_normals: bool = False, flip_tex_coords: bool = False,
                  recompute_normals: bool = False, to_world: Matrix4 | None = None, flip_normals: bool = False,
@@ -236,7 +242,7 @@ class PLY(FileMesh):
 
 @register("shape", "mesh")
 class TensorMesh(Mesh):
-    """A mesh given as tensors, as a mesh of trimesh, or as a file that trimesh reads. Parameters: see `Mesh`.
+    """A mesh given as tensors, as a mesh of trimesh, or as a file that trimesh reads.
 
     Of trimesh and files (STL, OFF, 3MF, DAE, GLB, ... by their extension) surface coordinates, normals that the mesh holds
     (without any it is flat), attributes and colours (`vertex_color` or `face_color`) are read. Unless a `bsdf` is given, so
@@ -251,10 +257,10 @@ class TensorMesh(Mesh):
         vertex_texcoords: (V, 2) surface coordinates, which bitmaps read.
         mesh: a `trimesh.Trimesh` or `trimesh.Scene` instead of these four.
         filename: a file instead of them.
-        recompute_normals: see `Mesh`; instead of normals of trimesh and files.
+        recompute_normals: shade smoothly, with normals that are computed from the positions at every rendering, instead of
+            those of trimesh and files.
         to_world: (4, 4) transform of positions and normals. One that mirrors turns a mesh of tensors inside out; meshes of
             trimesh and files face outwards still, as in trimesh.
-        flip_normals, bsdf, emitter: as of all shapes.
 
     Raises:
         ValueError: if the mesh is given in none or several of the three ways, or is none.

@@ -24,18 +24,20 @@ NORMALS = ("analytic", "smooth")
 class SDFGrid(Surface):
     """Where the trilinear interpolant of a grid of signed distances is zero, in the unit cube [0, 1]^3 under `to_world`.
 
-    Parameters: `grid` (Z, Y, X, 1), negative inside; its first and last values are on the faces of the cube, where the
-    surface ends if it is cut there. `to_world` (4, 4), which may turn and mirror it. Derivatives: with respect to both.
+    Parameters: `grid` (Z, Y, X, 1), `to_world` (4, 4). Derivatives: with respect to both.
 
-    Tessellated by marching cubes, see `zero_set`: vertices are on the surface exactly, with at least 60 cells to the longest
-    side of the cube. The triangles are found anew when the grid has changed; a mirroring `to_world` keeps the normals
-    outwards. As in Mitsuba there are no coordinates uv: textures are read at (0, 0). It may carry an emitter, which Mitsuba
-    cannot sample. Mitsuba 3.9.1 exchanges the sizes of voxels along x and z, so that its image is another unless they are
-    equal; loses the surface where `to_world` turns it; and bends smooth normals at the upper borders of the grid.
+    Tessellated by marching cubes, see `torch_radbp.shape.zero_set`: vertices are on the surface exactly, with at least 60
+    cells to the longest side of the cube. The triangles are found anew when the grid has changed; a mirroring `to_world`
+    keeps the normals outwards. As in Mitsuba there are no coordinates uv: textures are read at (0, 0). It may carry an
+    emitter, which Mitsuba cannot sample. Mitsuba 3.9.1 exchanges the sizes of voxels along x and z, so that its image is
+    another unless they are equal; loses the surface where `to_world` turns it; and bends smooth normals at the upper borders
+    of the grid.
 
     Args:
-        filename: a volume of one channel, see `formats/volume.py`. Either this or `grid`.
-        grid: the values.
+        filename: a volume of one channel, such as Mitsuba's .vol. Either this or `grid`.
+        grid: (Z, Y, X, 1) distances, negative inside; the first and last are on the faces of the cube, where the surface
+            ends if it is cut there.
+        to_world: the pose of the cube; it may turn and mirror it.
         normals: how it is shaded: smooth, with normals that are continuous across voxels; or analytic, with the gradient
             of the interpolant, which is not. At vertices exactly, between them interpolated.
 

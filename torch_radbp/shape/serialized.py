@@ -8,7 +8,7 @@ from torch_radbp.shape.mesh import FileMesh
 
 @register("shape", "serialized")
 class Serialized(FileMesh):
-    """One mesh of a serialized file, see `formats/serialized.py`. Parameters: see `Mesh`.
+    """One mesh of a serialized file, as Mitsuba 0.5 wrote them.
 
     Args:
         shape_index: which of the file's meshes, from 0.

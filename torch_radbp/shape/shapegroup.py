@@ -14,7 +14,7 @@ class ShapeGroup(Shape):
     are summed over the instances.
 
     Args:
-        shapes: by name, with their materials; without emitters, groups and instances, as in Mitsuba.
+        shapes: with their materials; without emitters, groups and instances, as in Mitsuba.
 
     Raises:
         ValueError: if one of them is not a plain surface, or shines.

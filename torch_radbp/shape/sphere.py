@@ -16,8 +16,13 @@ from torch_radbp.transforms import affine
 class Sphere(Tessellated):
     """A sphere with exact shading normals; uv = (azimuth / 2 pi, polar angle / pi) around local z.
 
-    Parameters: `to_world` (4, 4), which includes `center` and `radius`. Tessellated into 192 x 96 facets; the deviation
-    from the exact surface is 1.4e-4 of the radius. If `to_world` mirrors, the normals point inwards, as in Mitsuba.
+    Parameters: `to_world` (4, 4). `center` and `radius` become a part of `to_world`. Tessellated into 192 x 96 facets; the
+    deviation from the exact surface is 1.4e-4 of the radius. If `to_world` mirrors, the normals point inwards, as in
+    Mitsuba.
+
+    Args:
+        center: before `to_world`; None: (0, 0, 0).
+        radius: before `to_world`, which may make an ellipsoid.
     """
 
     whole = True

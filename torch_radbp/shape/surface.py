@@ -38,6 +38,12 @@ class Surface(Shape):
 
     A mirroring transform turns faces inside out. Mitsuba keeps the normal of the untransformed surface then, and so do the
     analytic shapes here, but for the sphere, whose normals it turns there and here.
+
+    Args:
+        bsdf: the material.
+        emitter: a light that shines from the surface, such as `area`.
+        flip_normals: turn the surface inside out.
+        to_world: the pose, world from local; affine.
     """
 
     converter: ClassVar[Callable[[Surface], trimesh.Trimesh]]  # set by `torch_radbp.io.trimesh_out`

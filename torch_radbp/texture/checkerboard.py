@@ -69,7 +69,8 @@ class Checkerboard(Texture):
 
     Where Mitsuba 3.9.1 asks a checkerboard for a number, such as a roughness, it exchanges the two, as is done here.
 
-    Parameters: those of the colours. Derivatives: with respect to these. `to_uv` moves nothing but edges, and is none.
+    Parameters: those of the colours. Derivatives: with respect to these. `to_uv` moves nothing but edges, and is no
+    parameter.
 
     Args:
         color0, color1: any textures but modules; grey 0.4 and 0.2 by default.

@@ -15,6 +15,9 @@ class D65(RGB):
 
     Parameters: `value`, their product, () or (3,). Derivatives: with respect to it.
 
+    Attributes:
+        value: the product of `scale` and `color`.
+
     Args:
         color: one number or three, linear RGB; white if it is not given. Mitsuba takes a texture as well, which it shows as
             it is; here it is refused: put the texture itself into this place.

@@ -15,7 +15,7 @@ class Irregular(SampledSpectrum):
     Mitsuba 3.9 renders it in its spectral modes only. Here it has the colour that it has there, of a reflectance under
     daylight.
 
-    Parameters: `values`, (N,). Derivatives: with respect to them; none for a channel of a colour that is clipped.
+    Parameters: `values`, (N,). Derivatives: with respect to the values; none for a channel of a colour that is clipped.
 
     Args:
         wavelengths: nanometres, increasing; an array or a text with commas or blanks between them. Either these two or

@@ -61,7 +61,7 @@ class MeshAttribute(Texture):
     Those of vertices are interpolated linearly. A PLY file brings attributes along, and `Mesh.add_attribute` adds others;
     they are parameters of the mesh. Of three channels where a number is asked for, it is the luminance.
 
-    Parameters: `scale`, (). Derivatives: with respect to it, and to the attribute of the mesh.
+    Parameters: `scale`, (). Derivatives: with respect to the scale, and to the attribute of the mesh.
 
     Args:
         name: of the attribute, which begins with vertex_ or face_.

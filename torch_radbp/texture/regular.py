@@ -16,7 +16,7 @@ class Regular(SampledSpectrum):
     Mitsuba 3.9 renders it in its spectral modes only. Here it has the colour that it has there, of a reflectance under
     daylight.
 
-    Parameters: `values`, (N,). Derivatives: with respect to them; none for a channel of a colour that is clipped.
+    Parameters: `values`, (N,). Derivatives: with respect to the values; none for a channel of a colour that is clipped.
 
     Args:
         wavelength_min: of the first value, nanometres. Either these three or `value`.

@@ -18,6 +18,9 @@ class RGB(Colour):
 
     Parameters: `value`, (3,) or () for grey. Derivatives: with respect to `value`.
 
+    Args:
+        value: linear RGB, or one number for grey.
+
     Raises:
         ValueError: if `value` is neither one nor three finite numbers.
     """

@@ -16,6 +16,9 @@ class SRGB(RGB):
 
     Parameters: `value`, () or (3,). Derivatives: with respect to it.
 
+    Attributes:
+        value: the colour.
+
     Args:
         color: one number or three, linear RGB.
         unbounded: values above 1 are allowed.

@@ -1,0 +1,58 @@
+"""Makes assets/shapes: a torus in four formats of meshes, and the distances of two balls that touch.
+
+    python -m assets.make_shapes
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from tests.formats.serialized_files import mesh, serialized
+from torch_radbp.formats.mesh_arrays import MeshArrays
+from torch_radbp.formats.ply import write_ply
+from torch_radbp.formats.volume import write_volume
+
+FOLDER = Path(__file__).parent / "shapes"
+AROUND, ACROSS, GRID = 32, 16, 24
+
+
+def torus() -> MeshArrays:
+    """A torus of radius 1 with a tube of 0.35, which leans towards -y; colours follow the angle around it."""
+    u, v = np.meshgrid(np.linspace(0, 1, AROUND + 1), np.linspace(0, 1, ACROSS + 1), indexing="ij")
+    u, v = u.ravel(), v.ravel()
+    around, across = 2 * np.pi * u, 2 * np.pi * v
+    outwards = np.stack([np.cos(around), np.sin(around), np.zeros_like(u)], 1)
+    normals = np.cos(across)[:, None] * outwards + np.sin(across)[:, None] * np.array([0.0, 0.0, 1.0])
+    corner = np.arange(AROUND)[:, None] * (ACROSS + 1) + np.arange(ACROSS)
+    a, b, c, d = (corner + shift for shift in (0, ACROSS + 1, ACROSS + 2, 1))
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    leaning = np.array([[1.0, 0, 0], [0, np.cos(0.9), -np.sin(0.9)], [0, np.sin(0.9), np.cos(0.9)]])
+    positions = 0.65 * outwards + 0.35 * normals
+    colours = 0.45 + 0.4 * np.cos(around[:, None] + np.array([0.0, 2.1, 4.2]))
+    return MeshArrays((positions @ leaning.T).astype(np.float32), faces,
+                      (normals @ leaning.T).astype(np.float32), np.stack([u, v], 1).astype(np.float32),
+                      {"vertex_color": colours.astype(np.float32)})
+
+
+def two_balls() -> np.ndarray:
+    """(Z, Y, X, 1) signed distances in the unit cube of two balls that touch."""
+    z, y, x = np.meshgrid(*[np.linspace(0, 1, GRID)] * 3, indexing="ij")
+    lower = np.sqrt((x - 0.5) ** 2 + (y - 0.5) ** 2 + (z - 0.3) ** 2) - 0.28
+    upper = np.sqrt((x - 0.5) ** 2 + (y - 0.5) ** 2 + (z - 0.7) ** 2) - 0.2
+    return np.minimum(lower, upper)[..., None].astype(np.float32)
+
+
+if __name__ == "__main__":
+    FOLDER.mkdir(exist_ok=True)
+    arrays = torus()
+    made = trimesh.Trimesh(arrays.vertices, arrays.faces, process=False)
+    write_ply(FOLDER / "torus.ply", arrays)
+    lines = [f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in arrays.vertices] + [f"vt {u:.5f} {v:.5f}" for u, v in arrays.uv]
+    lines += [f"f {' '.join(f'{corner}/{corner}' for corner in face)}" for face in arrays.faces + 1]
+    (FOLDER / "torus.obj").write_text("\n".join(lines) + "\n")
+    made.export(FOLDER / "torus.stl")
+    (FOLDER / "torus.serialized").write_bytes(serialized(mesh(arrays.vertices, arrays.faces, uv=arrays.uv)))
+    write_volume(FOLDER / "two_balls.vol", two_balls())
