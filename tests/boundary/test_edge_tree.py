@@ -14,8 +14,9 @@ from torch_radbp.boundary.shadows.eyes import Eyes, Lobe
 from torch_radbp.boundary.shadows.seen_edges import Casting, angle_seen, edge_found, extent_of, places_seen
 from torch_radbp.boundary.shadows.ways_down import ways_down
 from torch_radbp.io.transform import rotate, scale, translate
-from torch_radbp.jit.stages import EAGER, compiled
+from torch_radbp.jit.stages import compiled
 from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import Vec3, dot, normalize, rows
 
 FLOOR = {"type": "rectangle", "to_world": rotate((0.2, 1, 0.1), 4) @ scale((6, 6, 1)), "bsdf": diffuse(0.5, 0.5, 0.5)}

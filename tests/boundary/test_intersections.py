@@ -12,8 +12,8 @@ from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.geometry import Geometry, NormalsOnly
 from torch_radbp.boundary.intersections import Bodies, Pairs, intersections, segments_between
 from torch_radbp.io.transform import rotate, scale, translate
-from torch_radbp.jit.stages import EAGER
 from torch_radbp.scene.tensors import TriangleTable, VertexTable
+from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import Vec3
 
 DIM = {"emitter": {"type": "area", "radiance": rgb(0.25, 0.25, 0.25)}}

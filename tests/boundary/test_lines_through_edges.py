@@ -15,9 +15,10 @@ from torch_radbp.boundary.shadows.hidden_light import Cuts, cut_at, cut_course
 from torch_radbp.boundary.shadows.lines_through_edges import solid_angle
 from torch_radbp.boundary.shadows.seen_edges import corners_of, extent_of, places_seen
 from torch_radbp.io.transform import rotate, scale, translate
-from torch_radbp.jit.stages import EAGER, compiled
+from torch_radbp.jit.stages import compiled
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import Ray, Vec2, dot, interpolated, normalize, rows, unit_normal
 
 GREY = diffuse(0.5, 0.5, 0.5)

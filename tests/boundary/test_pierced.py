@@ -19,8 +19,8 @@ from torch_radbp.boundary.intersections import Pairs, segments_between
 from torch_radbp.boundary.pierced import BodyEdges, Probes, probes, self_intersections
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.io.transform import rotate
-from torch_radbp.jit.stages import EAGER
 from torch_radbp.raycast.brute import Brute
+from torch_radbp.tensors.stage import EAGER
 
 RADIANCE = {"type": "bitmap", "raw": True, "filter_type": "nearest", "bitmap": torch.tensor([[[3, 2, 1], [0.25] * 3]])}
 CELL = 2.0 / SIZE

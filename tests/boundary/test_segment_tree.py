@@ -9,8 +9,9 @@ from torch_radbp.boundary.intersections import Bodies, intersections
 from torch_radbp.boundary.shadows.seen_edges import angle_of, extent_of
 from torch_radbp.boundary.shadows.segment_tree import ends_of, segment_found, segment_tree
 from torch_radbp.boundary.shadows.ways_down import ways_down
-from torch_radbp.jit.stages import EAGER, compiled
+from torch_radbp.jit.stages import compiled
 from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import rows
 
 EACH = 64

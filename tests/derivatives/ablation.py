@@ -14,9 +14,9 @@ from unittest.mock import patch
 import torch
 
 from torch_radbp.emitter.area import AreaKind
-from torch_radbp.jit.stages import EAGER
 from torch_radbp.scene import interaction, outgoing_ray
 from torch_radbp.scene.nearby import slides_from
+from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import Vec3
 
 WITHOUT = {"nothing": (), "the area Jacobian": ("Jacobian",), "re-attached directions": ("directions",),

@@ -18,7 +18,8 @@ from torch_radbp.film.lanczos import Lanczos
 from torch_radbp.film.mitchell import Mitchell
 from torch_radbp.film.splat import Block, Deposited, asked_of_sums, deposited, sums_of
 from torch_radbp.film.tent import Tent
-from torch_radbp.jit.stages import EAGER, compiled
+from torch_radbp.jit.stages import compiled
+from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import Vec2
 
 FILTERS = {"box": Box(), "wide box": Box(radius=1.2), "tent": Tent(), "narrow tent": Tent(radius=0.4),

@@ -14,10 +14,9 @@ from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import cotangent
 from tests.texture.networks import lit_room, room
 from torch_radbp.film.gaussian import Gaussian
-from torch_radbp.jit.stages import PlainStages
 from torch_radbp.jit.structure import flatten
 from torch_radbp.tensors.differentiated import detached
-from torch_radbp.tensors.stage import DECLARED
+from torch_radbp.tensors.stage import DECLARED, PlainStages
 
 NETWORKS = {"networks": room, "shining networks": lit_room}
 SEED = 1

@@ -13,6 +13,7 @@ from torch_radbp.jit import stages
 from torch_radbp.path.bounce import sample_camera
 from torch_radbp.sampling.sampler import film_order, sample_key
 from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.stage import EAGER
 
 pytestmark = pytest.mark.filterwarnings("error:.*runs eagerly:RuntimeWarning")
 SIZE, NAMES = 16, CASES["cornell"].parameters
@@ -121,7 +122,7 @@ def test_camera_rays_in_double_precision():
     numbers = torch.arange(256, dtype=torch.int32)
     key = sample_key(3, 0, True, numbers.device)
     arguments = camera, film_order(SIZE, 7, numbers.device), numbers, numbers % 7, key, False
-    (expected, *_), (ray, *_) = (run(sample_camera)(*arguments) for run in (stages.EAGER, stages.compiled()))
+    (expected, *_), (ray, *_) = (run(sample_camera)(*arguments) for run in (EAGER, stages.compiled()))
     for part, wanted in zip((*ray.o, *ray.d), (*expected.o, *expected.d)):
         assert part.dtype == torch.float64 and (part - wanted).abs().max() < 1e-14
     assert expected.d.x.std() > 0.01

@@ -15,12 +15,13 @@ from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.film.tent import Tent
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.io.write import save
-from torch_radbp.jit.stages import EAGER, compiled
+from torch_radbp.jit.stages import compiled
 from torch_radbp.path.bounce import sample_camera
 from torch_radbp.sampling.sampler import film_order, sample_key
 from torch_radbp.sensor.calibrated import LENSES, Calibrated
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import Vec2, Vec3
 
 HALF = torch.tensor([0.5], dtype=torch.float64)

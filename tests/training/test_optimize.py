@@ -10,7 +10,7 @@ from rich.console import Console
 import torch_radbp as rb
 from torch_radbp.bsdf.diffuse import DiffuseKind
 from torch_radbp.formats.image import save_image
-from torch_radbp.jit.stages import EAGER
+from torch_radbp.tensors.stage import EAGER
 from torch_radbp.training.recipe_file import read_recipe
 from torch_radbp.training.recipe_optimizer import Constant, Cosine, Exponential, Step
 from torch_radbp.training.recovery import optimize

@@ -7,7 +7,6 @@ from torch import Tensor
 
 from torch_radbp.adjoint.local_map import Verdict, attached_vertex
 from torch_radbp.jit.dual import dual
-from torch_radbp.jit.stages import EAGER
 from torch_radbp.jit.team import loops_together
 from torch_radbp.path.bounce import places_of
 from torch_radbp.path.integrand import Integrand
@@ -19,6 +18,7 @@ from torch_radbp.path.wavefront import Onward, Step, bounced, brightened, put_ro
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined, rows_between
+from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import Ray, Vec3, rows
 
 

@@ -8,10 +8,10 @@ from torch import Tensor
 from torch_radbp.adjoint.bounce import bounce_adjoint
 from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.call.finite import Finding
-from torch_radbp.jit.stages import PlainStages
 from torch_radbp.path.state import Arrival, PathState
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.record import leaves_of
+from torch_radbp.tensors.stage import PlainStages
 
 
 class CheckedSweep(Sweep):

@@ -26,12 +26,12 @@ from torch_radbp.call.render_call import (
 )
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.call.workers import in_turns
-from torch_radbp.jit.stages import EAGER
 from torch_radbp.public_call import public_call
 from torch_radbp.scene.cone import Cone
 from torch_radbp.tensors.differentiated import detached, differentiable
 from torch_radbp.tensors.lookup import summed
 from torch_radbp.tensors.record import leaves_of, mapped, rows_between, with_leaves
+from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.torch_internals import batched
 from torch_radbp.tensors.vec import Ray
 

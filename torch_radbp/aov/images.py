@@ -15,7 +15,6 @@ from torch_radbp.aov.surface import surface_values
 from torch_radbp.call.pixels import deposit, developed
 from torch_radbp.call.render_call import RenderCall, camera_samples, integrand_of, started
 from torch_radbp.call.wavefronts import Wavefront
-from torch_radbp.jit.stages import EAGER
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.wavefront import first_hit
@@ -23,6 +22,7 @@ from torch_radbp.public_call import public_call
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached, differentiable, with_derivative_of
 from torch_radbp.tensors.lookup import summed
+from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import Vec3
 
 

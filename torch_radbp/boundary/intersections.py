@@ -18,9 +18,8 @@ from torch import Tensor
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.geometry import Corners, Geometry
 from torch_radbp.boundary.segments import Segments, crossings, height_above
-from torch_radbp.jit.stages import Stages
 from torch_radbp.tensors.record import joined
-from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import Vec2, Vec3, cross, dot, interpolated, rows
 
 MOST = 1 << 21  # pairs of triangles, or of bodies, that are looked at together

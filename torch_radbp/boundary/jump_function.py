@@ -13,11 +13,11 @@ from torch_radbp.adjoint.scatter import Contribution, Gradients, gradients_of
 from torch_radbp.boundary.geometry import Geometry
 from torch_radbp.boundary.motion import asked_of_places, slopes, swept
 from torch_radbp.boundary.places import Places
-from torch_radbp.jit.stages import Stages
 from torch_radbp.public_call import public_call
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.differentiated import detached, differentiable
 from torch_radbp.tensors.lookup import summed
+from torch_radbp.tensors.stage import Stages
 from torch_radbp.tensors.vec import rows
 
 

@@ -23,9 +23,8 @@ from torch_radbp.boundary.geometry import Geometry, in_world
 from torch_radbp.boundary.intersections import Pairs, segments_between
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.call.render_call import RenderCall
-from torch_radbp.jit.stages import Stages
 from torch_radbp.raycast.protocol import RayCaster
-from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import Ray, rows
 
 SHARE, FEWEST, MOST = 64, 1 << 11, 1 << 14  # edges that are looked at: one for so many paths, at least, at most

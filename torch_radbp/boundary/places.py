@@ -14,7 +14,6 @@ from torch_radbp.boundary.geometry import Between, Geometry, positions
 from torch_radbp.boundary.silhouette import Eye
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.view import View
-from torch_radbp.jit.stages import Stages
 from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, CameraSample
 from torch_radbp.sampling.sampler import (
     CAMERA_COUNTER,
@@ -29,7 +28,7 @@ from torch_radbp.sampling.sampler import (
 from torch_radbp.scene.cone import camera_cone
 from torch_radbp.sensor.frustum import Frustum
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import TINY, Vec2, Vec3, dot, interpolated, max_component, rows
 
 APART = 2e-6  # share of its distance by which places on either side of a curve lie off it, through which paths are traced

@@ -53,7 +53,6 @@ from torch_radbp.boundary.terminators import lamps_of
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.workers import in_turns
 from torch_radbp.jit.order import chosen
-from torch_radbp.jit.stages import Stages
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.trace import trace
@@ -64,6 +63,7 @@ from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.stage import Stages
 from torch_radbp.tensors.vec import rows
 
 BYTES_OF_TRIANGLE = 48  # weights of its edges and their sums

@@ -15,7 +15,6 @@ from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.call.workers import in_turns
 from torch_radbp.call.zeroed_memory import ZeroedMemory
 from torch_radbp.film.window import Window
-from torch_radbp.jit.stages import Stages
 from torch_radbp.path.bounce import CameraSample, film_place, sample_camera
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState, start_path
@@ -25,6 +24,7 @@ from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.stage import Stages
 from torch_radbp.tensors.vec import Vec2, Vec3
 
 Result = TypeVar("Result")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -11,6 +10,7 @@ from torch import Tensor
 from torch_radbp.film.filter import Kernel
 from torch_radbp.film.splat import PIECE, PIECE_ELSEWHERE, TOGETHER, Block, offset_sums
 from torch_radbp.film.window import Window
+from torch_radbp.tensors.stage import Stage
 from torch_radbp.tensors.vec import Vec2
 
 
@@ -42,7 +42,7 @@ class Grid(NamedTuple):
         return found
 
 
-def row_sums(stage: Callable, grid: Grid, values: tuple[Tensor, ...], block: Block) -> Tensor:
+def row_sums(stage: Stage, grid: Grid, values: tuple[Tensor, ...], block: Block) -> Tensor:
     """(R, 1 + C, n, columns): what the samples of n rows of pixels count in the rows around each, from above on.
 
     Args:

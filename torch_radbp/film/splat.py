@@ -7,7 +7,6 @@ so that they are the same whichever samples are traced together.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -15,7 +14,7 @@ from torch import Tensor
 
 from torch_radbp.film.filter import Kernel
 from torch_radbp.tensors.differentiated import any_differentiated
-from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.stage import EAGER, Stage, stage
 from torch_radbp.tensors.vec import Vec2, gather
 
 TOGETHER = 8  # samples of a pixel that a lane adds up; compiled, for it takes the more operations the more there are
@@ -113,13 +112,13 @@ def sums_in_pairs(terms: Tensor, dimension: int) -> Tensor:
     return terms.squeeze(dimension)
 
 
-def offset_sums(stage: Callable, kernel: Kernel, values: tuple[Tensor, ...], block: Block) -> Tensor:
+def offset_sums(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block: Block) -> Tensor:
     """(R, R, 1 + C, P) for each offset, down and across, the sums over the samples of a pixel: of the filter, and of values.
 
     Attached to the values.
 
     Args:
-        stage: `deposited`, or the same compiled.
+        stage: `deposited`, as it is run.
         kernel: the reconstruction filter; R is 2 reach + 1.
         values: C of (P samples,).
         block: of the samples.
@@ -130,7 +129,7 @@ def offset_sums(stage: Callable, kernel: Kernel, values: tuple[Tensor, ...], blo
     return sums_of(stage, kernel, values, block)
 
 
-def sums_of(stage: Callable, kernel: Kernel, values: tuple[Tensor, ...], block: Block) -> Tensor:
+def sums_of(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block: Block) -> Tensor:
     """`offset_sums`, detached."""
     (place, samples, _), size = block, 2 * kernel.reach + 1
     if len(values) > MOST_VALUES:
@@ -147,7 +146,7 @@ def sums_of(stage: Callable, kernel: Kernel, values: tuple[Tensor, ...], block: 
     return sums_in_pairs(found.view(size, size, 1 + len(values), -1, len(place.x) // samples), 3)
 
 
-def parts_of(stage: Callable, block: Block) -> tuple[Tensor, Tensor, int]:
+def parts_of(stage: Stage, block: Block) -> tuple[Tensor, Tensor, int]:
     """`first` and `left`, (P, parts of a pixel), and `count` of lanes that take all samples of a block; see `deposited`."""
     (place, samples, spp), count = block, 1
     # The same for all samples of a pixel: a compiled sum of products rounds otherwise if there are more of them.
@@ -159,7 +158,7 @@ def parts_of(stage: Callable, block: Block) -> tuple[Tensor, Tensor, int]:
     return first, (samples - start).expand(pixels, -1), count
 
 
-def results_of(stage: Callable, number: int, kernel: Kernel, values: tuple[Tensor, ...], place: Vec2, *lanes) -> Tensor:
+def results_of(stage: Stage, number: int, kernel: Kernel, values: tuple[Tensor, ...], place: Vec2, *lanes) -> Tensor:
     """(number, M) the results of a stage."""
     if not stage.is_compiled:
         return torch.stack(stage(kernel, values, place, *lanes))
@@ -168,12 +167,12 @@ def results_of(stage: Callable, number: int, kernel: Kernel, values: tuple[Tenso
     return found
 
 
-def asked_of(stage: Callable, kernel: Kernel, pixels: tuple[Tensor, ...], block: Block, entry: Tensor, down: int,
+def asked_of(stage: Stage, kernel: Kernel, pixels: tuple[Tensor, ...], block: Block, entry: Tensor, down: int,
              across: int) -> tuple[Tensor, ...]:
     """C of (P samples,): what pixels ask of the samples of a block.
 
     Args:
-        stage: `asked`, or the same compiled.
+        stage: `asked`, as it is run.
         kernel: the reconstruction filter.
         pixels: C tables.
         block: of the samples.
@@ -193,7 +192,8 @@ def asked_of_sums(kernel: Kernel, block: Block, sums: Tensor) -> tuple[Tensor, .
     """C of (P samples,): what (R, R, C, P) sums over the samples of a pixel, one for each offset, ask of the samples."""
     size, pixels = sums.shape[0], sums.shape[-1]
     pixel = torch.arange(pixels, dtype=torch.int32, device=sums.device)
-    return asked_of(asked, kernel, tuple(table.flatten() for table in sums.unbind(2)), block, pixel, size * pixels, pixels)
+    tables = tuple(table.flatten() for table in sums.unbind(2))
+    return asked_of(EAGER(asked), kernel, tables, block, pixel, size * pixels, pixels)
 
 
 class Deposited(torch.autograd.Function):
@@ -202,7 +202,7 @@ class Deposited(torch.autograd.Function):
     @staticmethod
     def forward(ctx, kernel: Kernel, block: Block, *values: Tensor) -> Tensor:
         ctx.kernel, ctx.block = kernel, block
-        return sums_of(deposited, kernel, values, block)[:, :, 1:].contiguous()
+        return sums_of(EAGER(deposited), kernel, values, block)[:, :, 1:].contiguous()
 
     @staticmethod
     def backward(ctx, adjoint: Tensor) -> tuple[Tensor | None, ...]:
@@ -211,7 +211,7 @@ class Deposited(torch.autograd.Function):
     @staticmethod
     def jvp(ctx, _, __, *tangents: Tensor) -> Tensor:
         zero = torch.zeros_like(ctx.block.place.x)
-        return sums_of(deposited, ctx.kernel, tuple(zero if own is None else own for own in tangents),
+        return sums_of(EAGER(deposited), ctx.kernel, tuple(zero if own is None else own for own in tangents),
                        ctx.block)[:, :, 1:].contiguous()
 
 

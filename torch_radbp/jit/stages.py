@@ -1,15 +1,10 @@
-"""What runs stages: plain torch, or one compiled loop over lanes for each; both have one interface.
-
-    run = compiled()
-    place = run(film_place)(size, order, number, sample)
-"""
+"""What runs stages as compiled loops over lanes, one for each; `tensors/stage.py` says what a stage is."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from copy import copy
-from typing import Any, Protocol
 
 from torch_radbp.jit.allocator import keep_freed_memory
 from torch_radbp.jit.arguments import Taken
@@ -19,65 +14,8 @@ from torch_radbp.jit.refusal import UnknownOperation
 from torch_radbp.jit.run import LaneFunction
 from torch_radbp.jit.target import Target
 from torch_radbp.tensors.differentiated import any_differentiated
-from torch_radbp.tensors.record import leaves_of
-from torch_radbp.tensors.stage import DECLARED
+from torch_radbp.tensors.stage import DECLARED, write
 from torch_radbp.tensors.torch_internals import inside_dual_level
-
-
-class Stage(Protocol):
-    """A stage as it is run.
-
-    Attributes:
-        is_compiled: whether it is one loop over lanes, which writes into what exists as easily as into new tensors.
-    """
-
-    is_compiled: bool
-
-    def __call__(self, *arguments): ...
-
-    def knowing(self, *arguments) -> Stage:
-        """The same stage, prepared for calls that begin with these very arguments."""
-
-    def taken(self, **arguments) -> tuple:
-        """Arguments by name, prepared for several calls."""
-
-    def room(self, results) -> Any:
-        """What `into` writes into, prepared for several calls."""
-
-    def into(self, results, first: int, *arguments) -> None:
-        """Writes what a call would return into the tensors of `results`, from the entry `first` on."""
-
-
-class Stages(Protocol):
-    """Runs stages: gives for each function that is declared one what runs it, always the same object."""
-
-    is_compiled: bool
-
-    def __call__(self, function: Callable) -> Stage: ...
-
-
-class PlainStage:
-    """A stage in plain torch."""
-
-    is_compiled = False
-
-    def __init__(self, function: Callable):
-        self.function = function
-
-    def __call__(self, *arguments):
-        return self.function(*arguments)
-
-    def knowing(self, *arguments) -> PlainStage:
-        return self
-
-    def taken(self, **arguments) -> tuple:
-        return tuple(arguments.values())
-
-    def room(self, results) -> Any:
-        return results
-
-    def into(self, results, first: int, *arguments) -> None:
-        write(results, first, self.function(*arguments))
 
 
 class CompiledStage:
@@ -135,25 +73,6 @@ class CompiledStage:
         return self.function(*map(as_it_is, arguments))
 
 
-class PlainStages:
-    """Runs stages in plain torch.
-
-    Args:
-        instead: functions that run in the place of stages.
-    """
-
-    is_compiled = False
-
-    def __init__(self, instead: Mapping[Callable, Callable] = {}):
-        self.instead, self.made = instead, {}
-
-    def __call__(self, function: Callable) -> PlainStage:
-        stage = self.made.get(function)
-        if stage is None:
-            stage = self.made.setdefault(function, PlainStage(self.instead.get(function, function)))
-        return stage
-
-
 class CompiledStages:
     """Runs each stage as a loop of its own, compiled when it is first called.
 
@@ -177,21 +96,11 @@ class CompiledStages:
         return iter(self.made.values())
 
 
-EAGER = PlainStages()
-
-
 @made_once
 def compiled() -> CompiledStages:
     """The compiled stages of this process."""
     keep_freed_memory()
     return CompiledStages()
-
-
-def write(results, first: int, values) -> None:
-    """Writes values into the tensors of `results` from the entry `first` on; where either has None nothing."""
-    for target, value in zip(leaves_of(results), leaves_of(values)):
-        if target is not None and value is not None:
-            target[first:first + len(value)] = value
 
 
 def as_it_is(argument):

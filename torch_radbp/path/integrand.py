@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.stages import Stage, Stages
 from torch_radbp.path.bounce import places
 from torch_radbp.path.event import Ends, Event
 from torch_radbp.path.queues import ImageLanes
@@ -20,6 +19,7 @@ from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.part import part_of
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
+from torch_radbp.tensors.stage import Stage, Stages
 from torch_radbp.texture.reader import Place
 
 SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95

@@ -11,12 +11,12 @@ from torch import Tensor
 from torch_radbp.boundary import bytes_of_edges
 from torch_radbp.call.render_call import RenderCall, pilot_paths
 from torch_radbp.film.splat import TOGETHER
-from torch_radbp.jit.stages import EAGER
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.rendering.bounce_memory import BounceMemory, measured, tables_of
 from torch_radbp.rendering.memory import MemoryPlan, Workload, plan_memory, predict, reaching, record_sizes
 from torch_radbp.rendering.settings import PRIMARY, SHADOW
 from torch_radbp.tensors.differentiated import any_differentiated, detached, differentiable
+from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.torch_internals import tree_flatten
 
 PILOT_LANES = 4096  # paths that predict the memory of a call

@@ -20,7 +20,7 @@ from torch_radbp.boundary import EdgesOfCall, JumpWatch, edges_of_call, renderin
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.view import OF_NO_SENSOR, Shot, view_of
 from torch_radbp.call.zeroed_memory import ZeroedMemory
-from torch_radbp.jit.stages import EAGER, compiled
+from torch_radbp.jit.stages import compiled
 from torch_radbp.jit.target import COMPILED
 from torch_radbp.jit.team import threads
 from torch_radbp.path.integrand import Integrand
@@ -59,6 +59,7 @@ from torch_radbp.scene.tensors import SceneTensors, proposal_of
 from torch_radbp.scene.wanted import wanted_parameters
 from torch_radbp.sensor.rays import given_rays
 from torch_radbp.tensors.differentiated import detached, primal
+from torch_radbp.tensors.stage import EAGER
 
 UNLIMITED = 1024  # bounces; roulette ends a path long before
 

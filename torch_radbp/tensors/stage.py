@@ -1,9 +1,15 @@
-"""Stages: functions that run over lanes, declared where they are defined."""
+"""Stages: functions that run over lanes, declared where they are defined; and what runs them in plain torch.
+
+    run = EAGER     # or `jit.stages.compiled()`
+    place = run(film_place)(size, order, number, sample)
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, TypeVar
+
+from torch_radbp.tensors.record import leaves_of
 
 Function = TypeVar("Function", bound=Callable)
 
@@ -25,3 +31,88 @@ def stage(*tables: str) -> Callable[[Function], Function]:
         return function
 
     return declare
+
+
+class Stage(Protocol):
+    """A stage as it is run.
+
+    Attributes:
+        is_compiled: whether it is one loop over lanes, which writes into what exists as easily as into new tensors.
+    """
+
+    is_compiled: bool
+
+    def __call__(self, *arguments): ...
+
+    def knowing(self, *arguments) -> Stage:
+        """The same stage, prepared for calls that begin with these very arguments."""
+
+    def taken(self, **arguments) -> tuple:
+        """Arguments by name, prepared for several calls."""
+
+    def room(self, results) -> Any:
+        """What `into` writes into, prepared for several calls."""
+
+    def into(self, results, first: int, *arguments) -> None:
+        """Writes what a call would return into the tensors of `results`, from the entry `first` on."""
+
+
+class Stages(Protocol):
+    """Runs stages: gives for each function that is declared one what runs it, always the same object."""
+
+    is_compiled: bool
+
+    def __call__(self, function: Callable) -> Stage: ...
+
+
+class PlainStage:
+    """A stage in plain torch."""
+
+    is_compiled = False
+
+    def __init__(self, function: Callable):
+        self.function = function
+
+    def __call__(self, *arguments):
+        return self.function(*arguments)
+
+    def knowing(self, *arguments) -> PlainStage:
+        return self
+
+    def taken(self, **arguments) -> tuple:
+        return tuple(arguments.values())
+
+    def room(self, results) -> Any:
+        return results
+
+    def into(self, results, first: int, *arguments) -> None:
+        write(results, first, self.function(*arguments))
+
+
+class PlainStages:
+    """Runs stages in plain torch.
+
+    Args:
+        instead: functions that run in the place of stages.
+    """
+
+    is_compiled = False
+
+    def __init__(self, instead: Mapping[Callable, Callable] = {}):
+        self.instead, self.made = instead, {}
+
+    def __call__(self, function: Callable) -> PlainStage:
+        stage = self.made.get(function)
+        if stage is None:
+            stage = self.made.setdefault(function, PlainStage(self.instead.get(function, function)))
+        return stage
+
+
+EAGER = PlainStages()
+
+
+def write(results, first: int, values) -> None:
+    """Writes values into the tensors of `results` from the entry `first` on; where either has None nothing."""
+    for target, value in zip(leaves_of(results), leaves_of(values)):
+        if target is not None and value is not None:
+            target[first:first + len(value)] = value

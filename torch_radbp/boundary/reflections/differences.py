@@ -14,13 +14,12 @@ from torch_radbp.jit.arguments import Taken
 from torch_radbp.jit.board import board
 from torch_radbp.jit.dual import tensors_of
 from torch_radbp.jit.order import chosen
-from torch_radbp.jit.stages import Stages
 from torch_radbp.jit.tape import Played, Tape, structure_of
 from torch_radbp.path.integrand import number as number_of
 from torch_radbp.path.wavefront import put_rows
 from torch_radbp.scene.interaction import triangle_normal
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import TINY, Vec3, dot, rows
 

@@ -13,7 +13,6 @@ from torch_radbp.boundary.edge_places import jump_of_creases
 from torch_radbp.boundary.geometry import Geometry, NormalsOnly, geometry_of, in_world
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.call.render_call import RenderCall
-from torch_radbp.jit.stages import Stages
 from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.raycast.caster_cache import same
 from torch_radbp.raycast.protocol import Hit
@@ -22,7 +21,7 @@ from torch_radbp.scene.interaction import at_corners
 from torch_radbp.scene.placement import for_lanes
 from torch_radbp.scene.tensors import SceneTensors, TriangleTable
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import Vec3, interpolated
 
 

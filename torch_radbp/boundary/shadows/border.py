@@ -53,7 +53,6 @@ from torch_radbp.boundary.shadows.seen_edges import (
 from torch_radbp.boundary.shadows.ways_down import picked_ones
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.view import View
-from torch_radbp.jit.stages import Stages
 from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, CameraSample
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.event import Ends
@@ -65,7 +64,7 @@ from torch_radbp.scene.cone import camera_cone
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.differentiated import any_differentiated
-from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows, unit_normal
 
 SALT = 0x1F83D9AB  # tells the random numbers of borders from others

@@ -24,10 +24,9 @@ from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.seen_edges import angle_seen
 from torch_radbp.boundary.shadows.ways_down import STEPS, Found
 from torch_radbp.jit.order import chosen
-from torch_radbp.jit.stages import Stages
 from torch_radbp.sampling.sampler import SampleKey, fine_unit, hash32
 from torch_radbp.tensors.record import joined
-from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import rows
 
 FEWEST = 32  # eyes from which each edge is tried: of less, those few tell nothing that are to tell which edges are worth it

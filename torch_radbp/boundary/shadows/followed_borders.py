@@ -22,8 +22,8 @@ from torch_radbp.boundary.shadows.followed_light import moved_directions
 from torch_radbp.boundary.shadows.seen_edges import Casting, finite_normal, pace
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, arriving, path_of, vertex_on
 from torch_radbp.call.render_call import RenderCall, integrand_of
-from torch_radbp.jit.stages import EAGER
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import Frame, Vec2, Vec3, dot, normalize, rows
 
 

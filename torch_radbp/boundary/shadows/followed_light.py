@@ -48,13 +48,13 @@ from torch_radbp.boundary.shadows.seen_edges import (
 )
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, arriving, path_of, vertex_at, vertex_on, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
-from torch_radbp.jit.stages import EAGER
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.material import sampling_at, turning_values
 from torch_radbp.scene.material_tables import one_sided
 from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, masked, normalize, rows
 
 SALT = 0x510E527F  # tells the random numbers of these places from others

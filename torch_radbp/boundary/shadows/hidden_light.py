@@ -58,7 +58,6 @@ from torch_radbp.boundary.shadows.thinning import chances, thinned
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.call.view import View
-from torch_radbp.jit.stages import Stages
 from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
@@ -67,7 +66,7 @@ from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.differentiated import primal
 from torch_radbp.tensors.record import leaves_of, with_leaves
-from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3, cross, dot, masked, normalize, rows, unit_normal
 
 SALT = 0x3C6EF372  # tells the random numbers of these places from others

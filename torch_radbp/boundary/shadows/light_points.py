@@ -10,7 +10,6 @@ from torch import Tensor
 from torch_radbp.boundary.shadows.eyes import Eyes, Lobe, lobe_around
 from torch_radbp.boundary.shadows.seen_edges import salted
 from torch_radbp.call.view import View
-from torch_radbp.jit.stages import Stages
 from torch_radbp.path.bounce import light_numbers
 from torch_radbp.path.direct_light import LightDraw
 from torch_radbp.sampling.alias import AliasTable
@@ -18,7 +17,7 @@ from torch_radbp.sampling.sampler import SampleKey, bounce_key, fine_unit, lane_
 from torch_radbp.scene.light import Aims, among, light_aims
 from torch_radbp.scene.light_choice import LightPick, TreeChoice
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import TINY, Vec3, masked, normalize, rows, where
 
 BEHIND = 0.05  # how much edges count behind a light: interpolated normals may let some light go there

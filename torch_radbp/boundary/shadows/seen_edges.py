@@ -18,7 +18,6 @@ from torch_radbp.boundary.shadows.eyes import Eyes, how_much_counts, how_much_lo
 from torch_radbp.boundary.shadows.ways_down import Found, PickedOnes, found_among, picked_ones, ways_down
 from torch_radbp.boundary.silhouette import is_silhouette
 from torch_radbp.call.view import View
-from torch_radbp.jit.stages import Stages
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import (
@@ -33,7 +32,7 @@ from torch_radbp.sampling.sampler import (
     uniform,
 )
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, angle_between, cross, crossing, dot, normalize, rows
 
 BESIDE = 2e-5  # share of the scene's extent by which rays pass edges

@@ -28,10 +28,9 @@ from torch_radbp.boundary.shadows.edge_tree import (
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.seen_edges import Passed, angle_of, numbers_of_places, passed_at, place_between
 from torch_radbp.boundary.shadows.ways_down import Found, found_among
-from torch_radbp.jit.stages import Stages
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import Vec3, dot, interpolated, normalize, rows, unit_normal
 
 

@@ -12,10 +12,10 @@ from torch import Tensor
 from torch_radbp.boundary.places import NEIGHBOURS, Lot, lot_of
 from torch_radbp.boundary.shadows.edge_tree import Descent, EdgeTree, descended, drawn, numbers_to, rounded
 from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.jit.stages import Stages
 from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import SampleKey, fine_unit, hash32
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import Stages
 from torch_radbp.tensors.vec import rows
 
 # Steps of a sequence that fills a square evenly, in units of 2^-32: the powers of the inverse of the root of x^3 = x + 1.
