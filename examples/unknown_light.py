@@ -10,15 +10,15 @@ from torch.nn.utils.parametrize import register_parametrization
 
 import torch_radbp as rb
 
-steps = 400
+steps, axes = 500, [1, 2, 0]  # z of the ring becomes y, the axis of skies
 ring = trimesh.creation.torus(1, 0.4, major_sections=48, minor_sections=24)
-ring.vertices = ring.vertices[:, [1, 2, 0]]  # its axis is y, as that of skies
 paint = torch.tensor([225, 150, 95]) - 25 * (1 + torch.tensor(6 * ring.vertices.sum(1, keepdims=True)).sin())
-ring.visual.vertex_colors = paint.byte().numpy()
-turns = torch.arange(8) * torch.pi / 4
+ring = trimesh.Trimesh(ring.vertices[:, axes], ring.faces, vertex_normals=ring.vertex_normals[:, axes],
+                       vertex_colors=paint.byte().numpy(), process=False)
 # All views look down: the ground is in sight around the ring, and nothing of the sky above it.
 views = {f"view_{k}": {"type": "perspective", "fov": 40, "film": {"type": "hdrfilm", "width": 64, "height": 64}, "to_world":
-         rb.look_at([3 * turn.sin(), 3, 3 * turn.cos()], [0, 0, 0], [0, 1, 0])} for k, turn in enumerate(turns)}
+         rb.look_at([3 * turn.sin(), 3, 3 * turn.cos()], [0, 0, 0], [0, 1, 0])}
+         for k, turn in enumerate(torch.arange(8) * torch.pi / 4)}
 down = torch.linspace(0, 1, 16)[:, None, None].expand(16, 32, 3)
 day = (1 - down) * torch.tensor([0.3, 0.5, 0.9]) + down * torch.tensor([0.25, 0.2, 0.15])
 day[3, 5] = torch.tensor([90.0, 75.0, 55.0])  # a small sun
@@ -43,7 +43,7 @@ for known, bsdf in (("nothing", None), ("a grey ball", {"type": "diffuse"}), ("a
         getattr(part, name).requires_grad_().data.fill_(0.5)
         register_parametrization(part, name, rb.optim.Log() if name == "data" else rb.optim.Sigmoid())
     renderer = rb.Renderer(scene, spp=1, max_depth=3, share_samples=True)
-    optimizer = torch.optim.Adam([each for each in scene.parameters() if each.requires_grad], 0.1, (0.9, 0.95))
+    optimizer = torch.optim.Adam([each for each in scene.parameters() if each.requires_grad], 0.15, (0.8, 0.95))
     decay = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.05 ** (1 / steps))
     for step in range(steps):
         loss = rb.losses.two_buffer_l2(renderer(seed=2 * step), renderer(seed=2 * step + 1), true[0])
