@@ -134,3 +134,24 @@ def test_every_loop_finds_the_colour(tmp_path):
 @pytest.mark.deep
 def test_a_recipe_of_ones_own_converges(tmp_path):
     assert "converged: " in run(ROOT / "examples" / "own_recipe.py", cwd=tmp_path)
+
+
+@pytest.mark.deep
+def test_what_is_found_is_right_by_another_light_only_beside_something_known(tmp_path):
+    text = run(ROOT / "examples" / "unknown_light.py", cwd=tmp_path)
+    found = {known: (float(same), float(other)) for known, same, other in re.findall(
+        r"known is (.*?): +([\d.]+) dB by the same light, ([\d.]+) dB by another", text)}
+    assert set(found) == {"nothing", "a grey ball", "a metal ball"} and min(same for same, _ in found.values()) > 30
+    assert found.pop("nothing")[1] < 20 and min(other for _, other in found.values()) >= 30
+    assert (tmp_path / "unknown_light.png").exists()
+
+
+@pytest.mark.deep
+def test_what_images_cannot_tell_they_tell_with_the_remedy(tmp_path):
+    text = run(ROOT / "examples" / "what_is_seen.py", cwd=tmp_path)
+    for change in ("less light changes the image by", "distances by", "exposures change images by"):
+        without, remedy = map(float, re.findall(rf"{change} ([\d.]+) %", text))
+        assert without < 0.01 < 0.3 < remedy, change
+    even, lit = map(float, re.findall(r"roughness changes the image by ([\d.]+) %", text))
+    one, two = map(int, re.findall(r"without a gradient: (\d+)%", text))
+    assert even < 0.2 * lit and two < 5 < 40 < one
