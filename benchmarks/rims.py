@@ -23,8 +23,8 @@ from torch import Tensor
 from torch.func import functional_call
 
 import torch_radbp as rb
-from tests.boundary.test_rims import icosphere
 from tests.scenes import diffuse, load, look_at, rgb, texels
+from tests.scenes.meshes import icosphere
 from torch_radbp.io.transform import rotate, scale, translate
 
 SIZE = 32  # pixels

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from tests.boundary.test_primary import along, assert_close, derivative
+from tests.boundary.closed_forms import along, assert_close, derivative
 from tests.scenes import diffuse, load, look_at, rectangle, rgb
 from torch_radbp.io.transform import scale
 

@@ -2,7 +2,8 @@
 
 import pytest
 
-from tests.bsdf.lanes import KINDS, MATERIALS, material
+from tests.bsdf.lanes import KINDS, material
+from tests.scenes.materials import MATERIALS
 from torch_radbp.check import check_bsdf
 from torch_radbp.check.balance import claims
 from torch_radbp.plugin import BSDF, REGISTRY, register

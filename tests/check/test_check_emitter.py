@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.emitter.lights import EMITTERS
+from tests.scenes.lights import EMITTERS
 from torch_radbp.emitter.area import Area, AreaKind
 from torch_radbp.emitter.constant import Constant, ConstantKind
 from torch_radbp.plugin import REGISTRY, register

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from tests.derivatives.moving_scenes import SHIFT, TURN, rigid
 from tests.scenes import cornell, diffuse, load, rectangle, sensor, texels
+from tests.scenes.moving import SHIFT, TURN, rigid
 from torch_radbp.io.transform import rotate, scale, translate
 
 

@@ -7,8 +7,8 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but_every
-from tests.derivatives.extremes import CASES
 from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor
+from tests.scenes.extremes import CASES
 from torch_radbp.bsdf.roughconductor import RoughConductorKind
 from torch_radbp.jit.tape import RECORDINGS
 from torch_radbp.plugin import REGISTRY

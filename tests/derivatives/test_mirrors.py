@@ -10,8 +10,8 @@ import torch
 import torch_radbp as rb
 from tests.deep import deep_but
 from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
-from tests.derivatives.mirror_scenes import CUBE, IN_MIRROR, METAL, MIRROR, MIRRORED, SKY, shaded
 from tests.scenes import diffuse, load, look_at, rgb
+from tests.scenes.mirrors import CUBE, IN_MIRROR, METAL, MIRROR, MIRRORED, SKY, shaded
 from torch_radbp.boundary import terms
 from torch_radbp.io.transform import rotate, scale, translate
 

@@ -9,11 +9,11 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.everything import objects
 from tests.derivatives.in_expectation import Effort, Estimate
-from tests.derivatives.pairs import registered
-from tests.derivatives.quiet_scenes import MORE, examples, is_still, still_scene
 from tests.scenes import load
+from tests.scenes.everything import objects
+from tests.scenes.pairs import registered
+from tests.scenes.quiet import MORE, examples, is_still, still_scene
 
 SENSORS = 8  # independent batches
 SPP = 64  # of each

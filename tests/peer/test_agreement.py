@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.plugin.test_plugin_table import beyond_mitsuba
+from tests.plugin.plugin_table import beyond_mitsuba
 from torch_radbp.plugin import REGISTRY
 
 from .agreement import ALPHA, compare, estimate

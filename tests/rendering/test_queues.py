@@ -11,7 +11,7 @@ import torch
 import torch_radbp as rb
 from tests.gradients import cotangent, relative_error
 from tests.scenes import diffuse, load, parameters, rectangle, rgb, sensor
-from tests.texture.networks import mlp, textured
+from tests.scenes.networks import mlp, textured
 from torch_radbp.io.transform import rotate, scale, translate
 
 pytestmark = [pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning"),

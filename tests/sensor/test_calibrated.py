@@ -7,8 +7,8 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.parts import FIELD_OF_VIEW, FISHEYE, THIN_PRISM, calibrated
 from tests.scenes import load, look_at, rectangle, rgb, texels
+from tests.scenes.parts import FIELD_OF_VIEW, FISHEYE, THIN_PRISM, calibrated
 from torch_radbp.boundary import SilhouetteWarning
 from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm

@@ -7,7 +7,7 @@ import torch_radbp as rb
 from tests.deep import deep_but
 from tests.gradients import assert_informative, relative_error
 from tests.scenes import load, rectangle, rgb, sensor, texels
-from tests.texture.meshes import add_attributes, panel
+from tests.scenes.mesh_attributes import add_attributes, panel
 from torch_radbp.io.attribute_values import options
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.plugin import REGISTRY, Texture, attributes

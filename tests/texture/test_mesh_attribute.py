@@ -7,7 +7,7 @@ import torch
 import torch_radbp as rb
 from tests.gradients import MEMOIZED, QUADRATIC, cotangent, image_and_gradients, relative_error
 from tests.scenes import load, rectangle, rgb, sensor
-from tests.texture.meshes import PLY, add_attributes, tetrahedron
+from tests.scenes.mesh_attributes import PLY, add_attributes, tetrahedron
 from torch_radbp.formats.mesh import read_mesh
 from torch_radbp.formats.ply_attributes import attributes_in
 

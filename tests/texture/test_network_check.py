@@ -11,7 +11,7 @@ from torch.utils.checkpoint import checkpoint
 
 import torch_radbp as rb
 from tests.scenes import load, rectangle, rgb, sensor
-from tests.texture.networks import Function, mlp, textured
+from tests.scenes.networks import Function, mlp, textured
 
 NAME = "the texture 'poster.bsdf.reflectance': "
 SKY = {"type": "constant", "radiance": rgb(0.6, 0.9, 1.4)}

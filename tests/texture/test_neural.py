@@ -19,7 +19,7 @@ from tests.gradients import (
     relative_error,
 )
 from tests.scenes import load, rectangle, rgb, sensor
-from tests.texture.networks import LAMP, mlp, room, textured
+from tests.scenes.networks import LAMP, mlp, room, textured
 from torch_radbp.io.attribute_values import options
 from torch_radbp.io.transform import scale
 from torch_radbp.jit.stages import compiled

@@ -1,4 +1,4 @@
-"""The scenes of `scenes.py` with little noise, for parameters that move nothing: estimates in expectation converge soon.
+"""The scenes of `every_plugin.py` with little noise, for parameters that move nothing: estimates converge soon.
 
 A material is lit by a point, by another one from behind if it transmits light, and where it has ideal lobes by an even sky.
 The view is so narrow that all samples see about the same. Several sensors see the same, each by samples of its own, so that
@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.everything import objects
-from tests.derivatives.moving_scenes import MovingScene
-from tests.derivatives.pairs import Pair, pairs_of
-from tests.derivatives.parts import camera
-from tests.derivatives.scenes import SCENES, SUBJECT, build, subjects
 from tests.scenes import load, rgb
+from tests.scenes.every_plugin import SCENES, SUBJECT, build, subjects
+from tests.scenes.everything import objects
+from tests.scenes.moving import MovingScene
+from tests.scenes.pairs import Pair, pairs_of
+from tests.scenes.parts import camera
 from torch_radbp.check.gradient import RELATIVE_STEP, checked_direction
 from torch_radbp.scene.pack import pack
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import torch
 
-from tests.derivatives.endless import envmap, smooth_noise, textured
-from tests.derivatives.moving_scenes import METAL, TWIST, MovingScene, constant, rigid, scene, wave
-from tests.derivatives.parts import FISHEYE, blurred, calibrated, parallel
 from tests.scenes import diffuse, look_at, rgb, sensor
+from tests.scenes.endless import envmap, smooth_noise, textured
+from tests.scenes.moving import METAL, TWIST, MovingScene, constant, rigid, scene, wave
+from tests.scenes.parts import FISHEYE, blurred, calibrated, parallel
 from torch_radbp.io.transform import rotate, scale, translate
 
 SIZE = 16

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from tests.derivatives.inner_jumps import CHECKERBOARD
-from tests.derivatives.moving_scenes import TWIST, MovingScene, constant, rigid, scene
-from tests.derivatives.shadow_scenes import FLOOR, LAMPS, PLATE, bend
 from tests.scenes import diffuse, rgb, sensor
+from tests.scenes.inner_jumps import CHECKERBOARD
+from tests.scenes.moving import TWIST, MovingScene, constant, rigid, scene
+from tests.scenes.shadows import FLOOR, LAMPS, PLATE, bend
 from torch_radbp.io.transform import rotate, scale, translate
 
 SIZE = 16

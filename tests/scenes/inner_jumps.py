@@ -11,9 +11,9 @@ from typing import Any
 
 import torch
 
-from tests.derivatives.moving_scenes import TWIST, MovingScene, constant, rigid, scene, wave
-from tests.derivatives.shadow_scenes import ABOVE, FINE, LAMPS, SIZE, WALL
 from tests.scenes import diffuse, look_at, rgb, sensor
+from tests.scenes.moving import TWIST, MovingScene, constant, rigid, scene, wave
+from tests.scenes.shadows import ABOVE, FINE, LAMPS, SIZE, WALL
 from torch_radbp.io.transform import rotate, scale, translate
 
 VIEWED = sensor(SIZE, (0.3, -2.0, 2.6), (0.05, 0.1, 0.1), 40, rfilter="box")

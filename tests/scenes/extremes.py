@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.parts import FISHEYE, blurred, calibrated, parallel
 from tests.scenes import diffuse, look_at, rectangle, rgb, texels
+from tests.scenes.parts import FISHEYE, blurred, calibrated, parallel
 from torch_radbp.io.transform import rotate, scale, translate
 
 SIZE = 6

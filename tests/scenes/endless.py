@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tests.derivatives.quadrilateral import mesh_file
 from tests.scenes import diffuse, look_at, rgb, sensor
+from tests.scenes.quadrilateral import mesh_file
 from torch_radbp.io.transform import rotate, scale, translate
 
 HALF = 40.0  # half the width of an endless plane

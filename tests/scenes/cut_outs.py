@@ -7,10 +7,10 @@ from typing import Any
 
 import torch
 
-from tests.derivatives.inner_jumps import noise
-from tests.derivatives.moving_scenes import TWIST, MovingScene, rigid, wave
-from tests.derivatives.shadow_scenes import BALL, LAMPS, PUSH, SIZE, TWO_SIDED, WALL, lit, moved
 from tests.scenes import rgb, sensor
+from tests.scenes.inner_jumps import noise
+from tests.scenes.moving import TWIST, MovingScene, rigid, wave
+from tests.scenes.shadows import BALL, LAMPS, PUSH, SIZE, TWO_SIDED, WALL, lit, moved
 from torch_radbp.io.transform import rotate, scale, translate
 
 VIEWED = sensor(SIZE, (0.3, -1.0, 0.7), (0.05, 0.1, 0.0), 50, rfilter="box")

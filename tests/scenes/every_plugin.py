@@ -11,7 +11,8 @@ from typing import Any
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.parts import (
+from tests.scenes import diffuse, load, rectangle, rgb
+from tests.scenes.parts import (
     AIMED,
     FIELD_OF_VIEW,
     FISHEYE,
@@ -36,14 +37,7 @@ from tests.derivatives.parts import (
     squares,
     turned,
 )
-from tests.derivatives.quadrilateral import (
-    CORNERS,
-    FACES,
-    coloured_file,
-    mesh_file,
-    quadrilateral,
-)
-from tests.scenes import diffuse, load, rectangle, rgb
+from tests.scenes.quadrilateral import CORNERS, FACES, coloured_file, mesh_file, quadrilateral
 from torch_radbp.io.transform import rotate, scale
 
 SUBJECT = "subject"

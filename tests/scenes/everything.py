@@ -7,7 +7,9 @@ from typing import Any
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.parts import (
+from tests.scenes import diffuse, load, rgb
+from tests.scenes.every_plugin import GROUP, SCENES, SUBJECT
+from tests.scenes.parts import (
     FIELD_OF_VIEW,
     FISHEYE,
     THIN_PRISM,
@@ -23,8 +25,6 @@ from tests.derivatives.parts import (
     sky,
     turned,
 )
-from tests.derivatives.scenes import GROUP, SCENES, SUBJECT
-from tests.scenes import diffuse, load, rgb
 
 MATERIALS = ("diffuse", "conductor", "pane", "rough metal beckmann", "brushed metal ggx", "dielectric", "rough glass ggx",
              "brushed glass beckmann", "plastic", "rough plastic ggx", "principled", "principled glass", "principled sheet",

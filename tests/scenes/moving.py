@@ -16,7 +16,8 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from tests.derivatives.endless import (
+from tests.scenes import diffuse, load, look_at, rgb
+from tests.scenes.endless import (
     ANGLE,
     HALF,
     MESH_TEXTURE,
@@ -42,8 +43,7 @@ from tests.derivatives.endless import (
     wavy,
     window,
 )
-from tests.derivatives.parts import FIELD_OF_VIEW, FISHEYE, THIN_PRISM, blurred, calibrated, parallel
-from tests.scenes import diffuse, load, look_at, rgb
+from tests.scenes.parts import FIELD_OF_VIEW, FISHEYE, THIN_PRISM, blurred, calibrated, parallel
 from torch_radbp.io.transform import rotate, scale, translate
 
 TWIST = ((0.31, -0.43, 0.24), (0.37, -0.52, 0.29))  # a rotation vector and a translation, both generic

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from tests.derivatives.moving_scenes import TWIST, rigid
 from tests.scenes import diffuse, load, look_at, rgb
+from tests.scenes.moving import TWIST, rigid
 from torch_radbp.io.transform import rotate, scale, translate
 
 SIZE, WIDTH = 32, 1.4  # pixels, and what they show of the middle of the scene, world

@@ -8,7 +8,7 @@ import typing
 from typing import NamedTuple
 
 import torch_radbp as rb
-from tests.derivatives.scenes import subjects
+from tests.scenes.every_plugin import subjects
 from torch_radbp.plugin import BSDF, REGISTRY, Plugin, Texture, attributes
 
 CATEGORIES = ("shape", "bsdf", "texture", "emitter", "sensor")

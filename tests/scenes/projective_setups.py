@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from tests.boundary.test_rims import icosphere
-from tests.derivatives.endless import smooth_noise
 from tests.scenes import load, look_at, rgb
+from tests.scenes.endless import smooth_noise
+from tests.scenes.meshes import icosphere
 from torch_radbp.io.transform import rotate, scale, translate
 
 IN_PLACE = torch.eye(4)
