@@ -19,7 +19,7 @@ def found():
 
 @pytest.mark.parametrize("pair", PAIRS, ids=str)
 def test_a_scene_examines(pair, found):
-    assert pair in found, f"no scene of tests/derivatives/scenes.py has {pair} in its subject: add one"
+    assert pair in found, f"no scene of tests/scenes/every_plugin.py has {pair} in its subject: add one"
 
 
 @pytest.mark.parametrize("category, kind", [(c, k) for c in CATEGORIES for k in REGISTRY[c] if (c, k) != ("bsdf", "null")])
