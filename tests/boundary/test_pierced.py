@@ -10,7 +10,7 @@ import torch
 
 from tests.boundary.closed_forms import DARK, JUMP, SIZE, assert_close, derivative, parallel
 from tests.boundary.random_places import triangles
-from tests.boundary.test_primary import unwarned_renderer
+from tests.gradients import unwarned_renderer
 from tests.scenes import load
 from tests.scenes.meshes import crossing_sheets
 from torch_radbp.boundary import pierced as module

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.boundary.closed_forms import DARK, parallel
-from tests.boundary.test_primary import unwarned_renderer
+from tests.gradients import unwarned_renderer
 from tests.scenes import diffuse, load
 from tests.scenes.meshes import crossing_sheets
 from torch_radbp.boundary import passing, single_bodies
