@@ -6,7 +6,7 @@ import torch
 
 import torch_radbp as rb
 from tests.gradients import relative_error, unwarned_renderer
-from tests.scenes import look_at, rgb
+from tests.scenes import overhead, rgb
 
 SIZE = 16
 DARK = {"type": "constant", "radiance": rgb(0.25, 0.25, 0.25)}
@@ -16,8 +16,7 @@ JUMP = torch.tensor([2.75, 1.75, 0.75], dtype=torch.float64)  # of radiance betw
 
 def parallel(size: int = SIZE, rfilter: str = "box") -> dict:
     """A view of x and y from -1 to 1, x to the right, from z = 3; pixels are 2 / size wide."""
-    return {"type": "orthographic", "to_world": look_at((0, 0, 3), (0, 0, 0), (0, 1, 0)),
-            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": rfilter}}}
+    return overhead(size, 3.0, rfilter=rfilter)
 
 
 def derivative(scene: rb.Scene, name: str, direction: torch.Tensor, weights: torch.Tensor | None = None, spp: int = 1024,

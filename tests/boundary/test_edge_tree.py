@@ -7,6 +7,7 @@ import torch_radbp as rb
 from tests.boundary.random_places import eyes_around, of_each
 from tests.scenes import diffuse, load, sensor
 from tests.scenes.meshes import wavy
+from tests.scenes.shadows import CUBE, FLOOR
 from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Geometry, in_world
 from torch_radbp.boundary.shadows import hidden_light
@@ -15,19 +16,16 @@ from torch_radbp.boundary.shadows.edges_tried import FEWEST, edges_tried, eyes_f
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.seen_edges import Casting, angle_seen, edge_found, extent_of, places_seen
 from torch_radbp.boundary.shadows.ways_down import ways_down
-from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.jit.stages import EAGER, compiled
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.tensors.vec import Vec3, dot, rows
 
-FLOOR = {"type": "rectangle", "to_world": rotate((0.2, 1, 0.1), 4) @ scale((6, 6, 1)), "bsdf": diffuse(0.5, 0.5, 0.5)}
-CUBE = {"type": "cube", "to_world": translate((0.1, 0.1, 0.5)) @ rotate((1, 0.7, 0.4), 35) @ scale((0.25, 0.2, 0.15)),
-        "bsdf": diffuse(0.5, 0.6, 0.4)}
+GREY_FLOOR = FLOOR | {"bsdf": diffuse(0.5, 0.5, 0.5)}
 TURNED = {"type": "mesh", "bsdf": diffuse(0.5, 0.6, 0.4),
           "faces": torch.tensor([[0, 1, 2], [1, 2, 3], [2, 3, 4], [0, 1, 4]]),
           "vertex_positions": torch.tensor([[0.0, 0, 0], [1, 0, 0.2], [0, 1, 0.1], [1, 1, 0.5], [0.3, 1.6, 0.2]]) - 0.5}
 
-BODIES = {"floor and cube": {"floor": FLOOR, "cube": CUBE}, "waves": {"waves": wavy(), "floor": FLOOR},
+BODIES = {"floor and cube": {"floor": GREY_FLOOR, "cube": CUBE}, "waves": {"waves": wavy(), "floor": GREY_FLOOR},
           "turned triangles": {"mesh": TURNED, "cube": CUBE}}
 
 

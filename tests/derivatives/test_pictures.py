@@ -8,7 +8,7 @@ import torch
 import torch_radbp as rb
 from tests.deep import deep_but
 from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
-from tests.scenes import diffuse, load, look_at
+from tests.scenes import diffuse, load, look_at, overhead
 from tests.scenes.projected import PICTURES, PROJECTOR, TEXELS
 from torch_radbp.boundary.shadows import pictures
 from torch_radbp.io.transform import scale
@@ -46,8 +46,7 @@ def test_lines_are_cut_off_at_the_borders_of_the_picture():
 
 def test_a_picture_that_moves_over_a_plane_takes_its_light_with_it():
     """Seen from straight above: the first moment of the image grows by its sum. Without the borders it would shrink."""
-    view = {"type": "orthographic", "to_world": look_at((0, 0, 4), (0, 0, 0), (0, 1, 0)) @ scale((1.5, 1.5, 1)),
-            "film": {"type": "hdrfilm", "width": 48, "height": 48, "rfilter": {"type": "box"}}}
+    view = overhead(48, half=1.5)
     floor = {"type": "rectangle", "to_world": scale((9, 9, 1)), "bsdf": diffuse(0.6, 0.6, 0.6)}
     lamp = PROJECTOR | {"to_world": look_at((0.1, 0.05, 2), (0.1, 0.05, 0), (0.3, 1, 0)), "irradiance": TEXELS}
     scene = load(torch.float64, sensor=view, floor=floor, lamp=lamp)

@@ -5,7 +5,7 @@ import torch
 
 import torch_radbp as rb
 from tests.io.pixel_rays import seen_by
-from tests.scenes import load, rgb
+from tests.scenes import GLOW, load
 from torch_radbp.io.transform import rotate
 from torch_radbp.pose import se3
 from torch_radbp.tensors.vec import Vec3
@@ -13,7 +13,6 @@ from torch_radbp.tensors.vec import Vec3
 K = torch.tensor([[30.0, 0.5, 17.0], [0, 28.0, 14.0], [0, 0, 1]], dtype=torch.float64)
 R = torch.as_tensor(rotate((0.3, 1, -0.2), 35)[:3, :3])
 T = torch.tensor([0.3, -0.2, 0.7], dtype=torch.float64)
-GLOW = {"type": "area", "radiance": rgb(1, 1, 1)}
 
 
 @pytest.mark.parametrize("column, row", [(0, 0), (39, 29), (11, 22)])

@@ -13,7 +13,19 @@ from tests.scenes.cases import (
     textured_lamp,
     two_sided,
 )
-from tests.scenes.description import diffuse, load, look_at, parameters, rectangle, rgb, sensor, texels
+from tests.scenes.description import (
+    GLOW,
+    SKY,
+    diffuse,
+    load,
+    look_at,
+    overhead,
+    parameters,
+    rectangle,
+    rgb,
+    sensor,
+    texels,
+)
 
-__all__ = ["CASES", "Case", "cornell", "diffuse", "furnace", "load", "look_at", "parameters", "rectangle", "rgb", "sensor",
-           "sky_and_points", "texels", "textured", "textured_lamp", "two_sided"]
+__all__ = ["CASES", "GLOW", "SKY", "Case", "cornell", "diffuse", "furnace", "load", "look_at", "overhead", "parameters",
+           "rectangle", "rgb", "sensor", "sky_and_points", "texels", "textured", "textured_lamp", "two_sided"]

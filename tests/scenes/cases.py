@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import torch
 
 import torch_radbp as rb
-from tests.scenes.description import diffuse, load, rectangle, rgb, sensor, texels
+from tests.scenes.description import SKY, diffuse, load, rectangle, rgb, sensor, texels
 from torch_radbp.io.transform import rotate, scale, translate
 
 
@@ -60,7 +60,7 @@ def two_sided(dtype: torch.dtype = torch.float64) -> rb.Scene:
         front=rectangle((-0.6, 0.1, 0), 0.6, (0, 1, 0), 25, bsdf={"type": "ref", "id": "faces"}),
         reversed=rectangle((0.7, 0.1, 0.2), 0.6, (0, 1, 0), 160, bsdf={"type": "ref", "id": "faces"}),
         floor=rectangle((0, -0.6, 0), 1.5, angle=-90, bsdf={"type": "twosided", "same": diffuse(0.5, 0.6, 0.7)}),
-        sky={"type": "constant", "radiance": rgb(0.6, 0.9, 1.4)})
+        sky=SKY)
 
 
 def textured_lamp(dtype: torch.dtype = torch.float64) -> rb.Scene:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from tests.scenes import diffuse, load, look_at, rgb
+from tests.scenes import diffuse, load, look_at, rgb, sensor
 from torch_radbp.io.transform import rotate, scale, translate
 
 SUBJECT = "subject"
@@ -136,6 +136,4 @@ class Arrangement(NamedTuple):
         return torch.cat([torch.cat([*columns, origin]).T, torch.zeros(1, 4)])
 
     def build(self, size: int = SIZE) -> rb.Scene:
-        camera = {"type": "perspective", "fov": 40, "to_world": look_at((0.1, 3, 3), (0, 0, 0), (0, 1, 0)),
-                  "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}}}
-        return load(torch.float32, sensor=camera, lamp=LAMPS[self.lamp], **BODIES[self.body])
+        return load(torch.float32, sensor=sensor(size, (0.1, 3, 3)), lamp=LAMPS[self.lamp], **BODIES[self.body])

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from tests.scenes import diffuse, load, look_at, rgb
+from tests.scenes import diffuse, load, look_at, rgb, sensor
 from tests.scenes.moving import TWIST, rigid
 from torch_radbp.io.transform import rotate, scale, translate
 
@@ -53,9 +53,8 @@ def camera(distance: float, size: int = SIZE) -> dict[str, Any]:
     """A camera so far away; from wherever, the scene is seen as large."""
     length = math.hypot(*TOWARDS)
     origin = [place + distance * part / length for place, part in zip(MIDDLE, TOWARDS)]
-    return {"type": "perspective", "fov": 2 * math.degrees(math.atan(WIDTH / 2 / distance)),
-            "to_world": look_at(origin, MIDDLE, (0, 0, 1)),
-            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}}}
+    fov = 2 * math.degrees(math.atan(WIDTH / 2 / distance))
+    return sensor(size, fov=fov, to_world=look_at(origin, MIDDLE, (0, 0, 1)))
 
 
 class Crossing(NamedTuple):

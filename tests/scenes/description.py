@@ -30,11 +30,25 @@ def texels(height: int, width: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(0.1, 0.9, (height, width, 3))
 
 
+SKY = {"type": "constant", "radiance": rgb(0.6, 0.9, 1.4)}
+GLOW = {"type": "area", "radiance": rgb(1, 1, 1)}
+
+
 def sensor(size: int = 8, origin=(0, 0, 3.5), target=(0, 0, 0), fov: float = 40, rfilter: str = "box",
            **attributes: Any) -> dict[str, Any]:
     """A perspective sensor, square unless `film=` says otherwise."""
-    film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": rfilter}}
-    return {"type": "perspective", "fov": fov, "to_world": look_at(origin, target, (0, 1, 0)), "film": film} | attributes
+    pose = look_at(origin, target, (0, 1, 0))
+    return {"type": "perspective", "fov": fov, "to_world": pose, "film": square_film(size, rfilter)} | attributes
+
+
+def overhead(size: int = 8, height: float = 4.0, half: float = 1.0, rfilter: str = "box") -> dict[str, Any]:
+    """A view without perspective of x and y from -half to half, x to the right, from z = height."""
+    pose = look_at((0, 0, height), (0, 0, 0), (0, 1, 0)) @ scale((half, half, 1))
+    return {"type": "orthographic", "to_world": pose, "film": square_film(size, rfilter)}
+
+
+def square_film(size: int, rfilter: str = "box") -> dict[str, Any]:
+    return {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": rfilter}}
 
 
 def load(dtype: torch.dtype = torch.float64, **objects: Any) -> rb.Scene:

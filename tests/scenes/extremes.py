@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 import torch_radbp as rb
-from tests.scenes import diffuse, look_at, rectangle, rgb, texels
+from tests.scenes import GLOW, diffuse, look_at, rectangle, rgb, sensor, texels
 from tests.scenes.parts import FISHEYE, blurred, calibrated, parallel
 from torch_radbp.io.transform import rotate, scale, translate
 
@@ -34,9 +34,7 @@ def crowd(material: dict[str, Any], dtype: torch.dtype, view: np.ndarray | None 
     own = {"type": "ref", "id": "material"}
     up, down = look_at((1.2, 2.5, 1.6), (0, 0, 0), (0, 1, 0)), look_at((-1.5, 2, 1), (0.1, 0, 0.2), (0, 1, 0))
     objects = {
-        "camera": {"type": "perspective", "fov": 50,
-                   "to_world": look_at((0.2, 1.1, 3.3), (0, 0.4, 0), (0, 1, 0)) if view is None else view,
-                   "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}}},
+        "camera": sensor(SIZE, (0.2, 1.1, 3.3), (0, 0.4, 0), 50, **({} if view is None else {"to_world": view})),
         "material": material,
         "panel": rectangle((-0.8, 0.6, -0.4), 0.6, (0.2, 1, 0.1), 25, bsdf=own),
         "tent": tent() | {"to_world": translate((0.9, 0, 0.2)), "bsdf": own},
@@ -171,7 +169,6 @@ def materials() -> dict[str, Callable[[torch.dtype], rb.Scene]]:
     return found
 
 
-GLOW = {"type": "area", "radiance": rgb(1, 1, 1)}
 
 
 def view(origin, target, up=(0, 1, 0)) -> np.ndarray:

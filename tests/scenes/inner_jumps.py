@@ -13,12 +13,11 @@ import torch
 
 from tests.scenes import diffuse, look_at, rgb, sensor
 from tests.scenes.moving import TWIST, MovingScene, constant, rigid, scene, wave
-from tests.scenes.shadows import ABOVE, FINE, LAMPS, SIZE, WALL
+from tests.scenes.shadows import ABOVE, FINE, FLOOR, LAMPS, SIZE, WALL
 from torch_radbp.io.transform import rotate, scale, translate
 
 VIEWED = sensor(SIZE, (0.3, -2.0, 2.6), (0.05, 0.1, 0.1), 40, rfilter="box")
-SKY = {"type": "constant", "radiance": rgb(0.9, 1.1, 1.4)}
-POINT = {"type": "point", "position": list(ABOVE), "intensity": rgb(8, 7, 9)}
+SKY, POINT = LAMPS["constant"], LAMPS["point"]
 PUSH = rigid(TWIST, (0.1, 0.05, 0.1))
 
 
@@ -39,7 +38,7 @@ def nearest(wrap_mode: str) -> dict[str, Any]:
 
 def floor(bsdf: dict[str, Any]) -> dict[str, Any]:
     """A rectangle that goes on beyond the view."""
-    return {"type": "rectangle", "to_world": rotate((0.2, 1, 0.1), 4) @ scale((6, 6, 1)), "bsdf": bsdf}
+    return FLOOR | {"bsdf": bsdf}
 
 
 def patterned(texture: dict[str, Any]) -> dict[str, Any]:
@@ -51,7 +50,7 @@ LEAF = {"type": "mask", "opacity": {"type": "bitmap", "bitmap": (noise(4, 6, 1) 
                                     "raw": True}, "nested_bsdf": {"type": "twosided", "one": diffuse(0.3, 0.7, 0.2)}}
 CUT_OUT = {"type": "rectangle", "bsdf": LEAF,
            "to_world": translate((0, 0, 0.6)) @ rotate((1, 0.3, 0.2), 15) @ scale((4, 4, 1))}
-GLOWING = {"type": "rectangle", "to_world": rotate((0.2, 1, 0.1), 4) @ scale((6, 6, 1)),
+GLOWING = {"type": "rectangle", "to_world": FLOOR["to_world"],
            "emitter": {"type": "area", "radiance": CHECKERBOARD}}
 
 SHEET = {"type": "mesh", "faces": torch.tensor([[0, 1, 2], [0, 2, 3]]), "vertex_texcoords": torch.tensor(

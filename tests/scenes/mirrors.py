@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from tests.scenes import diffuse, rgb, sensor
-from tests.scenes.inner_jumps import CHECKERBOARD
+from tests.scenes import diffuse, sensor
+from tests.scenes.inner_jumps import CHECKERBOARD, IN_A_MIRROR
 from tests.scenes.moving import TWIST, MovingScene, constant, rigid, scene
 from tests.scenes.shadows import FLOOR, LAMPS, PLATE, bend
 from torch_radbp.io.transform import rotate, scale, translate
 
 SIZE = 16
 FINE, MIDDLE = 0.005, 0.01
-SKY = {"type": "constant", "radiance": rgb(0.9, 1.1, 1.4)}
+SKY = LAMPS["constant"]
 EYE = (0.3, -3.0, 1.2)
 VIEWED = sensor(SIZE, EYE, (0.05, 0.1, 0.1), 40, rfilter="box")
 CUBE_POSE = translate((0.1, 0.1, 0.1)) @ rotate((1, 0.7, 0.4), 35) @ scale((0.4, 0.3, 0.35))
@@ -62,8 +62,7 @@ in_ball = seen(sensor=AT_BALL, cube=BESIDE_BALL, ball=BALL)
 # A floor that is seen in a mirror alone: with the shadow of a plate that itself is not seen, or with squares.
 FLOOR_EYE, FLOOR_MIRROR_AT = (0.3, 0.6, 2.2), (0.0, 2.2, 0.9)
 AT_FLOOR = sensor(SIZE, FLOOR_EYE, (0.15, 2.2, 0.95), 24, rfilter="box")
-FLOOR_MIRROR = {"type": "rectangle", "bsdf": METAL,
-                "to_world": translate(FLOOR_MIRROR_AT) @ rotate((1, 0.03, 0.02), 88) @ scale((3, 1.4, 1))}
+FLOOR_MIRROR = IN_A_MIRROR["mirror"]
 shaded = scene(sensor=AT_FLOOR, mirror=FLOOR_MIRROR, floor=FLOOR, plate=PLATE, lamp=LAMPS["point"])
 squares = scene(sensor=AT_FLOOR, mirror=FLOOR_MIRROR, sky=SKY, floor=FLOOR | {"bsdf": {
     "type": "diffuse", "reflectance": CHECKERBOARD}})

@@ -12,6 +12,7 @@ import torch
 from tests.scenes import diffuse, look_at, rectangle, rgb, sensor, texels
 from torch_radbp.io.transform import rotate, scale, translate
 
+TO_UV = translate((0.11, -0.07, 0)) @ rotate((0, 0, 1), 25) @ scale((1.4, 1.7, 1))  # of squares
 AIMED = look_at((0.9, 1.5, 2.8), (0.1, 0.05, 0), (0.1, 1, 0.2))
 
 
@@ -40,7 +41,7 @@ def heights() -> dict[str, Any]:
 def squares(color0: Any, color1: Any) -> dict[str, Any]:
     """A checkerboard with some squares in view."""
     return {"type": "checkerboard", "color0": color0, "color1": color1,
-            "to_uv": translate((0.11, -0.07, 0)) @ rotate((0, 0, 1), 25) @ scale((1.4, 1.7, 1))}
+            "to_uv": TO_UV}
 
 
 def printed(**attributes: Any) -> dict[str, Any]:
