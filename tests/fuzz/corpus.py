@@ -24,10 +24,10 @@ from tests.io.colmap_files import binary
 from tests.io.gltf_everything import everything
 from tests.io.gltf_files import SQUARE, GltfFile
 from tests.io.nerf_files import BLENDER, OPENCV
-from tests.peer.cases import CASES
-from tests.peer.matrix import SMALL
-from tests.peer.scene_files import Folder
 from tests.scenes.mesh_attributes import PLY as COLOURED
+from tests.scenes.xml.cases import CASES
+from tests.scenes.xml.files import Folder
+from tests.scenes.xml.matrix import SMALL
 from tests.training.conftest import RECIPE, SCENE
 from torch_radbp.plugin import REGISTRY, attributes
 from torch_radbp.training.recipe_file import read_recipe

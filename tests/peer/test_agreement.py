@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests.plugin.plugin_table import beyond_mitsuba
+from tests.scenes.xml.cases import CASES
 from torch_radbp.plugin import REGISTRY
 
 from .agreement import ALPHA, compare, estimate
-from .cases import CASES
 from .mitsuba_images import load_case
 
 SHAPE, SPP, BATCHES = (24, 32, 3), 64, 16

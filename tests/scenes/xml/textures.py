@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from .scene_files import Folder, bitmap, look, picture, placed, scene_xml, shape, size
+from tests.scenes.xml.files import Folder, bitmap, look, picture, placed, scene_xml, shape, size
 
 BOARD = ('<texture type="checkerboard" name="{}">{}<transform name="to_uv"><rotate z="1" angle="20"/>'
          '<scale x="2.3" y="1.7"/></transform></texture>')

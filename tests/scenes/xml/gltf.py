@@ -10,9 +10,8 @@ import numpy as np
 
 import torch_radbp as rb
 from tests.io.gltf_files import GltfFile
+from tests.scenes.xml.files import Folder, picture
 from torch_radbp.film.box import Box
-
-from .scene_files import Folder, picture
 
 OPTIONS = {"resolution": 24, "light": 0.2, "max_depth": 4, "spp": 16}
 BALL = 12  # rows of quadrilaterals

@@ -9,12 +9,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .layered_scenes import NONLINEAR, RAW, twosided
-from .material_scenes import bsdf, colours, floats, names
-from .scene_files import Folder, bitmap, bumpy_ball, diffuse, lamp, look, picture, placed, shape
-from .scenes import SKY, ball, file, pose
-from .shape_scenes import bowl
-from .texture_scenes import GREEN, coloured_ball
+from tests.scenes.xml.every_plugin import SKY, ball, file, pose
+from tests.scenes.xml.files import Folder, bitmap, bumpy_ball, diffuse, lamp, look, picture, placed, shape
+from tests.scenes.xml.layered import NONLINEAR, RAW, twosided
+from tests.scenes.xml.materials import bsdf, colours, floats, names
+from tests.scenes.xml.shapes import bowl
+from tests.scenes.xml.textures import GREEN, coloured_ball
 
 TILED = '<transform name="to_uv"><rotate z="1" angle="20"/><scale x="2.3" y="1.7"/></transform>'
 

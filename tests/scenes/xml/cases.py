@@ -6,22 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from . import matrix
-from .gltf_scenes import gltf
-from .layered_scenes import blends, bump_maps, masks, normal_maps, plastics, rough_plastics
-from .material_scenes import (
-    brushed,
-    brushed_turned,
-    coloured_roughness,
-    glass,
-    mirrors,
-    polished,
-    principled,
-    rough_glass,
-    rough_metals,
-)
-from .scene_files import Case, Folder, bitmap, diffuse, picture, scene_xml, shape, size
-from .scenes import (
+from tests.scenes.xml import matrix
+from tests.scenes.xml.every_plugin import (
     SKY,
     beams,
     bitmaps,
@@ -38,8 +24,22 @@ from .scenes import (
     sky,
     spots,
 )
-from .shape_scenes import distances, instances, tubes
-from .texture_scenes import textures
+from tests.scenes.xml.files import Case, Folder, bitmap, diffuse, picture, scene_xml, shape, size
+from tests.scenes.xml.gltf import gltf
+from tests.scenes.xml.layered import blends, bump_maps, masks, normal_maps, plastics, rough_plastics
+from tests.scenes.xml.materials import (
+    brushed,
+    brushed_turned,
+    coloured_roughness,
+    glass,
+    mirrors,
+    polished,
+    principled,
+    rough_glass,
+    rough_metals,
+)
+from tests.scenes.xml.shapes import distances, instances, tubes
+from tests.scenes.xml.textures import textures
 
 BOX = '<rfilter type="box"/>'
 FOV = '<float name="fov" value="40"/>'

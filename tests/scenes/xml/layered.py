@@ -1,4 +1,4 @@
-"""Small scenes of plastics and of materials that hold others, in the gallery of `material_scenes`."""
+"""Small scenes of plastics and of materials that hold others, in the gallery of `materials`."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .material_scenes import LAMP, bsdf, colours, floats, gallery, names, soft_sky
-from .scene_files import Folder, bitmap, diffuse, picture
+from tests.scenes.xml.files import Folder, bitmap, diffuse, picture
+from tests.scenes.xml.materials import LAMP, bsdf, colours, floats, gallery, names, soft_sky
 
 NONLINEAR = '<boolean name="nonlinear" value="true"/>'
 RAW = '<boolean name="raw" value="true"/>'

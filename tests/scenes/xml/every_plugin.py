@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .scene_files import (
+from tests.scenes.xml.files import (
     Folder,
     bitmap,
     bumpy_ball,
@@ -25,7 +25,7 @@ from .scene_files import (
     textured,
 )
 
-ASSETS = Path(__file__).parents[2] / "assets"
+ASSETS = Path(__file__).parents[3] / "assets"
 SKY = '\n  <emitter type="constant"><rgb name="radiance" value="{}"/></emitter>'
 FLIPPED = '<boolean name="flip_normals" value="true"/>'
 

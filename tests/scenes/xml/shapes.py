@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from .scene_files import Folder, bumpy_ball, diffuse, lamp, look, picture, placed, scene_xml, shape, size, textured
-from .scenes import FLIPPED, SKY, ball, file
+from tests.scenes.xml.every_plugin import FLIPPED, SKY, ball, file
+from tests.scenes.xml.files import Folder, bumpy_ball, diffuse, lamp, look, picture, placed, scene_xml, shape, size, textured
 
 FLAT = '<boolean name="face_normals" value="true"/>'
 MIRROR = 'scale x="-1" y="1" z="1"'

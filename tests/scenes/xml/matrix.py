@@ -12,9 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from .layered_scenes import twosided
-from .matrix_pieces import BSDFS, CAMERAS, SHAPES, files, light
-from .scene_files import Case, Folder, diffuse, placed, scene_xml, shape
+from tests.scenes.xml.files import Case, Folder, diffuse, placed, scene_xml, shape
+from tests.scenes.xml.layered import twosided
+from tests.scenes.xml.matrix_pieces import BSDFS, CAMERAS, SHAPES, files, light
 
 SMALL = {"width": 16, "height": 12, "max_depth": 6}  # the images of the tests
 
