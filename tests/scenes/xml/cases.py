@@ -7,26 +7,21 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tests.scenes.xml import matrix
-from tests.scenes.xml.every_plugin import (
-    SKY,
+from tests.scenes.xml.basics import SKY, bitmaps, cornell_box, hidden_emitters, shapes, sky
+from tests.scenes.xml.files import Case, Folder, bitmap, diffuse, picture, scene_xml, shape, size
+from tests.scenes.xml.gltf import gltf
+from tests.scenes.xml.layered import blends, bump_maps, masks, normal_maps, plastics, rough_plastics
+from tests.scenes.xml.lights import (
     beams,
-    bitmaps,
-    cornell_box,
     daylight,
     envmap,
     envmap_compensated,
     every_light,
-    hidden_emitters,
     many_lamps,
     points,
     projector,
-    shapes,
-    sky,
     spots,
 )
-from tests.scenes.xml.files import Case, Folder, bitmap, diffuse, picture, scene_xml, shape, size
-from tests.scenes.xml.gltf import gltf
-from tests.scenes.xml.layered import blends, bump_maps, masks, normal_maps, plastics, rough_plastics
 from tests.scenes.xml.materials import (
     brushed,
     brushed_turned,

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.scenes.xml.every_plugin import VIEW, environment, file, pose
+from tests.scenes.xml.basics import file
 from tests.scenes.xml.files import Folder, bitmap, bumpy_ball, diffuse, lamp, picture, placed, scene_xml, shape, size
+from tests.scenes.xml.lights import VIEW, environment, pose
 
 SIZE = size(40, 30)
 # Where things stand: a wall behind, a sheet at the left and one at the right, a cube and a ball in front, a lamp above.

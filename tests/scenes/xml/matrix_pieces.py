@@ -9,9 +9,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tests.scenes.xml.every_plugin import SKY, ball, file, pose
+from tests.scenes.xml.basics import SKY, ball, file
 from tests.scenes.xml.files import Folder, bitmap, bumpy_ball, diffuse, lamp, look, picture, placed, shape
 from tests.scenes.xml.layered import NONLINEAR, RAW, twosided
+from tests.scenes.xml.lights import pose
 from tests.scenes.xml.materials import bsdf, colours, floats, names
 from tests.scenes.xml.shapes import bowl
 from tests.scenes.xml.textures import GREEN, coloured_ball

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.scenes.xml.every_plugin import FLIPPED, SKY, ball, file
+from tests.scenes.xml.basics import FLIPPED, SKY, ball, file
 from tests.scenes.xml.files import Folder, bumpy_ball, diffuse, lamp, look, picture, placed, scene_xml, shape, size, textured
 
 FLAT = '<boolean name="face_normals" value="true"/>'
