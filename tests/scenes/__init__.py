@@ -1,6 +1,15 @@
-"""The scenes of the tests. The words that they are described in, and those that most tests share, come from here.
+"""The scenes of the tests. What most tests need is imported from here, the rest from its module.
 
-A scene that only one test has stands in its file; what two of them need is a module here.
+A scene that only one test has stands in that test; what two of them need is here:
+
+* the words: `description` (colours, cameras, rectangles, loading), `parts`, `endless`, `quadrilateral`, `meshes`,
+  `mesh_attributes`, `materials`, `distant_lamps`, `networks`;
+* every plugin: `every_plugin` and `lights` (one scene for each), `everything` (all of them in four scenes), `extremes` (ends
+  of ranges), `quiet` (with little noise), `pairs` (which parameter is examined where), `one_of_each`, `aovs`;
+* what moves: `moving`, `shadows`, `mirrors`, `cut_outs`, `inner_jumps`, `crossings`, `contacts`, `projected`, `rough`,
+  `projective_setups`;
+* small rooms: `cases`;
+* what is compared with Mitsuba, as XML: `xml`.
 """
 
 from tests.scenes.cases import (
