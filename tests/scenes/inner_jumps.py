@@ -13,7 +13,7 @@ import torch
 
 from tests.scenes import diffuse, look_at, rgb, sensor
 from tests.scenes.moving import TWIST, MovingScene, constant, rigid, scene, wave
-from tests.scenes.shadows import ABOVE, FINE, FLOOR, LAMPS, SIZE, WALL
+from tests.scenes.shadows import ABOVE, FINE, FLOOR, FLOOR_MIRROR, LAMPS, SIZE, WALL
 from torch_radbp.io.transform import rotate, scale, translate
 
 VIEWED = sensor(SIZE, (0.3, -2.0, 2.6), (0.05, 0.1, 0.1), 40, rfilter="box")
@@ -150,9 +150,8 @@ def seen_by_a_wall(name: str, direction, step: float = FINE, **objects: Any) -> 
     return MovingScene(scene(**BELOW, **objects), name, direction, step, 3, ("hybrid",))
 
 
-IN_A_MIRROR = {"sensor": sensor(SIZE, (0.3, 0.6, 2.2), (0.2, 2.2, 1.33), 18, rfilter="box"), "mirror": {
-    "type": "rectangle", "to_world": translate((0, 2.2, 0.9)) @ rotate((1, 0.03, 0.02), 88) @ scale((3, 1.4, 1)),
-    "bsdf": {"type": "conductor"}}}
+IN_A_MIRROR = {"sensor": sensor(SIZE, (0.3, 0.6, 2.2), (0.2, 2.2, 1.33), 18, rfilter="box"),
+               "mirror": FLOOR_MIRROR}
 
 INNER_JUMPS = {
     "checkerboard": MovingScene(scene(sensor=VIEWED, **patterned(CHECKERBOARD), sky=SKY), "floor.to_world", PUSH, FINE),

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 from tests.scenes import diffuse, sensor
-from tests.scenes.inner_jumps import CHECKERBOARD, IN_A_MIRROR
+from tests.scenes.inner_jumps import CHECKERBOARD
 from tests.scenes.moving import TWIST, MovingScene, constant, rigid, scene
-from tests.scenes.shadows import FLOOR, LAMPS, PLATE, bend
+from tests.scenes.shadows import FLOOR, FLOOR_MIRROR, LAMPS, PLATE, bend
 from torch_radbp.io.transform import rotate, scale, translate
 
 SIZE = 16
@@ -62,7 +62,6 @@ in_ball = seen(sensor=AT_BALL, cube=BESIDE_BALL, ball=BALL)
 # A floor that is seen in a mirror alone: with the shadow of a plate that itself is not seen, or with squares.
 FLOOR_EYE, FLOOR_MIRROR_AT = (0.3, 0.6, 2.2), (0.0, 2.2, 0.9)
 AT_FLOOR = sensor(SIZE, FLOOR_EYE, (0.15, 2.2, 0.95), 24, rfilter="box")
-FLOOR_MIRROR = IN_A_MIRROR["mirror"]
 shaded = scene(sensor=AT_FLOOR, mirror=FLOOR_MIRROR, floor=FLOOR, plate=PLATE, lamp=LAMPS["point"])
 squares = scene(sensor=AT_FLOOR, mirror=FLOOR_MIRROR, sky=SKY, floor=FLOOR | {"bsdf": {
     "type": "diffuse", "reflectance": CHECKERBOARD}})

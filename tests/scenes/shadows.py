@@ -22,6 +22,8 @@ VIEWED = sensor(SIZE, (0.3, -3.0, 2.6), (0.05, 0.1, 0.1), 40, rfilter="box")
 FLOOR = {"type": "rectangle", "to_world": rotate((0.2, 1, 0.1), 4) @ scale((6, 6, 1)), "bsdf": textured(half=6.0)}
 WALL = {"type": "rectangle", "to_world": translate((0, 1.6, 1.2)) @ rotate((1, 0.05, 0.02), 85) @ scale((1.5, 1.2, 1)),
         "bsdf": diffuse(0.8, 0.7, 0.9)}
+FLOOR_MIRROR = {"type": "rectangle", "bsdf": {"type": "conductor"},
+                "to_world": translate((0, 2.2, 0.9)) @ rotate((1, 0.03, 0.02), 88) @ scale((3, 1.4, 1))}
 TWO_SIDED = {"type": "twosided", "one": diffuse(0.5, 0.6, 0.4)}
 PLATE_POSE = translate((0.1, 0.05, 0.6)) @ rotate((1, 0.3, 0.2), 25) @ scale((0.35, 0.2, 1))
 PLATE = {"type": "rectangle", "to_world": PLATE_POSE, "bsdf": TWO_SIDED}
@@ -94,10 +96,8 @@ def before_a_wall(lamp: dict[str, Any], label: str, depth: int = 3) -> dict[str,
 
 def in_a_mirror() -> dict[str, MovingScene]:
     """A floor under a lamp, seen in a mirror alone, which shows the shadow of a plate, but not the plate: its edges jump."""
-    mirror = {"type": "rectangle", "to_world": translate((0, 2.2, 0.9)) @ rotate((1, 0.03, 0.02), 88) @ scale((3, 1.4, 1)),
-              "bsdf": {"type": "conductor"}}
     view = sensor(SIZE, (0.3, 0.6, 2.2), (0.15, 2.2, 0.95), 24, rfilter="box")
-    build = lit("rectangle", sensor=view, mirror=mirror, plate=PLATE)
+    build = lit("rectangle", sensor=view, mirror=FLOOR_MIRROR, plate=PLATE)
     moving = {"plate": ("plate.to_world", PUSH["plate"]), "lamp": ("lamp.to_world", PUSH["lamp"]),
               "floor": ("floor.to_world", PUSH["floor"]), "mirror": ("mirror.to_world", rigid(TWIST, (0, 2.2, 0.9))),
               "camera": ("sensor.to_world", rigid(TWIST, (0.3, 0.6, 2.2)))}
