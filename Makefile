@@ -26,8 +26,9 @@ docs: $(VENV)/.installed
 # Workers begin at either end of the list, and who is done takes from the other; compiled code is kept for all of them.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
+# `python -m tests.slowest` prints the durations.
 test: $(VENV)/.installed
-	$(PYTEST)
+	$(PYTEST) --keep-durations runs/test_durations.json
 
 # What takes longer: the rest of the long rows, and what is run from end to end.
 test-deep: $(VENV)/.installed

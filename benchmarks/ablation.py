@@ -14,7 +14,7 @@ from rich.progress import track
 
 from tests.derivatives.ablation import SCENES, WITHOUT, without
 from tests.derivatives.in_expectation import Effort, Estimate
-from tests.derivatives.moving_scenes import SCENES as MOVING
+from tests.scenes.moving import SCENES as MOVING
 from torch_radbp.check.statistics import Projection
 
 COLOURS = ("#1b7837", "#5aae61", "#c2a5cf", "#762a83")

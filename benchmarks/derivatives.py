@@ -26,9 +26,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from benchmarks.sheet import derivative_panels, write_sheet
 from tests.derivatives.in_expectation import Effort, Estimate
-from tests.derivatives.inner_jumps import INNER_JUMPS
-from tests.derivatives.moving_scenes import SCENES
-from tests.derivatives.shadow_scenes import SHADOWS
+from tests.scenes.inner_jumps import INNER_JUMPS
+from tests.scenes.moving import SCENES
+from tests.scenes.shadows import SHADOWS
 from torch_radbp.check.outcome import GradientCheck, uncertainty
 from torch_radbp.check.statistics import BRIGHTEST, FLOOR, quantile
 

@@ -18,8 +18,8 @@ from torch import Tensor
 
 import torch_radbp as rb
 from benchmarks.scenes.description import NO_ROULETTE
-from tests.derivatives.crossing_scenes import BALL, CEILING, CUP, FLOOR, POINT, SKY, SUN, Crossing, card, plate_through_cube
 from tests.scenes import rgb
+from tests.scenes.crossings import BALL, CEILING, CUP, FLOOR, POINT, SKY, SUN, Crossing, card, plate_through_cube
 
 SIZE, DEPTH = 16, 4  # pixels a side; segments of a path
 LARGE = 10  # times the median

@@ -11,7 +11,8 @@ import argparse
 import warnings
 
 import torch_radbp as rb
-from tests.derivatives.noise import derivatives, noise
+from tests.derivatives.noise import noise
+from tests.scenes.rough import derivatives
 
 
 def main() -> None:

@@ -27,12 +27,11 @@ from torch import Tensor
 
 import torch_radbp as rb
 from benchmarks.sheet import PANEL, derivative_panels, write_sheet
-from tests.boundary.test_rims import POSE, ball
-from tests.derivatives import inner_jumps, mirror_scenes, moving_scenes, shadow_scenes
 from tests.derivatives.in_expectation import Effort, Estimate
-from tests.derivatives.moving_scenes import TWIST, MovingScene, constant, rigid, scene
-from tests.derivatives.test_pictures import PROJECTOR, SMOOTH
-from tests.scenes import diffuse, sensor
+from tests.scenes import diffuse, inner_jumps, mirrors, moving, sensor, shadows
+from tests.scenes.meshes import POSE, ball
+from tests.scenes.moving import TWIST, MovingScene, constant, rigid, scene
+from tests.scenes.projected import PROJECTOR, SMOOTH
 from torch_radbp.formats.image import linear_to_srgb
 from torch_radbp.io.transform import rotate, scale, translate
 
@@ -57,18 +56,18 @@ def hybrid(build: Callable[[], rb.Scene], name: str, direction: Callable[[Tensor
 
 def jumps() -> dict[str, MovingScene]:
     """A moving scene of each kind."""
-    view, floor, plate = shadow_scenes.VIEWED, {"floor": shadow_scenes.FLOOR}, {"plate": shadow_scenes.PLATE}
-    push, lamps = shadow_scenes.PUSH, shadow_scenes.LAMPS
+    view, floor, plate = shadows.VIEWED, {"floor": shadows.FLOOR}, {"plate": shadows.PLATE}
+    push, lamps = shadows.PUSH, shadows.LAMPS
     smaller = inner_jumps.LEAF["opacity"] | {"to_uv": scale((2.5, 2.5, 1))}
     leaf = inner_jumps.CUT_OUT | {"bsdf": inner_jumps.LEAF | {"opacity": smaller}}
-    sky, near = moving_scenes.SKY, moving_scenes.camera()
-    wall = {"wall": shadow_scenes.WALL, "lamp": shadow_scenes.SPOT_ASIDE, "plate": shadow_scenes.PLATE | {
+    sky, near = moving.SKY, moving.camera()
+    wall = {"wall": shadows.WALL, "lamp": shadows.SPOT_ASIDE, "plate": shadows.PLATE | {
         "to_world": translate((0.1, 0.65, 0.6)) @ rotate((1, 0.3, 0.2), 65) @ scale((0.4, 0.3, 1))}}
     return {
-        "silhouette": hybrid(seen_by(near, solid=moving_scenes.SOLID, **sky), "solid.to_world", rigid(TWIST), 0.003),
+        "silhouette": hybrid(seen_by(near, solid=moving.SOLID, **sky), "solid.to_world", rigid(TWIST), 0.003),
         "rim of a smooth mesh": hybrid(seen_by(near, ball=ball(1) | {"to_world": POSE, "bsdf": diffuse(0.8, 0.6, 0.4)},
                                                **sky), "ball.to_world", rigid(TWIST), 0.003),
-        "crease": hybrid(seen_by(near, book=moving_scenes.BOOK, **moving_scenes.POINT), "sensor.to_world",
+        "crease": hybrid(seen_by(near, book=moving.BOOK, **moving.POINT), "sensor.to_world",
                          rigid(TWIST, (0.5, -0.4, 2.6)), 0.0005),
         "hard shadow": hybrid(seen_by(view, **floor, **plate, lamp=lamps["point"]), "lamp.position",
                               constant(0.4, 0.3, 0.5), 0.02),
@@ -80,10 +79,10 @@ def jumps() -> dict[str, MovingScene]:
                                     "leaf.to_world", inner_jumps.PUSH, 0.002),
         "surfaces that cross": hybrid(seen_by(inner_jumps.VIEWED, **inner_jumps.CROSSING, lamp=inner_jumps.POINT),
                                       "one.to_world", inner_jumps.PUSH, 0.005),
-        "edge in a mirror": hybrid(seen_by(mirror_scenes.IN_MIRROR, mirror=mirror_scenes.MIRROR, cube=mirror_scenes.CUBE,
-                                           sky=mirror_scenes.SKY), "cube.to_world", mirror_scenes.PUSH["cube"], 0.004, 4),
-        "edge through glass": hybrid(seen_by(mirror_scenes.VIEWED, lens=mirror_scenes.LENS, cube=mirror_scenes.CUBE,
-                                             sky=mirror_scenes.SKY), "cube.to_world", mirror_scenes.PUSH["cube"], 0.005, 5),
+        "edge in a mirror": hybrid(seen_by(mirrors.IN_MIRROR, mirror=mirrors.MIRROR, cube=mirrors.CUBE,
+                                           sky=mirrors.SKY), "cube.to_world", mirrors.PUSH["cube"], 0.004, 4),
+        "edge through glass": hybrid(seen_by(mirrors.VIEWED, lens=mirrors.LENS, cube=mirrors.CUBE,
+                                             sky=mirrors.SKY), "cube.to_world", mirrors.PUSH["cube"], 0.005, 5),
         "border of a projector": hybrid(seen_by(view, **floor, lamp=PROJECTOR | {"irradiance": SMOOTH}), "lamp.to_world",
                                         push["lamp"], 0.0015),
     }
@@ -95,9 +94,9 @@ def picture(image: Tensor) -> Image.Image:
     return Image.fromarray((255 * shown.clamp(0, 1) + 0.5).byte().numpy()).resize((PANEL, PANEL), Image.Resampling.NEAREST)
 
 
-def drawn(moving: MovingScene, effort: Effort, rounds: int) -> tuple[list[Image.Image], float, float]:
+def drawn(example: MovingScene, effort: Effort, rounds: int) -> tuple[list[Image.Image], float, float]:
     """Image, derivative and difference of a scene; how far the latter are apart; and the noise of that."""
-    estimate = Estimate(moving, effort)
+    estimate = Estimate(example, effort)
     for _ in range(rounds):
         estimate.add_round()
     found = estimate.checks()
@@ -106,7 +105,7 @@ def drawn(moving: MovingScene, effort: Effort, rounds: int) -> tuple[list[Image.
     size = result.comparison.difference.abs().sum()
     apart = (result.comparison.jvp - result.comparison.difference).abs().sum() / size
     noise = math.sqrt(2 / math.pi) * result.comparison.standard_error.sum() / size
-    image = rb.render(moving.build(), spp=effort.spp * effort.batches, seed=10**6, max_depth=moving.max_depth)
+    image = rb.render(example.build(), spp=effort.spp * effort.batches, seed=10**6, max_depth=example.max_depth)
     return [picture(image.detach()), derivative, difference], float(apart), float(noise)
 
 
@@ -120,12 +119,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=PICTURES, help="the folder of the pictures")
     options = parser.parse_args()
     warnings.simplefilter("ignore", rb.SilhouetteWarning)  # of edges that surfaces see in mirrors and glass, which are dim
-    chosen = {name: moving for name, moving in jumps().items() if any(part in name for part in options.only.split(","))}
+    chosen = {name: example for name, example in jumps().items() if any(part in name for part in options.only.split(","))}
     panels: dict[str, list[Image.Image]] = {}
     print("| jump | off by | noise | seconds |\n|---|---|---|---|")
-    for name, moving in chosen.items():
+    for name, example in chosen.items():
         start = time.perf_counter()
-        panels[name], apart, noise = drawn(moving, Effort(options.spp, options.batches, options.seed, backward=False),
+        panels[name], apart, noise = drawn(example, Effort(options.spp, options.batches, options.seed, backward=False),
                                            options.rounds)
         print(f"| {name} | {apart:.3f} | {noise:.3f} | {time.perf_counter() - start:.0f} |", flush=True)
     in_short = [name for name in IN_SHORT if name in panels]

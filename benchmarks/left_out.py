@@ -23,9 +23,9 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 import torch_radbp as rb
-from tests.boundary.test_rims import icosphere
-from tests.boundary.test_terminators import LAMPS
 from tests.scenes import diffuse, load, look_at, rgb
+from tests.scenes.distant_lamps import LAMPS
+from tests.scenes.meshes import icosphere
 from torch_radbp.io.transform import rotate, scale, translate
 
 SIZE, BLOCK = 16, 4  # pixels

@@ -1,7 +1,7 @@
 """Our images against Mitsuba 3.9.1's, scene by scene: ``python -m benchmarks.parity`` (needs mitsuba==3.9.1 and LLVM).
 
-Every row of `tests/peer/matrix.py` at two depths, rendered by both from the same file, by Mitsuba in `llvm_ad_rgb`. Each
-side renders independent batches, of which Welch's t gives a p-value for each pixel and channel; the level 0.05 is
+Every row of `tests/scenes/xml/matrix.py` at two depths, rendered by both from the same file, by Mitsuba in `llvm_ad_rgb`.
+Each side renders independent batches, of which Welch's t gives a p-value for each pixel and channel; the level 0.05 is
 Sidak-corrected for their number. A row of the table holds
 
     inside  pixels whose three channels pass; a scene passes with 99.75% of them
@@ -32,9 +32,9 @@ import torch_radbp as rb
 from benchmarks.peers import mitsuba_for
 from benchmarks.sheet import write_sheet
 from tests.peer.agreement import Comparison, Estimate, compare, estimate, p_values
-from tests.peer.matrix import cases
 from tests.peer.mitsuba_images import render
-from tests.peer.scene_files import Case, Folder
+from tests.scenes.xml.files import Case, Folder
+from tests.scenes.xml.matrix import cases
 from torch_radbp.formats.image import linear_to_srgb
 from torch_radbp.training.false_colour import signed_colour
 

@@ -32,7 +32,7 @@ import torch_radbp as rb
 from benchmarks.resident import give_back, peak_of, resident
 from benchmarks.scenes import ALL
 from benchmarks.scenes.description import BenchmarkScene, Setting, camera, cotangent, use
-from tests.boundary.test_rims import icosphere
+from tests.scenes.meshes import icosphere
 from torch_radbp.io.transform import rotate, scale, translate
 
 WARM_UP = 3
@@ -80,7 +80,6 @@ CASES = {
     "instances": Case(lambda folder, setting: things(setting),
                       tuple(f"thing_{row}{column}.to_world" for row in (-1, 0, 1) for column in (-1, 0, 1))),
 }
-
 
 Step = Callable[[int], tuple[torch.Tensor, ...]]
 

@@ -2,7 +2,7 @@
 
     python -m benchmarks.ptx [--architectures sm_80 sm_90] [--scenes NAME ...] [--samplings hybrid attached]
 
-The scenes are those of `tests/derivatives/everything.py`, which together have every material, shape, light and texture,
+The scenes are those of `tests/scenes/everything.py`, which together have every material, shape, light and texture,
 and a room with networks; everything in them is differentiated, forward and backward, by hybrid and attached sampling. A
 kernel that several of them share is listed once.
 """

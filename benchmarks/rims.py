@@ -23,8 +23,8 @@ from torch import Tensor
 from torch.func import functional_call
 
 import torch_radbp as rb
-from tests.boundary.test_rims import icosphere
-from tests.scenes import diffuse, load, look_at, rgb, texels
+from tests.scenes import diffuse, load, look_at, meshes, rgb, texels
+from tests.scenes.meshes import POSE, icosphere
 from torch_radbp.io.transform import rotate, scale, translate
 
 SIZE = 32  # pixels
@@ -32,7 +32,6 @@ STEP = 0.1  # pixels, that what moves is moved to either side
 SPP = 64  # of an image
 FEWEST = 8  # batches
 ENOUGH = 0.02  # beyond noise
-POSE = translate((0.1, 0.05, 0)) @ rotate((1, 2, 3), 40) @ scale((0.6, 0.6, 0.6))
 SKY = {"type": "constant", "radiance": rgb(1, 1, 1)}
 SURROUNDINGS = {"type": "envmap", "bitmap": texels(8, 16)}
 GLOW = {"emitter": {"type": "area", "radiance": rgb(3, 2, 1)}}
@@ -82,10 +81,8 @@ def mesh(vertices: Tensor, faces: Tensor, smooth: bool = True, **attributes: Any
 
 def bumpy(subdivisions: int, **attributes: Any) -> dict[str, Any]:
     """A bumpy ball of 20 * 4^subdivisions triangles."""
-    vertices, faces = icosphere(subdivisions)
-    x, y, z = vertices.unbind(1)
-    bumps = 1 + 0.1 * torch.sin(5 * x) * torch.sin(4 * y + 1) * torch.sin(3 * z + 0.5)
-    return mesh(placed(vertices * bumps[:, None]), faces, **attributes)
+    shape = meshes.ball(subdivisions)
+    return mesh(placed(shape["vertex_positions"]), shape["faces"], **attributes)
 
 
 def rabbit(**attributes: Any) -> dict[str, Any]:

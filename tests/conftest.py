@@ -1,11 +1,13 @@
-"""What tests of every part use: fixtures, the option `--deep`, and what is said at the end of a run."""
+"""What tests of every part use: fixtures, the options of this suite, and what is said at the end of a run."""
 
 import gc
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 import torch
 
+from tests.slowest import Durations
 from torch_radbp.jit.stages import CompiledStages
 
 pytest_plugins = ["pytester"]
@@ -52,6 +54,13 @@ def fresh_stages(monkeypatch):
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--deep", action="store_true", help="run the deep tests, and no others")
+    parser.addoption("--keep-durations", type=Path, metavar="FILE", help="write the seconds of every test into a JSON file")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    file = config.getoption("--keep-durations")
+    if file and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(Durations(file))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

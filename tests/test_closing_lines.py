@@ -1,8 +1,11 @@
-"""What the end of a test run says of tests that were left out, and how tests run with several threads."""
+"""What the end of a run says of tests that were left out, how tests run with several threads, and how long they take."""
 
+import json
 from pathlib import Path
 
 import pytest
+
+from tests.slowest import table
 
 CONFTEST = Path(__file__).with_name("conftest.py").read_text().replace('pytest_plugins = ["pytester"]', "")
 INI = """[pytest]
@@ -67,3 +70,27 @@ def test_tests_that_use_threads_run_with_one_thread_and_with_two(run):
         def test_after(): assert NUMBERS[1:] == [1, 2] and torch.get_num_threads() == NUMBERS[0]
     """)
     result.assert_outcomes(passed=4)
+
+
+@pytest.mark.parametrize("workers", ["0", "2"])
+def test_durations_of_all_tests_are_kept_the_longest_first(run, pytester, workers):
+    pytest.importorskip("xdist")
+    run("""
+        import time, pytest
+        def test_short(): pass
+        @pytest.mark.parametrize("name", "ab")
+        def test_long(name): time.sleep(0.05)
+        def test_skipped(): pytest.skip("not now")
+    """, "-n", workers, "--keep-durations", "kept/durations.json")
+    seconds = json.loads((pytester.path / "kept" / "durations.json").read_text())
+    file = next(iter(seconds)).partition("::")[0]
+    assert {name.partition("::")[2] for name in list(seconds)[:2]} == {"test_long[a]", "test_long[b]"}
+    assert set(list(seconds)[2:]) == {f"{file}::test_short", f"{file}::test_skipped"}
+    assert 0.1 <= sum(seconds.values()) < 5
+
+
+def test_the_slowest_tests_and_files_are_printed():
+    printed = table({"a.py::test_one": 1.0, "b.py::test_two[x]": 2.0, "a.py::test_three": 1.5, "b.py::test_four": 0.0}, 2)
+    assert printed.splitlines() == [
+        "4 s in 4 tests of 2 files", "", "    2.00 s  44.4 %  b.py::test_two[x]", "    1.50 s  33.3 %  a.py::test_three", "",
+        "    2.50 s  55.6 %  a.py", "    2.00 s  44.4 %  b.py"]

@@ -1,4 +1,4 @@
-"""The order of the package: imports go one way, and what is public is documented."""
+"""The order of the package and of its tests: imports go one way, and what is public is documented."""
 
 import ast
 import importlib.util
@@ -14,6 +14,7 @@ import torch_radbp as rb
 
 PACKAGE = Path(rb.__file__).parent
 TRAINING = PACKAGE.parent / "training"
+TESTS = Path(__file__).parent
 
 # Data flows down this list; a part may import from the layers above its own, and nothing beside itself.
 LAYERS = [
@@ -55,6 +56,11 @@ def imports(path: Path) -> list[Import]:
         found += [Import(str(path), node.lineno, part_of(path), name.split(".")[1] if "." in name else "__init__")
                   for name in names if name.split(".")[0] == "torch_radbp"]
     return found
+
+
+def named(node: ast.Import | ast.ImportFrom) -> list[str]:
+    """The modules and names that an import names, with dots between."""
+    return [f"{getattr(node, 'module', None) or ''}.{alias.name}" for alias in node.names]
 
 
 def running(tree: ast.AST) -> Iterator[ast.AST]:
@@ -118,6 +124,16 @@ def test_what_is_imported_exists():
 def test_only_training_imports_the_package_as_a_whole():
     wrong = [i for i in IMPORTS if i.imported in ("__init__", "public") and i.importer not in ("__init__", "training")]
     assert not wrong, say(wrong)
+
+
+def test_nothing_is_imported_from_a_test():
+    """What two tests need, or a benchmark, stands in a module of its own; scenes in `tests/scenes`."""
+    files = [path for name in ("tests", "benchmarks", "docs") for path in (TESTS.parent / name).rglob("*.py")]
+    found = [(path, node) for path in files for node in ast.walk(ast.parse(path.read_text()))
+             if isinstance(node, ast.Import | ast.ImportFrom)]
+    wrong = [f"{path}:{node.lineno}" for path, node in found
+             if any(part.startswith("test_") for name in named(node) for part in name.split("."))]
+    assert len(found) > 1000 and not wrong, wrong
 
 
 def modules() -> list[str]:

@@ -10,7 +10,7 @@ of a pass. A scene takes as long as `--minutes` says: what slow machines have no
 and the standard error of each ratio with it, that of the variances.
 
 ``--cost`` gives instead the time of all boundary terms over that of the interior, forward and backward, and ``--variance``
-the variance of what the term "shadow" adds to derivative images, for the scenes of `tests.derivatives.shadow_scenes`.
+the variance of what the term "shadow" adds to derivative images, for the scenes of `tests.scenes.shadows`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from benchmarks.boundary import cost, error, variance
 from benchmarks.boundary.projected import DEFAULT, OURS
 from benchmarks.boundary.scenes import SCENES
 from benchmarks.scenes.description import Setting
-from tests.derivatives.shadow_scenes import SHADOWS
+from tests.scenes.shadows import SHADOWS
 
 REFERENCES = ["| scene | gradients | difference | by chance | largest z |", "|---|---|---|---|---|"]
 RENDERERS = ["", "| scene | renderer | passes | ms | variance | squared bias | error x time | ours over it |",

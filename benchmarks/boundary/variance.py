@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.moving_scenes import MovingScene
-from tests.derivatives.shadow_scenes import SHADOWS
+from tests.scenes.moving import MovingScene
+from tests.scenes.shadows import SHADOWS
 
 SPP, SEEDS = 512, 6
 

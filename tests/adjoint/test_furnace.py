@@ -8,21 +8,12 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.adjoint.furnace import DEPTH, EMISSION, closed_form
 from tests.gradients import EXACT, REPLAY, assert_informative, image_and_gradients, relative_error, z_score
 from tests.scenes import furnace, parameters
 
-DEPTH = 9
 NAMES = ("walls.bsdf.reflectance.value", "walls.emitter.radiance.value")
-EMISSION = (1.0, 0.5, 0.25)
 REFLECTANCES = {"bright": (0.3, 0.6, 0.9), "black_in_one_channel": (0.3, 0.0, 0.9)}
-
-
-def closed_form(reflectance, emission=EMISSION, depth=DEPTH):
-    """L and its derivatives with respect to rho and Le, (3,) float64."""
-    rho, Le = torch.tensor(reflectance, dtype=torch.float64), torch.tensor(emission, dtype=torch.float64)
-    powers = torch.stack([rho**k for k in range(depth)])
-    slopes = torch.stack([k * rho ** max(k - 1, 0) for k in range(depth)])
-    return Le * powers.sum(0), Le * slopes.sum(0), powers.sum(0)
 
 
 def check(reflectance, dtype, adjoint, tolerance):

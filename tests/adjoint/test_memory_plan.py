@@ -10,8 +10,8 @@ import torch
 import torch_radbp as rb
 from tests.allocated import allocated
 from tests.deep import deep_but
-from tests.derivatives.endless import envmap, smooth_noise
 from tests.scenes import cornell, load, rectangle, sensor
+from tests.scenes.endless import envmap, smooth_noise
 from torch_radbp.io.transform import rotate, scale, translate
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")

@@ -10,10 +10,10 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.adjoint.test_furnace import closed_form
-from tests.derivatives.everything import build_everything
+from tests.adjoint.furnace import closed_form
 from tests.gradients import image_and_gradients, relative_error, z_score
 from tests.scenes import CASES, cornell, furnace, parameters
+from tests.scenes.everything import build_everything
 from torch_radbp.adjoint import function, images
 from torch_radbp.adjoint.record import record_wavefront, trace_both
 from torch_radbp.rendering import cost

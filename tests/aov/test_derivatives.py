@@ -6,9 +6,9 @@ from torch.autograd import forward_ad
 from torch.func import functional_call
 
 import torch_radbp as rb
-from tests.aov.scenes import NETWORK_FREE, landscape
 from tests.gradients import unwarned_renderer, z_score
 from tests.scenes import load, rectangle, sensor, texels
+from tests.scenes.aovs import NETWORK_FREE, landscape
 from torch_radbp.rendering.jvp import with_tangents
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")

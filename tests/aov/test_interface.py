@@ -6,8 +6,8 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.aov.scenes import NETWORK_FREE, landscape, two_walls
 from tests.scenes import diffuse, load, rectangle, sensor, texels
+from tests.scenes.aovs import NETWORK_FREE, landscape, two_walls
 from torch_radbp.aov import QUANTITIES, channel_names
 from torch_radbp.integrator.aov import QUANTITIES as LISTED
 

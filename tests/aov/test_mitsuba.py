@@ -5,8 +5,8 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.aov.scenes import hills
 from tests.scenes import diffuse, load, rectangle, sensor, texels
+from tests.scenes.aovs import hills
 
 SPP, SEEDS = 64, 6
 SMOOTH = {"type": "plastic", "diffuse_reflectance": {"type": "rgb", "value": [0.1, 0.5, 0.3]}}

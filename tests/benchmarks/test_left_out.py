@@ -6,7 +6,7 @@ import torch
 import torch_radbp as rb
 from benchmarks import left_out
 from benchmarks.left_out import Case, lack
-from tests.scenes import load, rgb
+from tests.scenes import GLOW, load
 
 
 def moving_sheet() -> Case:
@@ -14,7 +14,7 @@ def moving_sheet() -> Case:
     view = {"type": "orthographic", "film": left_out.FILM, "near_clip": 0.1}
     corners = torch.tensor([[-0.3, -2.0, 1.0], [2.0, -2.0, 1.0], [2.0, 2.0, 1.0], [-0.3, 2.0, 1.0]])
     sheet = {"type": "mesh", "vertex_positions": corners, "faces": torch.tensor([[0, 2, 1], [0, 3, 2]]),
-             "emitter": {"type": "area", "radiance": rgb(1, 1, 1)}}
+             "emitter": GLOW}
     right = torch.tensor([1.0, 0.0, 0.0])
     return Case(lambda: load(torch.float32, sensor=view, sheet=sheet), "sheet.vertex_positions",
                 lambda home, way: home + way * right, lambda at: right.expand_as(at).contiguous(), 0.1, 1, 64)

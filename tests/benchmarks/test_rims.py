@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks import rims
-from tests.boundary.test_rims import icosphere
+from tests.scenes.meshes import icosphere
 
 
 @pytest.mark.parametrize("doubled", [False, True])

@@ -7,14 +7,13 @@ import math
 import pytest
 import torch
 
-from tests.boundary.test_primary import along, assert_close, derivative
-from tests.scenes import diffuse, load, look_at, rectangle, rgb
+from tests.boundary.closed_forms import along, assert_close, derivative
+from tests.scenes import diffuse, load, look_at, overhead, rectangle, rgb
 from torch_radbp.io.transform import scale
 
 LIGHT = torch.tensor([3.0, 2.0, 1.0], dtype=torch.float64)
 PIXELS = 2
-VIEW = {"type": "orthographic", "to_world": look_at((0, 0, 1.5), (0, 0, 0), (0, 1, 0)) @ scale((0.01, 0.01, 1)),
-        "film": {"type": "hdrfilm", "width": PIXELS, "height": PIXELS, "rfilter": {"type": "box"}}}
+VIEW = overhead(PIXELS, 1.5, 0.01)
 
 
 def flux_at_the_origin(height: float) -> torch.Tensor:

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from tests.boundary.test_primary import DARK, GLOW, JUMP, SIZE, along, assert_close, derivative, parallel
+from tests.boundary.closed_forms import DARK, GLOW, JUMP, SIZE, along, assert_close, derivative, parallel
 from tests.scenes import load, rectangle, sensor
 
 HALF = math.tan(math.radians(20))

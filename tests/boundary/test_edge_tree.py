@@ -4,40 +4,29 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.boundary.random_places import eyes_around, of_each
 from tests.scenes import diffuse, load, sensor
+from tests.scenes.meshes import wavy
+from tests.scenes.shadows import CUBE, FLOOR
 from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Geometry, in_world
 from torch_radbp.boundary.shadows import hidden_light
 from torch_radbp.boundary.shadows.edge_tree import angle_of_node, rounded
 from torch_radbp.boundary.shadows.edges_tried import FEWEST, edges_tried, eyes_for_each
-from torch_radbp.boundary.shadows.eyes import Eyes, Lobe
+from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.seen_edges import Casting, angle_seen, edge_found, extent_of, places_seen
 from torch_radbp.boundary.shadows.ways_down import ways_down
-from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.jit.stages import compiled
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.tensors.stage import EAGER
-from torch_radbp.tensors.vec import Vec3, dot, normalize, rows
+from torch_radbp.tensors.vec import Vec3, dot, rows
 
-FLOOR = {"type": "rectangle", "to_world": rotate((0.2, 1, 0.1), 4) @ scale((6, 6, 1)), "bsdf": diffuse(0.5, 0.5, 0.5)}
-CUBE = {"type": "cube", "to_world": translate((0.1, 0.1, 0.5)) @ rotate((1, 0.7, 0.4), 35) @ scale((0.25, 0.2, 0.15)),
-        "bsdf": diffuse(0.5, 0.6, 0.4)}
+GREY_FLOOR = FLOOR | {"bsdf": diffuse(0.5, 0.5, 0.5)}
 TURNED = {"type": "mesh", "bsdf": diffuse(0.5, 0.6, 0.4),
           "faces": torch.tensor([[0, 1, 2], [1, 2, 3], [2, 3, 4], [0, 1, 4]]),
           "vertex_positions": torch.tensor([[0.0, 0, 0], [1, 0, 0.2], [0, 1, 0.1], [1, 1, 0.5], [0.3, 1.6, 0.2]]) - 0.5}
 
-
-def wavy(size: int = 9) -> dict:
-    """A grid of triangles with waves."""
-    u, v = (part.flatten() for part in torch.meshgrid(*(torch.linspace(-1, 1, size),) * 2, indexing="ij"))
-    corner = torch.arange(size * (size - 1)).reshape(size - 1, size)[:, :-1].flatten()
-    faces = torch.cat([torch.stack([corner, corner + 1, corner + size], 1),
-                       torch.stack([corner + 1, corner + size + 1, corner + size], 1)])
-    return {"type": "mesh", "bsdf": diffuse(0.5, 0.6, 0.4), "faces": faces,
-            "vertex_positions": torch.stack([u, v, 0.4 * torch.sin(3 * u) * torch.cos(2 * v)], 1)}
-
-
-BODIES = {"floor and cube": {"floor": FLOOR, "cube": CUBE}, "waves": {"waves": wavy(), "floor": FLOOR},
+BODIES = {"floor and cube": {"floor": GREY_FLOOR, "cube": CUBE}, "waves": {"waves": wavy(), "floor": GREY_FLOOR},
           "turned triangles": {"mesh": TURNED, "cube": CUBE}}
 
 
@@ -55,25 +44,6 @@ def casting(request, monkeypatch) -> tuple[Geometry, Casting]:
     pose = torch.eye(4, dtype=dtype)[None, 0].expand(4, 4) * 0.1
     rb.jvp(scene, {"sensor.to_world": pose}, spp=4, max_depth=2)
     return found[0]
-
-
-def eyes_around(count: int = 200) -> Eyes:
-    """Points in and around the scene, on surfaces, on such that are lit from behind or not, and on none; and directions.
-
-    Each has a wide lobe, and some a narrow one.
-    """
-    numbers = torch.randn(count, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    place, n = (Vec3.of(part) for part in numbers.split(3, 1))
-    kind = torch.arange(count) % 4
-    n = normalize(n).map(lambda c: torch.where(kind == 0, 0.0, c))
-    narrow = 100.0 * (numbers[:, 0] > 0).double()
-    lobes = Lobe(normalize(-place), torch.ones_like(narrow)), Lobe(normalize(n - place), narrow)
-    return Eyes(place, (kind != 3).double(), n, (kind == 1).double(), 0.1 * (kind == 2).double(), lobes)
-
-
-def of_each(eyes: Eyes, count: int) -> Eyes:
-    """Each eye so many times in a row."""
-    return rows(eyes, torch.arange(len(eyes.w)).repeat_interleave(count))
 
 
 def angles(geometry: Geometry, casting: Casting, eyes: Eyes) -> torch.Tensor:

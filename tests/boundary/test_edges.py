@@ -7,8 +7,8 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.boundary.test_rims import icosphere
 from tests.scenes import diffuse, load, rectangle, rgb, sensor
+from tests.scenes.meshes import icosphere
 from torch_radbp.boundary import SilhouetteWarning, edges, warning
 from torch_radbp.boundary.edges import Edges, edges_of, spread
 from torch_radbp.io.transform import scale, translate

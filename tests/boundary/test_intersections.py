@@ -5,30 +5,15 @@ from __future__ import annotations
 import pytest
 import torch
 
-from tests.boundary.test_primary import DARK, GLOW, JUMP, SIZE, along, assert_close, derivative, parallel
+from tests.boundary.closed_forms import DARK, GLOW, JUMP, SIZE, along, assert_close, derivative, parallel
+from tests.boundary.random_places import triangles
 from tests.scenes import diffuse, load, rectangle, rgb
 from torch_radbp.boundary import intersections as module
-from torch_radbp.boundary.faces import Faces
-from torch_radbp.boundary.geometry import Geometry, NormalsOnly
 from torch_radbp.boundary.intersections import Bodies, Pairs, intersections, segments_between
 from torch_radbp.io.transform import rotate, scale, translate
-from torch_radbp.scene.tensors import TriangleTable, VertexTable
 from torch_radbp.tensors.stage import EAGER
-from torch_radbp.tensors.vec import Vec3
 
 DIM = {"emitter": {"type": "area", "radiance": rgb(0.25, 0.25, 0.25)}}
-
-
-def triangles(count: int, bodies: int) -> tuple[Geometry, Faces, torch.Tensor]:
-    """So many random triangles, and how many those of each body are."""
-    p = torch.rand(count, 1, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(count)) + 0.3 * torch.randn(
-        count, 3, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    corners = tuple(3 * torch.arange(count, dtype=torch.int32) + k for k in range(3))
-    nothing = dict.fromkeys(TriangleTable._fields[2:9])
-    table = TriangleTable(vertices=VertexTable(Vec3.of(p.flatten(0, 1)), None, None, ()), corners=corners, attributes=(),
-                          **nothing)
-    sizes = torch.full((bodies,), count // bodies)
-    return Geometry(table, NormalsOnly(False)), Faces(torch.arange(count, dtype=torch.int32), None, None), sizes
 
 
 @pytest.mark.parametrize("most", [module.MOST, 64], ids=["at once", "in parts"])

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from tests.boundary.test_primary import DARK, GLOW, JUMP, SIZE, along, assert_close, derivative, parallel
+from tests.boundary.closed_forms import DARK, GLOW, JUMP, SIZE, along, assert_close, derivative, parallel
 from tests.scenes import load
 from torch_radbp.boundary.edges import edges_of
 

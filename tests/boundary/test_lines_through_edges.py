@@ -6,8 +6,8 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.boundary.test_edge_tree import wavy
 from tests.scenes import diffuse, load, rectangle, sensor
+from tests.scenes.meshes import wavy
 from torch_radbp.boundary.geometry import Between, geometry_of, positions
 from torch_radbp.boundary.shadows import hidden_light
 from torch_radbp.boundary.shadows.eyes import Eyes

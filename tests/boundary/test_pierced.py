@@ -8,9 +8,11 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from tests.boundary.test_intersections import triangles
-from tests.boundary.test_primary import DARK, JUMP, SIZE, assert_close, derivative, parallel, unwarned_renderer
+from tests.boundary.closed_forms import DARK, JUMP, SIZE, assert_close, derivative, parallel
+from tests.boundary.random_places import triangles
+from tests.gradients import unwarned_renderer
 from tests.scenes import load
+from tests.scenes.meshes import crossing_sheets
 from torch_radbp.boundary import pierced as module
 from torch_radbp.boundary.edges import edges_of
 from torch_radbp.boundary.faces import Faces
@@ -18,32 +20,10 @@ from torch_radbp.boundary.geometry import Geometry
 from torch_radbp.boundary.intersections import Pairs, segments_between
 from torch_radbp.boundary.pierced import BodyEdges, Probes, probes, self_intersections
 from torch_radbp.boundary.segments import Segments
-from torch_radbp.io.transform import rotate
 from torch_radbp.raycast.brute import Brute
 from torch_radbp.tensors.stage import EAGER
 
-RADIANCE = {"type": "bitmap", "raw": True, "filter_type": "nearest", "bitmap": torch.tensor([[[3, 2, 1], [0.25] * 3]])}
 CELL = 2.0 / SIZE
-
-
-def grid(size: int, u: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """A level sheet from -3 to 3 of so many squares a side: vertices, triangles, surface coordinates that are all alike."""
-    side = torch.linspace(-3, 3, size + 1, dtype=torch.float64)
-    x, y = torch.meshgrid(side, side, indexing="xy")
-    first = (torch.arange(size)[:, None] * (size + 1) + torch.arange(size)).flatten()
-    right, up = first + 1, first + size + 1
-    faces = torch.cat([torch.stack([first, right, up + 1], 1), torch.stack([first, up + 1, up], 1)])
-    return torch.stack([x, y, torch.zeros_like(x)], -1).view(-1, 3), faces, torch.tensor([[u, 0.5]]).repeat(len(x) ** 2, 1)
-
-
-def crossing_sheets(size: int) -> tuple[dict, torch.Tensor]:
-    """A mesh of a level sheet and a steep one, 45 degrees, higher on the right; and which vertices are those of that."""
-    (level, faces, left), (steep, others, right) = grid(size, 0.25), grid(size, 0.75)
-    turn = torch.as_tensor(rotate((0, 1, 0), -45))[:3, :3].double()
-    places = torch.cat([level + torch.tensor([0.0137, 0.0071, 0.05]), steep @ turn.T])
-    mesh = {"type": "mesh", "vertex_positions": places, "faces": torch.cat([faces, others + len(level)]),
-            "vertex_texcoords": torch.cat([left, right]).double(), "emitter": {"type": "area", "radiance": RADIANCE}}
-    return mesh, torch.arange(len(places)) >= len(level)
 
 
 def meeting(geometry: Geometry, faces: Faces) -> set[tuple[int, int]]:

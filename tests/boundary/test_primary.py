@@ -9,6 +9,7 @@ import torch
 from torch.func import functional_call
 
 import torch_radbp as rb
+from tests.boundary.closed_forms import DARK, GLOW, JUMP, SIZE, along, assert_close, derivative, parallel
 from tests.gradients import cotangent, relative_error, unwarned_renderer
 from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor
 from torch_radbp.boundary import Outlines, outline, primary
@@ -20,39 +21,6 @@ from torch_radbp.film.filter import Filter
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.scene.pack import pack
 from torch_radbp.shape.surface import grid
-
-SIZE = 16
-DARK = {"type": "constant", "radiance": rgb(0.25, 0.25, 0.25)}
-GLOW = {"emitter": {"type": "area", "radiance": rgb(3, 2, 1)}}
-JUMP = torch.tensor([2.75, 1.75, 0.75], dtype=torch.float64)  # of radiance between the two
-
-
-def parallel(size: int = SIZE, rfilter: str = "box") -> dict:
-    """A view of x and y from -1 to 1, x to the right, from z = 3; pixels are 2 / size wide."""
-    return {"type": "orthographic", "to_world": look_at((0, 0, 3), (0, 0, 0), (0, 1, 0)),
-            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": rfilter}}}
-
-
-def derivative(scene: rb.Scene, name: str, direction: torch.Tensor, weights: torch.Tensor | None = None, spp: int = 1024,
-               **settings) -> torch.Tensor:
-    """(3,) of the sums of the weighted channels of the image, depth 1, when a parameter moves in a direction."""
-    parameter = scene.get_parameter(name).requires_grad_()
-    image = unwarned_renderer(scene, spp=spp, **{"max_depth": 1, **settings})(seed=1)[0]
-    sums = (image if weights is None else image * weights).sum((1, 2))
-    return torch.stack([(torch.autograd.grad(channel, parameter, retain_graph=True)[0] * direction).sum()
-                        for channel in sums])
-
-
-def along(axis: int) -> torch.Tensor:
-    """The direction in which a pose moves along an axis of the world."""
-    direction = torch.zeros(4, 4, dtype=torch.float64)
-    direction[axis, 3] = 1.0
-    return direction
-
-
-def assert_close(found: torch.Tensor, expected: torch.Tensor, share: float = 0.01) -> None:
-    assert torch.isfinite(expected).all() and expected.abs().min() > 0
-    assert relative_error(found, expected) < share, (found, expected)
 
 
 @pytest.mark.parametrize("rfilter", ["box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos"])
@@ -360,7 +328,6 @@ def test_the_loss_of_a_pose_falls_by_its_gradient(dtype):
         ((image - target) ** 2).mean().backward()
         optimizer.step()
     assert offset[:2].norm() < 0.01, offset
-
 
 
 @pytest.mark.parametrize("adjoint", [rb.MemoizedAdjoint(), rb.TapeAdjoint()], ids=repr)

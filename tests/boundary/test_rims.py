@@ -9,43 +9,15 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from tests.boundary.test_primary import GLOW, SIZE, along, assert_close, derivative, parallel
+from tests.boundary.closed_forms import GLOW, SIZE, along, assert_close, derivative, parallel
 from tests.deep import deep, deep_but
 from tests.gradients import cotangent, relative_error, unwarned_renderer
 from tests.scenes import diffuse, load, rectangle, rgb, sensor
+from tests.scenes.meshes import POSE, ball, icosphere
 from torch_radbp.io.transform import rotate, scale, translate
 
 RADIANCE = torch.tensor([3, 2, 1], dtype=torch.float64)
 PIXEL = 2 / SIZE  # of `parallel`
-POSE = translate((0.1, 0.05, 0)) @ rotate((1, 2, 3), 40) @ scale((0.6, 0.6, 0.6))
-
-
-def icosphere(subdivisions: int) -> tuple[Tensor, Tensor]:
-    """Vertices (V, 3) on the unit sphere and faces (20 * 4^subdivisions, 3)."""
-    golden = (1 + 5**0.5) / 2
-    corners = [np.roll((0, a, b * golden), turn) for turn in range(3) for a in (-1, 1) for b in (-1, 1)]
-    vertices = np.array(corners) / np.hypot(1, golden)
-    near = np.linalg.norm(vertices[:, None] - vertices[None], axis=2) < 1.1
-    faces = np.array([(i, j, k) for i in range(12) for j in range(i) for k in range(j)
-                      if near[i, j] and near[j, k] and near[i, k]])
-    inwards = np.linalg.det(vertices[faces]) < 0
-    faces[inwards] = faces[inwards][:, ::-1]
-    for _ in range(subdivisions):
-        sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1)
-        unique, number = np.unique(sides, axis=0, return_inverse=True)
-        middle = vertices[unique].sum(1)
-        (a, b, c), (i, j, k) = (number.reshape(3, -1) + len(vertices)), faces.T
-        vertices = np.concatenate([vertices, middle / np.linalg.norm(middle, axis=1, keepdims=True)])
-        faces = np.concatenate([np.stack(face, 1) for face in ((i, a, c), (a, j, b), (c, b, k), (a, b, c))])
-    return torch.from_numpy(vertices), torch.from_numpy(faces)
-
-
-def ball(subdivisions: int = 1, bumps: float = 0.1) -> dict:
-    """A bumpy ball with smooth normals that follow its vertices."""
-    vertices, faces = icosphere(subdivisions)
-    x, y, z = vertices.unbind(1)
-    radius = 1 + bumps * torch.sin(5 * x) * torch.sin(4 * y + 1) * torch.sin(3 * z + 0.5)
-    return {"type": "mesh", "vertex_positions": vertices * radius[:, None], "faces": faces, "recompute_normals": True}
 
 
 def total_of(scene: rb.Scene) -> Tensor:

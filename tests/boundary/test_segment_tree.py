@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from tests.boundary.test_edge_tree import eyes_around, of_each
-from tests.boundary.test_intersections import triangles
+from tests.boundary.random_places import eyes_around, of_each, triangles
 from torch_radbp.boundary.intersections import Bodies, intersections
 from torch_radbp.boundary.shadows.seen_edges import angle_of, extent_of
 from torch_radbp.boundary.shadows.segment_tree import ends_of, segment_found, segment_tree

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.shadow_scenes import SHADOWS
+from tests.scenes.shadows import SHADOWS
 from torch_radbp.boundary.places import NEIGHBOURS
 from torch_radbp.boundary.shadows import hidden_light, split
 from torch_radbp.boundary.shadows.seen_edges import evenly_seen

@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 
-from tests.boundary.test_pierced import crossing_sheets
-from tests.boundary.test_primary import DARK, parallel, unwarned_renderer
+from tests.boundary.closed_forms import DARK, parallel
+from tests.gradients import unwarned_renderer
 from tests.scenes import diffuse, load
+from tests.scenes.meshes import crossing_sheets
 from torch_radbp.boundary import passing, single_bodies
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.io.transform import scale, translate

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.mirror_scenes import CUBE, IN_MIRROR, METAL, MIRROR, SKY
 from tests.scenes import load
+from tests.scenes.mirrors import CUBE, IN_MIRROR, METAL, MIRROR, SKY
 from torch_radbp.boundary import terms
 from torch_radbp.boundary.reflections.surfaces import Surfaces, connected, surfaces_of
 from torch_radbp.io.transform import scale

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.scenes import diffuse, load, rectangle, sensor
+from tests.scenes import load, rectangle, sensor
+from tests.scenes.crossings import GREY
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.shadows import bounced
 from torch_radbp.boundary.shadows.seen_edges import Passed, corners_of, crossed_at, onto_surfaces, point_of_edge
@@ -14,7 +15,6 @@ from torch_radbp.boundary.shadows.spread_borders import planes_met, spread_borde
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.tensors.vec import Ray, Vec3, angle_between, cross, dot, interpolated, normalize, rows, unit_normal
 
-GREY = {"bsdf": {"type": "twosided", "one": diffuse(0.5, 0.5, 0.5)}}
 STEP = 1e-6
 LAMPS = {"point": {"type": "point", "position": [0.2, -0.9, 1.3]},
          "directional": {"type": "directional", "direction": [-0.2, 0.7, -0.9]}}

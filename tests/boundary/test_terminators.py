@@ -5,23 +5,16 @@ Seen so that no silhouette is in view, these edges are all that jumps in the ima
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 import torch
 
 import torch_radbp as rb
-from tests.boundary.test_rims import icosphere
-from tests.scenes import diffuse, load, look_at, rgb
-from torch_radbp.io.transform import rotate, scale
+from tests.scenes import diffuse, load, look_at
+from tests.scenes.distant_lamps import LAMPS
+from tests.scenes.meshes import icosphere
+from torch_radbp.io.transform import rotate
 
 SIZE, STEP, SPP = 16, 0.01, 64
-LAMPS: dict[str, dict[str, Any]] = {
-    "directional": {"type": "directional", "to_world": look_at((3, 2, 1), (0, 0, 0), (0, 1, 0)), "irradiance": rgb(2, 2, 2)},
-    "point": {"type": "point", "position": [30.0, 20.0, 10.0], "intensity": rgb(2000, 2000, 2000)},
-    "surface": {"type": "rectangle", "to_world": look_at((30, 20, 10), (0, 0, 0), (0, 1, 0)) @ scale((0.3, 0.3, 1)),
-                "emitter": {"type": "area", "radiance": rgb(7000, 7000, 7000)}},
-}
 SENSORS = {"perspective": {}, "thinlens": {"aperture_radius": 0.05, "focus_distance": 3.0}}
 
 

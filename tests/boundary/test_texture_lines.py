@@ -7,9 +7,9 @@ import math
 import pytest
 import torch
 
-from tests.boundary.test_primary import DARK, SIZE, along, assert_close, derivative, parallel
-from tests.derivatives.inner_jumps import CHECKERBOARD, POINT, VIEWED, nearest, patterned
+from tests.boundary.closed_forms import DARK, SIZE, along, assert_close, derivative, parallel
 from tests.scenes import load, rectangle, rgb
+from tests.scenes.inner_jumps import CHECKERBOARD, POINT, VIEWED, nearest, patterned
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.texture_lines import segments_along
 from torch_radbp.io.transform import scale

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.shadow_scenes import SHADOWS
+from tests.scenes.shadows import SHADOWS
 from torch_radbp.boundary.shadows import hidden_light
 from torch_radbp.boundary.shadows.thinning import chances, thinned
 

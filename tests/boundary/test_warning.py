@@ -9,8 +9,8 @@ from torch.autograd import forward_ad
 from torch.func import functional_call
 
 import torch_radbp as rb
-from tests.boundary.test_rims import icosphere
 from tests.scenes import cornell, diffuse, load, look_at, rectangle, rgb, sensor, texels
+from tests.scenes.meshes import icosphere
 from torch_radbp.boundary import SilhouetteWarning
 from torch_radbp.boundary.edges import edges_of
 from torch_radbp.io.transform import rotate, scale, translate

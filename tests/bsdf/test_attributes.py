@@ -6,9 +6,10 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.bsdf.lanes import MATERIALS, as_dict, directions, material, values_of
+from tests.bsdf.lanes import directions, material, values_of
 from tests.io.documents import scene_dict
 from tests.scenes import load, rectangle, rgb, sensor
+from tests.scenes.materials import MATERIALS, as_dict
 from torch_radbp.bsdf.blendbsdf import BlendBSDF
 from torch_radbp.bsdf.conductor import Conductor
 from torch_radbp.bsdf.dielectric import Dielectric

@@ -5,9 +5,9 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from tests.bsdf.lanes import MATERIALS
-from tests.derivatives.parts import camera, plane, sky
 from tests.scenes import load
+from tests.scenes.materials import MATERIALS
+from tests.scenes.parts import camera, plane, sky
 
 WEIGHT = 0.3
 BATCHES, SPP = 40, 400

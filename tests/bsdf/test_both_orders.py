@@ -17,18 +17,14 @@ from typing import NamedTuple
 import pytest
 import torch
 
-from tests.bsdf.lanes import KINDS, MATERIALS, ROUGH, choices, material, numbers, values_of
+from tests.bsdf.lanes import KINDS, ROUGH, choices, light, material, numbers, values_of
 from tests.deep import deep_but_every
+from tests.scenes.materials import MATERIALS
 from torch_radbp.bsdf.kind import Kind, LobeChoice, Values
 from torch_radbp.tensors.vec import Vec3, where
 
 COUNT = 60_000
 STEP = 1e-4
-
-
-def light(wo: Vec3) -> torch.Tensor:
-    """Smooth radiance from all sides, without symmetry."""
-    return torch.exp(0.8 * wo.x - 0.5 * wo.y + 0.6 * wo.z) + 0.3 * torch.sin(3 * wo.x + 2 * wo.y * wo.z)
 
 
 def slots(name: str, what: str) -> list[int]:

@@ -7,8 +7,9 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.bsdf.lanes import MATERIALS, directions, material, values_of
+from tests.bsdf.lanes import directions, material, values_of
 from tests.scenes import load, rectangle, rgb, sensor
+from tests.scenes.materials import MATERIALS
 from torch_radbp.bsdf.bumpmap import BumpMapKind
 from torch_radbp.scene.barycentric_gradients import barycentric_gradients
 from torch_radbp.tensors.vec import ShadingFrame, Vec2, Vec3, cross, dot, normalize

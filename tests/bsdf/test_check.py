@@ -2,7 +2,8 @@
 
 import pytest
 
-from tests.bsdf.lanes import KINDS, MATERIALS, material
+from tests.bsdf.lanes import KINDS, material
+from tests.scenes.materials import MATERIALS
 from torch_radbp.check import check_bsdf
 from torch_radbp.check.balance import claims
 from torch_radbp.plugin import BSDF, REGISTRY, register
@@ -25,7 +26,7 @@ def types_in(description) -> set[str]:
 def check_has_row(plugin: str) -> None:
     assert plugin in types_in(list(MATERIALS.values())), (
         f"the bsdf {plugin!r} has no row: add one, of numbers and colours none of which is special, to MATERIALS in "
-        f"tests/bsdf/lanes.py; the tests of this folder then examine it")
+        f"tests/scenes/materials.py; the tests of this folder then examine it")
 
 
 @pytest.mark.parametrize("plugin", PLUGINS)
@@ -36,7 +37,7 @@ def test_every_bsdf_has_a_row(plugin):
 def test_a_new_bsdf_without_a_row_is_named():
     register("bsdf", "glitter")(type("Glitter", (BSDF,), {}))
     try:
-        with pytest.raises(AssertionError, match="the bsdf 'glitter' has no row: .* to MATERIALS in tests/bsdf/lanes.py"):
+        with pytest.raises(AssertionError, match="the bsdf 'glitter' has no row: .* in tests/scenes/materials.py"):
             check_has_row("glitter")
     finally:
         del REGISTRY["bsdf"]["glitter"]

@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from tests.bsdf.lanes import MATERIALS
-from tests.derivatives.parts import camera, lamp, plane, sky
 from tests.gradients import unwarned_renderer
 from tests.scenes import diffuse, load, rectangle, rgb, sensor, texels
+from tests.scenes.materials import MATERIALS
+from tests.scenes.parts import camera, lamp, plane, sky
 from torch_radbp.bsdf.diffuse import Diffuse
 from torch_radbp.bsdf.mask import Mask
 from torch_radbp.texture.bitmap import Bitmap

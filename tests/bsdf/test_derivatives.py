@@ -3,19 +3,8 @@
 import pytest
 import torch
 
-from tests.bsdf.lanes import (
-    DELTA,
-    KINDS,
-    MATERIALS,
-    ROUGH,
-    SMOOTH,
-    direction,
-    directions,
-    material,
-    numbers,
-    sampled,
-    values_of,
-)
+from tests.bsdf.lanes import DELTA, KINDS, ROUGH, SMOOTH, direction, directions, material, numbers, sampled, values_of
+from tests.scenes.materials import MATERIALS
 from torch_radbp.tensors.vec import Vec3
 
 COUNT = 24

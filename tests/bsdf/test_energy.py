@@ -3,19 +3,8 @@
 import pytest
 import torch
 
-from tests.bsdf.lanes import (
-    IDEAL,
-    KINDS,
-    MATERIALS,
-    SIMPLE,
-    SMOOTH,
-    direction,
-    directions,
-    material,
-    numbers,
-    sampled,
-    values_of,
-)
+from tests.bsdf.lanes import IDEAL, KINDS, SIMPLE, SMOOTH, direction, directions, material, numbers, sampled, values_of
+from tests.scenes.materials import MATERIALS
 from torch_radbp.bsdf.principled_lobes import PrincipledKind
 from torch_radbp.bsdf.principledthin import PrincipledThinKind
 from torch_radbp.tensors.vec import Vec3, where

@@ -7,21 +7,10 @@ import pytest
 import torch
 
 from tests.bsdf import reference
-from tests.bsdf.lanes import (
-    DELTA,
-    GLASS,
-    IDEAL,
-    KINDS,
-    MATERIALS,
-    SMOOTH,
-    as_dict,
-    directions,
-    material,
-    numbers,
-    sampled,
-    values_of,
-)
-from tests.plugin.test_plugin_table import beyond_mitsuba
+from tests.bsdf.lanes import DELTA, GLASS, IDEAL, KINDS, SMOOTH, directions, material, numbers, sampled, values_of
+from tests.bsdf.reference import ROUGH_COAT
+from tests.plugin.plugin_table import beyond_mitsuba
+from tests.scenes.materials import MATERIALS, as_dict
 from torch_radbp.bsdf.ior import CONDUCTORS, DIELECTRICS
 from torch_radbp.tensors.vec import Vec3
 
@@ -30,8 +19,6 @@ COUNT = 1500
 KNOWN = [name for name, description in MATERIALS.items() if description["type"] not in {"bumpmap", *beyond_mitsuba()}]
 # Mitsuba computes in single precision; near the mirror direction a sharp lobe magnifies its rounding.
 EVAL = 1e-3
-# Their quadrature of what a rough coat lets through is right to 5e-4 for GGX, and enters twice.
-ROUGH_COAT = 2e-3
 # For Beckmann the density here is that of the samples, exactly; Mitsuba's has Walter's rational function, right to 0.35%.
 DENSITY = {"beckmann": 3.6e-3, "ggx": 1e-3}
 

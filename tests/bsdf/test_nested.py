@@ -6,9 +6,9 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.bsdf.lanes import MATERIALS, Numbers, direction, directions, material, numbers, sampled, values_of
-from tests.bsdf.test_both_orders import light
+from tests.bsdf.lanes import Numbers, direction, directions, light, material, numbers, sampled, values_of
 from tests.scenes import load, rectangle, rgb, sensor
+from tests.scenes.materials import MATERIALS
 from torch_radbp.check.finite import Lanes
 from torch_radbp.tensors.vec import Vec3, where
 

@@ -9,7 +9,6 @@ import torch
 from tests.bsdf.lanes import (
     GLASS,
     KINDS,
-    MATERIALS,
     MIXED,
     ROUGH,
     SMOOTH,
@@ -21,6 +20,7 @@ from tests.bsdf.lanes import (
     sampled,
     values_of,
 )
+from tests.scenes.materials import MATERIALS
 from torch_radbp.check.chi_square import SIGNIFICANCE, p_value
 from torch_radbp.check.lanes import unit_length_error
 from torch_radbp.check.scattering import VIEWERS, Subject, fit, viewed

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.quiet_scenes import quiet
 from tests.scenes import diffuse, load, rectangle, rgb, sensor
+from tests.scenes.quiet import quiet
 from torch_radbp.check import GradientCheck
 from torch_radbp.check import gradient as check_module
 from torch_radbp.rendering.jvp import DualImage

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.emitter.lights import EMITTERS
+from tests.scenes.lights import EMITTERS
 from torch_radbp.emitter.area import Area, AreaKind
 from torch_radbp.emitter.constant import Constant, ConstantKind
 from torch_radbp.plugin import REGISTRY, register
@@ -28,7 +28,7 @@ def test_every_light_agrees(name):
 def test_every_emitter_of_the_package_is_among_them():
     own = {name for name, plugin in REGISTRY["emitter"].items() if plugin.__module__.startswith("torch_radbp.")}
     missing = own - {light["type"] for light in LIGHTS.values()}
-    assert not missing, f"the emitters {missing} have no row: add some to EMITTERS in tests/emitter/lights.py"
+    assert not missing, f"the emitters {missing} have no row: add some to EMITTERS in tests/scenes/lights.py"
 
 
 class Glow(ConstantKind):

@@ -6,7 +6,7 @@ from torch import nn
 from torch.nn.utils import parametrize
 
 import torch_radbp as rb
-from tests.boundary.test_primary import parallel
+from tests.boundary.closed_forms import parallel
 from tests.scenes import CASES, cornell, diffuse, load, rectangle, rgb, sensor, textured_lamp
 from torch_radbp.check import gradient as check_module
 from torch_radbp.check.gradient import checked_direction, checked_step, informative_cotangents

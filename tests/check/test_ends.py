@@ -6,8 +6,8 @@ import torch
 import torch_radbp as rb
 from tests.check.ends import ENDS, SEEDS, check, is_wrong
 from tests.deep import deep_but
-from tests.derivatives.quiet_scenes import quiet
 from tests.scenes import diffuse, load, rectangle, rgb, sensor
+from tests.scenes.quiet import quiet
 from torch_radbp.check import gradient as check_module
 from torch_radbp.check.stencil import ROUNDING
 

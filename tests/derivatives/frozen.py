@@ -17,6 +17,7 @@ from importlib import import_module
 import torch
 from torch import Tensor
 from torch.func import functional_call
+from torch.overrides import TorchFunctionMode
 
 import torch_radbp as rb
 from torch_radbp.adjoint.attached import trace_attached
@@ -28,33 +29,40 @@ from torch_radbp.tensors.differentiated import detached, settled
 from torch_radbp.tensors.record import leaves_of, with_leaves
 
 RENDER = import_module("torch_radbp.rendering.renderer")
-DETACH = Tensor.detach
 
 
-class Decisions:
+class Decisions(TorchFunctionMode):
     """While active, `Tensor.detach` and the ray caster answer as they did the first time that it was active, in order.
 
-    The method is exchanged meanwhile: a `TorchFunctionMode` would be asked about every other operation as well, which takes
-    as long as they do. What belongs to a choice is told by `torch_radbp.tensors.differentiated.settled`, which detaches it.
+    What belongs to a choice is told by `torch_radbp.tensors.differentiated.settled`, which detaches it.
 
     Args:
         choices: only what `settled` detaches, and the tables of lights; else everything.
     """
 
     def __init__(self, choices: bool = False):
+        super().__init__()
         self.choices, self.answers, self.next = choices, [], None
         self.recording, self.asking = False, False
 
-    def __enter__(self) -> None:
+    def __enter__(self) -> Decisions:
         self.recording = self.next is None
         self.next = 0
-        Tensor.detach = lambda value: self.detached(value, sys._getframe(1).f_code)
         RENDER.proposal_of = self.proposal
+        return super().__enter__()
 
     def __exit__(self, *error) -> None:
-        Tensor.detach, RENDER.proposal_of = DETACH, proposal_of
+        super().__exit__(*error)
+        RENDER.proposal_of = proposal_of
         if error[0] is None:
             assert self.next == len(self.answers), "a rendering took other decisions than the first one"
+
+    def __torch_function__(self, function, types, arguments=(), keywords=None):
+        """What torch asks a mode about every operation: all but `detach` do what they always do."""
+        if function is not Tensor.detach:
+            return function(*arguments, **(keywords or {}))
+        held = not self.asking and (not self.choices or sys._getframe(1).f_code is settled.__code__)
+        return self.held(*arguments) if held else function(*arguments)
 
     def answer(self, ask: Callable):
         """What was answered the first time."""
@@ -65,13 +73,9 @@ class Decisions:
         self.next += 1
         return self.answers[self.next - 1]
 
-    def detached(self, value: Tensor, by) -> Tensor:
-        """What `Tensor.detach` returns while this is active; `by` is the code that calls it."""
-        return DETACH(value) if self.asking or (self.choices and by is not settled.__code__) else self.held(value)
-
     def held(self, value: Tensor) -> Tensor:
         """The value that it had the first time, detached."""
-        held = self.answer(lambda: DETACH(value).clone())
+        held = self.answer(lambda: value.detach().clone())
         assert held.shape == value.shape and held.dtype == value.dtype
         return held.view_as(held)
 

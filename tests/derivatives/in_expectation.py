@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from tests.derivatives.moving_scenes import MovingScene
+from tests.scenes.moving import MovingScene
 from torch_radbp.check.gradient import Measurement, informative_cotangents
 from torch_radbp.check.outcome import GradientCheck, Question, judge, uncertainty
 from torch_radbp.check.statistics import Cotangent, Samples, compare

@@ -7,7 +7,7 @@ import pytest
 
 from tests.derivatives.ablation import WITHOUT, without
 from tests.derivatives.in_expectation import Effort, Estimate
-from tests.derivatives.moving_scenes import SCENES
+from tests.scenes.moving import SCENES
 
 EFFORT = {"nothing": Effort(spp=256, batches=8)}  # so much that a bias of 5% would be noticed
 ROUGH_EFFORT = Effort(spp=64, batches=8)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 import torch_radbp as rb
 from tests.deep import deep_but
-from tests.derivatives.contact_scenes import BODIES, LAMPS, MOTIONS, SIZE, SUBJECT, Arrangement
+from tests.scenes.contacts import BODIES, LAMPS, MOTIONS, SIZE, SUBJECT, Arrangement
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
 

@@ -8,7 +8,7 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep_but
-from tests.derivatives.crossing_scenes import CROSSING, SIZE, Crossing
+from tests.scenes.crossings import CROSSING, SIZE, Crossing
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 

@@ -9,8 +9,8 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but
-from tests.derivatives.cut_out_scenes import CUT_OUTS, LAMP, PUSHED, TEXELS, masked, seen, sheet, sheet_with_holes
 from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
+from tests.scenes.cut_outs import CUT_OUTS, LAMP, PUSHED, TEXELS, masked, seen, sheet, sheet_with_holes
 from torch_radbp.boundary.shadows import seen_through
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")

@@ -10,11 +10,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.derivatives.pairs import registered
-from tests.derivatives.quiet_scenes import Example, examples
-from tests.derivatives.scenes import build
 from tests.gradients import unwarned_renderer
 from tests.scenes import diffuse, load, rectangle, rgb, sensor
+from tests.scenes.every_plugin import build
+from tests.scenes.pairs import registered
+from tests.scenes.quiet import Example, examples
 from torch_radbp.check.stencil import domains_of
 from torch_radbp.plugin.domain import LARGEST_COORDINATE
 

@@ -3,10 +3,10 @@
 import pytest
 import torch
 
-from tests.derivatives.moving_scenes import SCENES as MOVING_SCENES
-from tests.derivatives.pairs import CATEGORIES, Pair, examined, nested, own_parameters, pairs_of, registered
-from tests.derivatives.quiet_scenes import is_still
-from tests.derivatives.scenes import SCENES, build
+from tests.scenes.every_plugin import SCENES, build
+from tests.scenes.moving import SCENES as MOVING_SCENES
+from tests.scenes.pairs import CATEGORIES, Pair, examined, nested, own_parameters, pairs_of, registered
+from tests.scenes.quiet import is_still
 from torch_radbp.plugin import REGISTRY, Plugin, Texture, register
 
 PAIRS = sorted(registered())
@@ -19,7 +19,7 @@ def found():
 
 @pytest.mark.parametrize("pair", PAIRS, ids=str)
 def test_a_scene_examines(pair, found):
-    assert pair in found, f"no scene of tests/derivatives/scenes.py has {pair} in its subject: add one"
+    assert pair in found, f"no scene of tests/scenes/every_plugin.py has {pair} in its subject: add one"
 
 
 @pytest.mark.parametrize("category, kind", [(c, k) for c in CATEGORIES for k in REGISTRY[c] if (c, k) != ("bsdf", "null")])

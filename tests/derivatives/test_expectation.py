@@ -7,8 +7,8 @@ import torch
 import torch_radbp as rb
 from tests.deep import deep_but
 from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
-from tests.derivatives.moving_scenes import FLOOR, SCENES, TURN, rigid, scene
 from tests.scenes import sensor
+from tests.scenes.moving import FLOOR, SCENES, TURN, rigid, scene
 from torch_radbp.io.transform import rotate
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")

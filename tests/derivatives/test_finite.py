@@ -7,8 +7,8 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but_every
-from tests.derivatives.extremes import CASES
-from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor
+from tests.scenes import GLOW, diffuse, load, look_at, rectangle, rgb, sensor
+from tests.scenes.extremes import CASES
 from torch_radbp.bsdf.roughconductor import RoughConductorKind
 from torch_radbp.jit.tape import RECORDINGS
 from torch_radbp.plugin import REGISTRY
@@ -58,7 +58,7 @@ def test_normals_and_areas_of_very_small_triangles_are_right():
     small = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]) * 1e-8
     scene = load(torch.float32, camera=sensor(2), lamp={
         "type": "mesh", "vertex_positions": small, "faces": torch.tensor([[0, 1, 2]]),
-        "emitter": {"type": "area", "radiance": rgb(1, 1, 1)}})
+        "emitter": GLOW})
     surfaces, = pack(scene).lights.tables
     torch.testing.assert_close(surfaces.n.stack(), torch.tensor([[0.0, 0, 1]]))
     torch.testing.assert_close(surfaces.inverse_area, torch.tensor([2e16]))

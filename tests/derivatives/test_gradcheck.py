@@ -17,7 +17,7 @@ from torch.autograd.gradcheck import GradcheckError
 
 from tests.deep import deep_but_every
 from tests.derivatives.frozen import Rendering
-from tests.derivatives.scenes import SCENES, build, subjects
+from tests.scenes.every_plugin import SCENES, build, subjects
 from torch_radbp.scene.pack import pack
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")

@@ -6,7 +6,7 @@ import pytest
 
 from tests.deep import deep_but
 from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
-from tests.derivatives.inner_jumps import INNER_JUMPS
+from tests.scenes.inner_jumps import INNER_JUMPS
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 

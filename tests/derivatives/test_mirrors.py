@@ -10,8 +10,8 @@ import torch
 import torch_radbp as rb
 from tests.deep import deep_but
 from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
-from tests.derivatives.mirror_scenes import CUBE, IN_MIRROR, METAL, MIRROR, MIRRORED, SKY, shaded
-from tests.scenes import diffuse, load, look_at, rgb
+from tests.scenes import diffuse, load, overhead, rgb
+from tests.scenes.mirrors import CUBE, IN_MIRROR, METAL, MIRROR, MIRRORED, SKY, shaded
 from torch_radbp.boundary import terms
 from torch_radbp.io.transform import rotate, scale, translate
 
@@ -56,8 +56,7 @@ RADIANCE, EDGE = 3.0, 0.35
 def half_plane(low: float = EDGE - 18, high: float = EDGE) -> rb.Scene:
     """A mirror at 45 degrees, x + z = 0, seen from above without perspective, from -1 to 1: x is seen at the height -x of
     what is bright, from `low` to `high`."""
-    view = {"type": "orthographic", "to_world": look_at((0, 0, 4), (0, 0, 0), (0, 1, 0)),
-            "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}}
+    view = overhead()
     mirror = {"type": "rectangle", "to_world": rotate((0, 1, 0), 45) @ scale((9, 9, 1)), "bsdf": {"type": "conductor"}}
     place = translate((15, 0, 0.5 * (low + high))) @ rotate((0, 1, 0), -90) @ scale((0.5 * (high - low), 9, 1))
     bright = {"type": "rectangle", "to_world": place, "emitter": {

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.scenes import diffuse, load, look_at, rgb
+from tests.scenes import diffuse, load, rgb, sensor
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.scene.nearby import Floor, Nearby, slide_at
 from torch_radbp.tensors.vec import Vec3, dot
@@ -26,8 +26,7 @@ POINT = {"type": "point", "position": [1.5, 0.3, 1.2], "intensity": rgb(3, 4, 5)
 
 def corner(bottom: float, lamp: dict[str, Any] = SKY, **objects: Any) -> rb.Scene:
     """A wall along x = 0 whose lower edge is at this height, and a floor, from above."""
-    view = {"type": "perspective", "fov": 20, "to_world": look_at((0.6, -0.4, 3), (0.25, 0.1, 0), (0, 1, 0)),
-            "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}}}
+    view = sensor(SIZE, (0.6, -0.4, 3), (0.25, 0.1, 0), 20)
     square = torch.tensor([[0.0, -2, bottom], [0, 2, bottom], [0, 2, 1], [0, -2, 1]])
     wall = {"type": "mesh", "vertex_positions": square, "faces": torch.tensor([[0, 1, 2], [0, 2, 3]]),
             "bsdf": {"type": "twosided", "one": diffuse(0.9, 0.7, 0.8)}}
@@ -93,8 +92,7 @@ def quadrilateral(smooth: bool, *corners: tuple[float, float, float]) -> dict[st
 def test_at_the_end_of_an_edge_that_touches_a_wall_light_is_that_of_differences(smooth):
     """A floor's edge lies in a wall and ends with it, and both slide along: at the foot both are as bright, but right
     beside the end light changes within less than a thousandth of the floor."""
-    view = {"type": "perspective", "fov": 0.08, "to_world": look_at((0, 0, 4), (-0.9995, 0.994, 0), (0, 1, 0)),
-            "film": {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}}
+    view = sensor(4, (0, 0, 4), (-0.9995, 0.994, 0), 0.08)
     scene = load(torch.float32, sensor=view, sky=SKY,
                  floor=quadrilateral(smooth, (-1.0, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)),
                  wall=quadrilateral(smooth, (-1.0, -1, -0.5), (-1, 1, -0.5), (-1, 1, 1.5), (-1, -1, 1.5)))

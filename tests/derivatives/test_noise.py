@@ -2,7 +2,8 @@
 
 import pytest
 
-from tests.derivatives.noise import derivatives, noise
+from tests.derivatives.noise import noise
+from tests.scenes.rough import derivatives
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 ROUGHNESS = 0.08

@@ -2,47 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 import torch
 
 import torch_radbp as rb
 from tests.deep import deep_but
 from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
-from tests.derivatives.inner_jumps import noise
-from tests.derivatives.moving_scenes import MovingScene
-from tests.derivatives.shadow_scenes import ABOVE, FINE, LAMPS, PLATE, PUSH, lit, moved
-from tests.scenes import diffuse, load, look_at, rgb
+from tests.scenes import diffuse, load, look_at, overhead
+from tests.scenes.projected import PICTURES, PROJECTOR, TEXELS
 from torch_radbp.boundary.shadows import pictures
-from torch_radbp.io.transform import rotate, scale
+from torch_radbp.io.transform import scale
 from torch_radbp.plugin.jump_lines import JumpLines
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 
 BATCHES = 8
-PROJECTOR = {"type": "projector", "to_world": look_at(ABOVE, (0.1, 0.05, 0), (0.1, 1, 0)), "fov": 35, "scale": 6.0}
-TEXELS, SMOOTH = ({"type": "bitmap", "bitmap": 0.3 + noise(3, 4), "raw": True, "wrap_mode": "clamp", "filter_type": kind}
-                  for kind in ("nearest", "bilinear"))
-SQUARES = {"type": "checkerboard", "color0": rgb(0.2, 0.4, 0.9), "color1": rgb(0.8, 0.3, 0.1),
-           "to_uv": rotate((0, 0, 1), 20) @ scale((2.3, 1.7, 1))}
 
-
-def of_everything(label: str, lamp: dict[str, Any], **objects: Any) -> dict[str, MovingScene]:
-    """The lamp, the floor and the camera move in turn."""
-    build = lit(lamp, **objects)
-    return {f"{name}, {label}": moved(build, f"{name}.to_world", PUSH[part])._replace(step=FINE) for name, part in (
-        ("lamp", "lamp"), ("floor", "floor"), ("sensor", "camera"))}
-
-
-PICTURES = {
-    **of_everything("texels", PROJECTOR | {"irradiance": TEXELS}),
-    **of_everything("smooth", PROJECTOR | {"irradiance": SMOOTH}),
-    **of_everything("squares of a spot", LAMPS["spot"] | {"texture": SQUARES}),
-    "lamp, texels, two projectors": moved(lit(PROJECTOR | {"irradiance": TEXELS}, plate=PLATE, other=PROJECTOR | {
-        "to_world": look_at((-1.0, 0.3, 1.8), (0.1, 0.05, 0), (0.1, 1, 0)), "irradiance": SMOOTH}), "lamp.to_world",
-        PUSH["lamp"])._replace(step=FINE),
-}
 # The bias that a batch of so many samples shows.
 SHOWN = {(0.1, 256): ("lamp, texels", "sensor, texels", "lamp, smooth", "sensor, smooth"),
          (0.4, 512): tuple(name for name in PICTURES if name.split(",")[0] == "floor" or "spot" in name or "two" in name)}
@@ -71,8 +46,7 @@ def test_lines_are_cut_off_at_the_borders_of_the_picture():
 
 def test_a_picture_that_moves_over_a_plane_takes_its_light_with_it():
     """Seen from straight above: the first moment of the image grows by its sum. Without the borders it would shrink."""
-    view = {"type": "orthographic", "to_world": look_at((0, 0, 4), (0, 0, 0), (0, 1, 0)) @ scale((1.5, 1.5, 1)),
-            "film": {"type": "hdrfilm", "width": 48, "height": 48, "rfilter": {"type": "box"}}}
+    view = overhead(48, half=1.5)
     floor = {"type": "rectangle", "to_world": scale((9, 9, 1)), "bsdf": diffuse(0.6, 0.6, 0.6)}
     lamp = PROJECTOR | {"to_world": look_at((0.1, 0.05, 2), (0.1, 0.05, 0), (0.3, 1, 0)), "irradiance": TEXELS}
     scene = load(torch.float64, sensor=view, floor=floor, lamp=lamp)

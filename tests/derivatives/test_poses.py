@@ -7,8 +7,8 @@ from torch.func import functional_call
 from torch.nn.utils import parametrize
 
 import torch_radbp as rb
-from tests.derivatives.scenes import build
 from tests.gradients import cotangent, image_and_gradients, relative_error
+from tests.scenes.every_plugin import build
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 SETTINGS = {"spp": 2, "max_depth": 3, "compile": False}  # each scene is like no other

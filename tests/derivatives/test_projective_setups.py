@@ -12,7 +12,7 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep_but
-from tests.derivatives.projective_setups import SET_UPS, Errors, SetUp, difference
+from tests.scenes.projective_setups import SET_UPS, Errors, SetUp, difference
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 

@@ -10,8 +10,8 @@ import torch
 import torch_radbp as rb
 from tests.deep import deep_but
 from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
-from tests.derivatives.shadow_scenes import FLOOR, LAMPS, PLATE, SHADOWS, VIEWED
-from tests.scenes import diffuse, load, look_at, rgb
+from tests.scenes import diffuse, load, overhead, rgb
+from tests.scenes.shadows import FLOOR, LAMPS, PLATE, SHADOWS, VIEWED
 from torch_radbp.boundary import terms
 from torch_radbp.io.transform import scale, translate
 
@@ -80,8 +80,7 @@ ALBEDO, INTENSITY = 0.6, 5.0
 
 def half_plane(**lamp) -> rb.Scene:
     """A floor seen from above without perspective, from -1 to 1; a plate hides the lamp from where x < 0 on the plate."""
-    view = {"type": "orthographic", "to_world": look_at((0, 0, 4), (0, 0, 0), (0, 1, 0)),
-            "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}}
+    view = overhead()
     floor = {"type": "rectangle", "to_world": scale((9, 9, 1)), "bsdf": diffuse(ALBEDO, ALBEDO, ALBEDO)}
     # Out of the camera's sight: one cannot look through it from above.
     plate = {"type": "rectangle", "to_world": translate((-9 - 2.0, 0, HEIGHT)) @ scale((9, 9, 1)), "bsdf": diffuse(0.5)}

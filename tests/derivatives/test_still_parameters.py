@@ -9,11 +9,11 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.everything import objects
 from tests.derivatives.in_expectation import Effort, Estimate
-from tests.derivatives.pairs import registered
-from tests.derivatives.quiet_scenes import MORE, examples, is_still, still_scene
 from tests.scenes import load
+from tests.scenes.everything import objects
+from tests.scenes.pairs import registered
+from tests.scenes.quiet import MORE, examples, is_still, still_scene
 
 SENSORS = 8  # independent batches
 SPP = 64  # of each
@@ -31,7 +31,7 @@ SOME = [pytest.param(example, id=name, marks=[pytest.mark.deep] * (place % 8 > 0
 @pytest.mark.parametrize("example", SOME)
 def test_derivatives_are_those_of_finite_differences(example):
     """And if they were wrong by twice the stated bias, that would be noticed."""
-    assert example, "no scene of tests/derivatives/scenes.py has this parameter in its subject: add one"
+    assert example, "no scene of tests/scenes/every_plugin.py has this parameter in its subject: add one"
     spp, bias = (NOISY_SPP, NOISY_BIAS) if example.scene in NOISY else (SPP, BIAS)
     # Eager, as the scenes have little in common.
     measured = Estimate(still_scene(example, SENSORS), Effort(spp, SENSORS, compile=False, backward=False))

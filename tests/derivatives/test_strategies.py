@@ -10,11 +10,11 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but
-from tests.derivatives.everything import EVERYTHING, build_everything
-from tests.derivatives.pairs import examined, registered
-from tests.derivatives.parts import camera
-from tests.derivatives.scenes import SCENES, build, subjects
 from tests.gradients import cotangent, image_and_gradients, relative_error
+from tests.scenes.every_plugin import SCENES, build, subjects
+from tests.scenes.everything import EVERYTHING, build_everything
+from tests.scenes.pairs import examined, registered
+from tests.scenes.parts import camera
 
 ORACLE, TRANSPOSED = 1e-10, 1e-12
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")

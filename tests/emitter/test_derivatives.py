@@ -13,20 +13,10 @@ from torch.func import functional_call
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but
-from tests.emitter.lights import (
-    EMITTERS,
-    FLOOR,
-    SQUARE,
-    cast,
-    detached,
-    light_numbers,
-    on_the_floor,
-    scene_of,
-    slide,
-    uniform,
-)
+from tests.emitter.lanes import cast, detached, light_numbers, on_the_floor, uniform
 from tests.gradients import assert_informative, image_and_gradients, relative_error
 from tests.scenes import load, look_at, rgb, sensor
+from tests.scenes.lights import EMITTERS, FLOOR, SQUARE, scene_of, slide
 from torch_radbp.scene.interaction import surface_interaction
 from torch_radbp.scene.light import emitted, emitted_pdf, sample_light
 from torch_radbp.scene.pack import pack

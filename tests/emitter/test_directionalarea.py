@@ -5,9 +5,9 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.emitter.lights import FLOOR, cast, detached, light_numbers, scene_of, slide, turned, uniform
-from tests.emitter.test_illumination import at
+from tests.emitter.lanes import at, cast, detached, light_numbers, uniform
 from tests.scenes import load, rectangle, rgb, sensor
+from tests.scenes.lights import FLOOR, scene_of, slide, turned
 from torch_radbp.emitter.area import AreaKind
 from torch_radbp.io.transform import scale, translate
 from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_light

@@ -10,8 +10,9 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.emitter.lights import FLOOR, detached, scene_of, sky_image, turned, uniform
+from tests.emitter.lanes import detached, uniform
 from tests.scenes import load, sensor, texels
+from tests.scenes.lights import FLOOR, scene_of, sky_image, turned
 from torch_radbp.check.chi_square import SIGNIFICANCE, p_value
 from torch_radbp.emitter.envmap import EnvmapKind, EnvmapTable, density, sample_direction
 from torch_radbp.emitter.latitude_longitude import latitude_longitude

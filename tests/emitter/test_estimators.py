@@ -8,19 +8,9 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.emitter.lights import (
-    EMITTERS,
-    FINDABLE,
-    FLOOR,
-    cast,
-    detached,
-    light_numbers,
-    mean_and_error,
-    on_the_floor,
-    scene_of,
-    uniform,
-)
+from tests.emitter.lanes import cast, detached, light_numbers, mean_and_error, on_the_floor, uniform
 from tests.scenes import load, sensor
+from tests.scenes.lights import EMITTERS, FINDABLE, FLOOR, scene_of
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
 from torch_radbp.scene.interaction import surface_interaction

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.emitter.lights import EMITTERS, FLOOR, sky_image
 from tests.gradients import cotangent
 from tests.scenes import load, look_at, sensor
+from tests.scenes.lights import EMITTERS, FLOOR, sky_image
 from torch_radbp.emitter.envmap import EnvmapKind, density
 from torch_radbp.emitter.latitude_longitude import latitude_longitude
 from torch_radbp.raycast.protocol import Hit

@@ -6,21 +6,16 @@ import numpy as np
 import pytest
 import torch
 
-from tests.emitter.lights import FLOOR, detached, light_numbers, scene_of, slide
+from tests.emitter.lanes import at, detached, light_numbers
 from tests.scenes import load, look_at, rgb, sensor
+from tests.scenes.lights import FLOOR, scene_of, slide
 from torch_radbp.emitter.directional import facing
 from torch_radbp.emitter.spot import SpotKind
 from torch_radbp.scene.light import LightSample, sample_light
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.tensors.vec import Vec3
 
 ORIGIN = (0.3, 1.0, -0.2)
 POSE = look_at(ORIGIN, (0.5, -0.4, 0.3), (0.2, 1, 0))
-
-
-def at(points) -> Vec3:
-    """Reference points, float64."""
-    return Vec3.of(torch.as_tensor(points, dtype=torch.float64))
 
 
 def lit(points, **emitter) -> LightSample:

@@ -6,9 +6,10 @@ import torch
 from scipy.stats import chi2
 
 import torch_radbp as rb
-from tests.emitter.lights import EMITTERS, FLOOR, light_numbers, mean_and_error, on_the_floor, turned
+from tests.emitter.lanes import light_numbers, mean_and_error, on_the_floor
 from tests.gradients import relative_error
 from tests.scenes import diffuse, load, rectangle, rgb, sensor
+from tests.scenes.lights import EMITTERS, FLOOR, turned
 from torch_radbp.io.transform import scale, translate
 from torch_radbp.scene.light import sample_light, vantage
 from torch_radbp.scene.light_choice import MANY, LightPick, chance_of_emitter, drawn_element

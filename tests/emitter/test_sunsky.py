@@ -7,8 +7,9 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.emitter.lights import detached, scene_of
+from tests.emitter.lanes import detached
 from tests.scenes import load, rectangle, rgb, sensor
+from tests.scenes.lights import scene_of
 from torch_radbp.emitter.sun_position import DAY, sun_position
 from torch_radbp.emitter.sunsky import Sunsky
 from torch_radbp.io.transform import rotate, scale

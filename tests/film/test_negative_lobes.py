@@ -6,8 +6,9 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.film.straight_edge import SIZE, columns_at_an_edge
 from tests.gradients import assert_informative, image_and_gradients, relative_error
-from tests.scenes import CASES, cornell, load, rectangle, rgb, sensor
+from tests.scenes import CASES, cornell, sensor
 from torch_radbp.film.catmullrom import CatmullRom
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.film.lanczos import Lanczos
@@ -39,20 +40,15 @@ def test_the_default_of_lanczos_at_some_places_by_hand():
 @pytest.mark.parametrize("name", ["mitchell", "catmullrom", "lanczos"])
 def test_a_constant_is_constant_and_an_edge_rings(name):
     """Across a straight edge a pixel's value is the integral of the filter up to the edge: beyond 0 and 1, too."""
-    size, tangent = 16, math.tan(math.radians(20))
-    film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": name}, "sample_border": True}
-    lamp = rectangle((-10, 0, 0), (10.0, 20.0, 1.0), emitter={"type": "area", "radiance": rgb(1, 1, 1)})  # all of x < 0
-    scene = load(sensor=sensor(size, (0.03, 0, 4), (0.03, 0, 0), 40, film=film), lamp=lamp)
-    image = rb.render(scene, spp=256, max_depth=1)[0, 0].mean(0)  # all rows show the same: 4096 samples a column
-    edge = size / 2 - 0.03 * size / (2 * 4 * tangent)  # pixels from the left
+    image, edge = columns_at_an_edge(rfilter={"type": name}, sample_border=True)
     filter = {"mitchell": Mitchell, "catmullrom": CatmullRom, "lanczos": Lanczos}[name]()
     x = torch.linspace(-filter.radius, filter.radius, 20001, dtype=torch.float64)
     values = filter.evaluate(x)
-    expected = torch.tensor([float(values[x <= edge - column - 0.5].sum() / values.sum()) for column in range(size)])
+    expected = torch.tensor([float(values[x <= edge - column - 0.5].sum() / values.sum()) for column in range(SIZE)])
     assert expected.max() > 1.002 and expected.min() < -0.001
     assert (image - expected).abs().max() < 0.01
     assert (image - expected).abs().mean() < 0.002
-    away = torch.arange(size).add(0.5).sub(edge).abs() > filter.radius + 0.5
+    away = torch.arange(SIZE).add(0.5).sub(edge).abs() > filter.radius + 0.5
     assert away.any() and (image - (expected > 0.5).float())[away].abs().max() < 1e-5
 
 

@@ -6,36 +6,15 @@ import struct
 import numpy as np
 import pytest
 
+from tests.formats.one_triangle import BIG, BINARY, CORNERS, LITTLE, POINTS, ply
 from tests.io.documents import scene_dict
 from torch_radbp.formats.mesh import read_mesh
 from torch_radbp.io.load import load_dict
 
 pytestmark = pytest.mark.hostile
 
-CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"  # three lines
-HEADER = """ply
-format {format} 1.0
-element vertex 3
-property float x
-property float y
-property float z
-{more}element face {faces}
-property list {count} int vertex_indices
-end_header
-"""
-
-
-def ply(body, format="ascii", more="", faces=1, count="uchar"):
-    header = HEADER.format(format=format, more=more, faces=faces, count=count)
-    return header.encode() + (body if isinstance(body, bytes) else body.encode())
-
-
-POINTS = "0 0 0\n1 0 0\n0 1 0\n"  # lines 10 to 12 of a file without further properties
-NORMALS = "property float nx\nproperty float ny\nproperty float nz\n"
-LITTLE, BIG = "binary_little_endian", "binary_big_endian"
 FACE = struct.pack("<B3i", 3, 0, 1, 2)
 DUST = "element dust 2\nproperty list int int a\nproperty int b\n"
-BINARY = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
 BAD_OBJ = {
     "empty": ("", ": the mesh has 0 vertices and no faces"),
     "no faces": (CORNERS, ": the mesh has 3 vertices and no faces"),

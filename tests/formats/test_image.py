@@ -5,12 +5,12 @@ import tracemalloc
 import zlib
 
 import numpy as np
-import OpenEXR
 import pytest
 import torch
 from PIL import Image
 
 import torch_radbp as rb
+from tests.formats.exr_files import write_exr
 from torch_radbp.formats.image import linear_to_srgb, read_image, save_image, srgb_to_linear
 
 COMPRESSIONS = ["NO", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB"]
@@ -19,11 +19,6 @@ COMPRESSIONS = ["NO", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA
 @pytest.fixture
 def pixels():
     return np.random.default_rng(0).uniform(0, 2, (9, 7, 3)).astype("f4")
-
-
-def write_exr(path, channels, compression="ZIP"):
-    header = {"compression": getattr(OpenEXR, f"{compression}_COMPRESSION"), "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, {name: np.ascontiguousarray(values) for name, values in channels.items()}).write(str(path))
 
 
 @pytest.mark.parametrize("dtype", ["f4", "f2"])

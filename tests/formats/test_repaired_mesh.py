@@ -6,8 +6,8 @@ import warnings
 import numpy as np
 import pytest
 
+from tests.formats.one_triangle import BINARY, CORNERS, LITTLE, NORMALS, POINTS, ply
 from tests.formats.serialized_files import mesh
-from tests.formats.test_bad_mesh import BINARY, CORNERS, LITTLE, NORMALS, POINTS, ply
 from tests.io.documents import scene_dict
 from torch_radbp.formats.leniency import Repairs
 from torch_radbp.formats.mesh import read_mesh

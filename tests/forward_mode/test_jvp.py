@@ -6,11 +6,11 @@ from torch.autograd import forward_ad
 from torch.func import functional_call
 
 import torch_radbp as rb
-from tests.bsdf.lanes import MATERIALS
 from tests.deep import deep_but_every
-from tests.emitter.lights import EMITTERS, scene_of
 from tests.gradients import relative_error, unwarned_renderer
 from tests.scenes import CASES, load, parameters, rectangle, rgb, sensor, texels
+from tests.scenes.lights import EMITTERS, scene_of
+from tests.scenes.materials import MATERIALS
 
 TOLERANCE = 1e-9  # sums of a million roundings of 1e-16
 SETTINGS = {"spp": 4, "max_depth": 4, "rr_depth": 2, "compile": False}  # as forward mode is

@@ -18,16 +18,16 @@ from PIL import Image
 
 from tests.formats.picture_files import png_of, tiff_of
 from tests.formats.serialized_files import mesh, serialized
+from tests.io.colmap_files import CAMERAS as CAMERA_LINES
+from tests.io.colmap_files import IMAGES as IMAGE_LINES
+from tests.io.colmap_files import binary
+from tests.io.gltf_everything import everything
 from tests.io.gltf_files import SQUARE, GltfFile
-from tests.io.test_colmap import CAMERAS as CAMERA_LINES
-from tests.io.test_colmap import IMAGES as IMAGE_LINES
-from tests.io.test_colmap import binary
-from tests.io.test_gltf_write import everything
-from tests.io.test_nerf import BLENDER, OPENCV
-from tests.peer.cases import CASES
-from tests.peer.matrix import SMALL
-from tests.peer.scene_files import Folder
-from tests.texture.meshes import PLY as COLOURED
+from tests.io.nerf_files import BLENDER, OPENCV
+from tests.scenes.mesh_attributes import PLY as COLOURED
+from tests.scenes.xml.cases import CASES
+from tests.scenes.xml.files import Folder
+from tests.scenes.xml.matrix import SMALL
 from tests.training.conftest import RECIPE, SCENE
 from torch_radbp.plugin import REGISTRY, attributes
 from torch_radbp.training.recipe_file import read_recipe

@@ -4,11 +4,10 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import assert_informative, cotangent, relative_error
-from tests.jit.test_functions import arguments, assert_close, mixed
-from tests.jit.test_scatter import addition
+from tests.jit.programs import addition, arguments, assert_close, mixed
 from tests.scenes import CASES, cornell
+from tests.scenes.everything import EVERYTHING, build_everything
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.elementary_double import FORMULAS
 from torch_radbp.jit.order import chosen, partition, put

@@ -6,12 +6,12 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.cut_out_scenes import CUT_OUTS
-from tests.derivatives.mirror_scenes import MIRRORED
-from tests.derivatives.moving_scenes import SCENES as MOVING
-from tests.derivatives.shadow_scenes import SHADOWS
 from tests.gradients import assert_informative, cotangent, relative_error, unwarned_renderer
 from tests.scenes import CASES, cornell
+from tests.scenes.cut_outs import CUT_OUTS
+from tests.scenes.mirrors import MIRRORED
+from tests.scenes.moving import SCENES as MOVING
+from tests.scenes.shadows import SHADOWS
 
 pytestmark = [pytest.mark.gpu, pytest.mark.filterwarnings("error:.*runs eagerly:RuntimeWarning")]
 DEVICE = "cuda"

@@ -14,6 +14,7 @@ import trimesh
 
 import torch_radbp as rb
 from tests.io.gltf_files import SQUARE, SQUARE_FACES, GltfFile
+from tests.io.gltf_loading import lamp, load_quietly, load_with_loss
 from torch_radbp.formats.image import srgb_to_linear
 from torch_radbp.io.gltf.document import GltfWarning
 from torch_radbp.plugin import SceneError
@@ -22,31 +23,6 @@ from torch_radbp.plugin import SceneError
 @pytest.fixture
 def file():
     return GltfFile()
-
-
-def load_quietly(file, folder, name="asset.glb", **options):
-    """The scene of a file that has nothing to warn of but that it lacks lights and cameras."""
-    path = file.save(folder / name)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", GltfWarning)
-        scene = rb.load(path, **options)
-        rb.load(path, strict=True)
-    return scene
-
-
-def load_with_loss(file, folder, message, **options):
-    """The scene of a file of which something is lost, as a warning says; strictly it is an error."""
-    path = file.save(folder / "asset.glb")
-    with pytest.raises(SceneError, match=message):
-        rb.load(path, strict=True, **options)
-    with pytest.warns(GltfWarning, match=f"asset.glb: .*{message}"):
-        return rb.load(path, **options)
-
-
-def lamp(file, root=True, **light):
-    lights = file.document.setdefault("extensions", {}).setdefault("KHR_lights_punctual", {"lights": []})["lights"]
-    lights.append(light)
-    return {"KHR_lights_punctual": {"light": len(lights) - 1}}
 
 
 def material(file, folder, extensions=None, **entries):

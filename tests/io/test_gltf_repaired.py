@@ -8,7 +8,7 @@ import pytest
 
 import torch_radbp as rb
 from tests.io.gltf_files import SQUARE, SQUARE_FACES, SQUARE_UV, GltfFile
-from tests.io.test_gltf import lamp, load_quietly, load_with_loss
+from tests.io.gltf_loading import lamp, load_quietly, load_with_loss
 from torch_radbp.io.gltf.document import GltfWarning
 from torch_radbp.plugin import SceneError
 

@@ -10,11 +10,11 @@ import torch
 import trimesh
 
 import torch_radbp as rb
-from tests.derivatives.everything import EVERYTHING as EVERY_PLUGIN
-from tests.derivatives.everything import build_everything
-from tests.io.gltf_files import SQUARE_FACES, GltfFile
+from tests.io.gltf_everything import everything
+from tests.io.gltf_files import SQUARE_FACES
 from tests.io.gltf_rules import check_rules
-from tests.io.test_gltf import lamp as punctual
+from tests.scenes.everything import EVERYTHING as EVERY_PLUGIN
+from tests.scenes.everything import build_everything
 from torch_radbp.formats.image import linear_to_srgb, srgb_to_linear
 from torch_radbp.io.gltf.document import GltfWarning
 from torch_radbp.io.transform import rotate, scale, translate
@@ -224,34 +224,6 @@ def test_a_buffer_is_named_by_a_uri(tmp_path):
     assert '"a%20b%20%2541.bin"' in text and (tmp_path / "a b %41.bin").exists()
 
 
-def everything():
-    """A file with everything that both sides can say."""
-    file = GltfFile()
-    random = np.random.default_rng(0)
-    textures = [file.texture(random.integers(128, 256, (4, 6, 4))) for _ in range(5)]
-    turned = {"extensions": {"KHR_texture_transform": {"offset": [0.25, 0.5], "rotation": 0.4, "scale": [2, 3]}}}
-    gold = file.add("materials", name="gold", pbrMetallicRoughness={
-        "baseColorTexture": textures[0] | turned, "baseColorFactor": [0.9, 0.8, 0.7, 0.6], "roughnessFactor": 0.5,
-        "metallicRoughnessTexture": textures[1]}, normalTexture=textures[2] | {"scale": 0.7}, doubleSided=True,
-        alphaMode="BLEND")
-    glow = file.add("materials", name="glow", emissiveFactor=[1, 0.5, 0.2], emissiveTexture=textures[3],
-                    extensions={"KHR_materials_emissive_strength": {"emissiveStrength": 5}})
-    smooth = {"metallicFactor": 0, "roughnessFactor": 0.1}
-    glass = file.add("materials", name="glass", pbrMetallicRoughness=smooth, extensions={
-        "KHR_materials_transmission": {"transmissionFactor": 0.9, "transmissionTexture": textures[4]},
-        "KHR_materials_ior": {"ior": 1.3}, "KHR_materials_volume": {"thicknessFactor": 1.0}})
-    painted = file.add("materials", name="painted", pbrMetallicRoughness={"metallicFactor": 0})
-    colours = file.array(random.uniform(0, 1, (4, 3)))
-    file.node(file.square(gold), file.square(glass), name="sheets", rotation=[0.1, 0.2, 0.3, 0.927], scale=[1, 2, -1])
-    file.node(file.square(glow), name="lamp", translation=[0, 3, 0])
-    heat = file.array([0, 0.5, 1, 0.25])
-    file.node(file.square(painted, COLOR_0=colours, _HEAT=heat), name="wall", translation=[0, 0, -2])
-    file.node(name="sun", extensions=punctual(file, type="directional", intensity=2, color=[1, 0.5, 0.25]))
-    lens = {"yfov": 0.9, "aspectRatio": 1.5, "znear": 0.1, "zfar": 100}
-    file.node(name="eye", translation=[0, 0, 6], camera=file.add("cameras", type="perspective", perspective=lens))
-    return file
-
-
 def test_a_file_that_is_loaded_and_saved_says_the_same(tmp_path):
     first = rb.load(everything().save(tmp_path / "asset.glb"), resolution=30, strict=True)
     second = saved(first, tmp_path, "again.glb", max_depth=-1)
@@ -371,7 +343,7 @@ def test_what_gltf_cannot_say_is_said_by_name(tmp_path, case):
 
 @pytest.mark.parametrize("name", EVERY_PLUGIN)
 def test_every_plugin_is_written_or_named(tmp_path, name):
-    """The scenes of `tests.derivatives` have every plugin; what is left of them keeps to the rules and can be loaded."""
+    """`tests.scenes.everything` has every plugin; what is left of them keeps to the rules and can be loaded."""
     scene, path = build_everything(name, torch.float32), tmp_path / "asset.glb"
     with pytest.warns(GltfWarning) as caught:
         rb.save(scene, path)

@@ -12,9 +12,9 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.io.colmap_files import CAMERAS, IMAGES
 from tests.io.documents import scene_dict
-from tests.io.test_colmap import CAMERAS, IMAGES
-from tests.io.test_nerf import BLENDER
+from tests.io.nerf_files import BLENDER
 from torch_radbp.formats.image import read_image, save_image
 from torch_radbp.formats.mesh import read_mesh
 from torch_radbp.training.recipe_file import read_recipe

@@ -4,25 +4,15 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.scenes import load, rgb
-from torch_radbp.film.box import Box
+from tests.io.pixel_rays import seen_by
+from tests.scenes import GLOW, load
 from torch_radbp.io.transform import rotate
 from torch_radbp.pose import se3
-from torch_radbp.tensors.vec import Vec2, Vec3
+from torch_radbp.tensors.vec import Vec3
 
-HALF = torch.tensor([0.5], dtype=torch.float64)
 K = torch.tensor([[30.0, 0.5, 17.0], [0, 28.0, 14.0], [0, 0, 1]], dtype=torch.float64)
 R = torch.as_tensor(rotate((0.3, 1, -0.2), 35)[:3, :3])
 T = torch.tensor([0.3, -0.2, 0.7], dtype=torch.float64)
-GLOW = {"type": "area", "radiance": rgb(1, 1, 1)}
-
-
-def seen_by(sensor, column: int, row: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """(origin, direction) of the middle of a pixel; (3,) float64 each."""
-    sensor.double().film.rfilter = Box()  # whose middle it is, also at the border
-    column, row = torch.tensor([[column], [row]], dtype=torch.int32)
-    ray, _ = sensor.tensors().sample_ray(column, row, Vec2(HALF, HALF))
-    return ray.o.stack()[0].detach(), ray.d.stack()[0].detach()
 
 
 @pytest.mark.parametrize("column, row", [(0, 0), (39, 29), (11, 22)])

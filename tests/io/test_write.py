@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from tests.derivatives.everything import EVERYTHING as EVERY_PLUGIN
-from tests.derivatives.everything import build_everything
 from tests.formats.serialized_files import mesh, serialized
 from tests.io.documents import scene_dict, write_scene
+from tests.scenes.everything import EVERYTHING as EVERY_PLUGIN
+from tests.scenes.everything import build_everything
 from torch_radbp.formats.image import save_image
 from torch_radbp.formats.volume import write_volume
 from torch_radbp.io.load import load, load_dict
@@ -143,7 +143,7 @@ def test_load_save_load_gives_the_same_parameters(everything, target):
 
 @pytest.mark.parametrize("name", EVERY_PLUGIN)
 def test_every_plugin_comes_back_with_its_parameters_and_attributes(name, target):
-    """The scenes of `tests.derivatives` have every plugin and every parameter. Meshes come back without their poses."""
+    """`tests.scenes.everything` has every plugin and every parameter. Meshes come back without their poses."""
     scene = build_everything(name, torch.float32)
     save(scene, target)
     saved = load(target)

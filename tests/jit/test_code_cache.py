@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from tests.jit.test_functions import arguments, mixed
+from tests.jit.programs import arguments, mixed
 from torch_radbp.jit import LaneFunction, code_cache, run
 
 ROOT = Path(__file__).parents[2]

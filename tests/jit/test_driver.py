@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from tests.jit.test_functions import arguments, mixed
+from tests.jit.programs import arguments, mixed
 from torch_radbp.install_hint import install_with
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.driver import Driver, NoDriver, driver_of

@@ -3,8 +3,9 @@
 import pytest
 import torch
 
+from tests.jit.edge_values import DTYPES
 from tests.jit.emulated import Emulated
-from tests.jit.test_scatter import addition
+from tests.jit.programs import addition
 from torch_radbp.jit.any_device import AnyDevice
 from torch_radbp.jit.gpu import Gpu, gpu_of
 from torch_radbp.jit.graph import LANES
@@ -12,8 +13,6 @@ from torch_radbp.jit.nvptx import ptx
 from torch_radbp.jit.nvptx_lanes import put_text, scatter_text
 from torch_radbp.jit.target import target_of
 from torch_radbp.jit.trace import trace
-
-DTYPES = (torch.bool, torch.int32, torch.float32, torch.float64, torch.int64)
 
 
 @pytest.mark.parametrize("lanes", [1, 127, 1000])

@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from tests.jit.emulated import Emulated
-from tests.jit.test_functions import arguments, mixed
-from tests.jit.test_text import PROGRAM
+from tests.jit.programs import PROGRAM, arguments, mixed
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.gpu import Gpu

@@ -5,10 +5,9 @@ import re
 import pytest
 import torch
 
+from tests.jit.edge_values import DTYPES, assert_same, pairs
 from tests.jit.interpreter import CheckedGpu, interpreted, needs_interpreter
-from tests.jit.test_gpu import DTYPES
-from tests.jit.test_operations import assert_same, pairs
-from tests.jit.test_scatter import addition
+from tests.jit.programs import addition
 from torch_radbp.jit import LaneFunction, driver
 from torch_radbp.jit.nvptx import ptx
 

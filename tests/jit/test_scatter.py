@@ -6,21 +6,14 @@ import time
 import pytest
 import torch
 
+from tests.jit.programs import addition
 from torch_radbp.jit.addition import side_by_side
 from torch_radbp.jit.cpu_scatter import BLOCK, SHARED
 from torch_radbp.jit.machine import made_once
-from torch_radbp.jit.scatter import Addition, Sums, scatter_add
+from torch_radbp.jit.scatter import Sums, scatter_add
 from torch_radbp.jit.team import alone_in_torch
 
 LANES = (0, 1, 17, BLOCK, BLOCK + 1, 50_000)
-
-
-def addition(lanes: int, entries: int, tables: int, copies: int, dtype: torch.dtype) -> Addition:
-    generator = torch.Generator().manual_seed(lanes)
-    index = torch.randint(entries, (lanes,), generator=generator, dtype=torch.int32)
-    numbers = [torch.randn(lanes, generator=generator, dtype=dtype) for _ in range(tables)]
-    totals = [torch.zeros(entries, copies, dtype=torch.float64) for _ in range(tables)]
-    return Addition(index, numbers, Sums(totals, torch.zeros(-(-entries // 16), dtype=torch.bool)))
 
 
 @pytest.mark.parametrize("lanes", LANES)

@@ -6,18 +6,12 @@ import sys
 import pytest
 import torch
 
+from tests.jit.programs import PROGRAM
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.graph import LANES, NUMBER, TABLE
 from torch_radbp.jit.machine import host_width
 from torch_radbp.jit.trace import trace
-
-
-def shaded(table, index, x, scale):
-    return [table.index_select(0, index) * x * scale + 1.0, x * scale]
-
-
-PROGRAM = trace(shaded, [torch.float32, torch.int32, torch.float32, torch.float32], [TABLE, LANES, LANES, NUMBER])
 
 
 def test_a_program_lists_its_values():

@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tests.bsdf.lanes import MATERIALS, as_dict
-from tests.emitter.lights import EMITTERS, LAMP_POSE
-from tests.plugin.test_plugin_table import beyond_mitsuba
+from tests.plugin.plugin_table import beyond_mitsuba
 from tests.scenes import rgb, texels
-from tests.texture.meshes import PLY
+from tests.scenes.lights import EMITTERS, LAMP_POSE
+from tests.scenes.materials import MATERIALS, as_dict
+from tests.scenes.mesh_attributes import PLY
 from torch_radbp.io.transform import rotate, scale, translate
 
 COUNT = 200

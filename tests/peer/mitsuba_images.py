@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.scenes.xml.cases import CASES
+from tests.scenes.xml.files import Case, Folder
+
 from .agreement import SCALES, Estimate, estimate
-from .cases import CASES
-from .scene_files import Case, Folder
 
 REFERENCE = Path(__file__).parent / "reference"
 FIRST_SEED = 1000  # far from the seeds of our own renders; nothing depends on it

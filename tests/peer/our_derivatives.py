@@ -11,8 +11,9 @@ from torch import Tensor, nn
 from torch.autograd import forward_ad
 from torch.func import functional_call, jvp
 
-from tests.emitter.lights import FLOOR, cast, detached, light_numbers
+from tests.emitter.lanes import cast, detached, light_numbers
 from tests.scenes import load, sensor
+from tests.scenes.lights import FLOOR
 from torch_radbp.plugin import BSDF
 from torch_radbp.scene.barycentric_gradients import barycentric_gradients
 from torch_radbp.scene.interaction import surface_interaction

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.plugin.test_plugin_table import beyond_mitsuba
+from tests.plugin.plugin_table import beyond_mitsuba
+from tests.scenes.xml.cases import CASES
 from torch_radbp.plugin import REGISTRY
 
 from .agreement import ALPHA, compare, estimate
-from .cases import CASES
 from .mitsuba_images import load_case
 
 SHAPE, SPP, BATCHES = (24, 32, 3), 64, 16

@@ -11,10 +11,11 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from tests.bsdf.lanes import MATERIALS, MIXED
-from tests.bsdf.test_mitsuba import ROUGH_COAT
-from tests.derivatives.pairs import Pair, pairs_of, registered
-from tests.plugin.test_plugin_table import beyond_mitsuba
+from tests.bsdf.lanes import MIXED
+from tests.bsdf.reference import ROUGH_COAT
+from tests.plugin.plugin_table import beyond_mitsuba
+from tests.scenes.materials import MATERIALS
+from tests.scenes.pairs import Pair, pairs_of, registered
 from torch_radbp.bsdf.microfacet import Beckmann
 from torch_radbp.bsdf.rough_coat import TABLE
 from torch_radbp.bsdf.roughplastic import RoughPlasticKind

@@ -11,13 +11,13 @@ import pytest
 
 import torch_radbp as rb
 from tests.deep import deep_but_every
+from tests.scenes.xml.cases import CASES
+from tests.scenes.xml.files import Case
+from tests.scenes.xml.gltf import load_asset
 
 from .agreement import ALPHA, Comparison, compare, estimate
-from .cases import CASES
-from .gltf_scenes import load_asset
 from .mitsuba_images import load_case
 from .mitsuba_images import render as mitsuba_renders
-from .scene_files import Case
 
 BATCHES = 16
 

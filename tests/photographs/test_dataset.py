@@ -10,8 +10,8 @@ from PIL import Image
 from torch.utils.data import DataLoader
 
 import torch_radbp as rb
+from tests.formats.exr_files import write_exr
 from tests.formats.picture_files import png_of, tiff_of
-from tests.formats.test_image import write_exr
 from tests.photographs.nerf_folder import HEIGHT, WIDTH, ball_in_the_open, write_photographs, write_transforms
 from torch_radbp.formats.image import srgb_to_linear
 

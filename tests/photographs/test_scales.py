@@ -5,7 +5,7 @@ import torch
 from torch.nn.utils import parametrize
 
 import torch_radbp as rb
-from tests.io.test_opencv import seen_by
+from tests.io.pixel_rays import seen_by
 from tests.photographs.nerf_folder import ball_in_the_open
 from tests.scenes import load, look_at, sensor
 from torch_radbp.photographs.area_average import area_average

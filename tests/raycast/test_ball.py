@@ -4,8 +4,8 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.raycast.casters import COMPILED, DTYPES, crossing
 from tests.raycast.meshes import take
-from tests.raycast.test_hits import COMPILED, DTYPES, crossing
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.raycast import FEW_BALLS, Hit, Ray, batches, make_caster
 from torch_radbp.raycast.brute import Brute

@@ -10,8 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import torch
 
+from tests.raycast.casters import CASTERS, WARP
 from tests.raycast.meshes import mesh, random_rays, single_ray, soup
-from tests.raycast.test_hits import CASTERS, WARP
 from torch_radbp.raycast import FEW_TESTS, Ray, library, make_caster, tree
 from torch_radbp.raycast.brute import Brute
 from torch_radbp.raycast.direct import Direct

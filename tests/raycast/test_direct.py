@@ -6,8 +6,8 @@ from functools import cache
 import pytest
 import torch
 
+from tests.raycast.casters import DTYPES, crossing
 from tests.raycast.meshes import mesh, random_rays, soup
-from tests.raycast.test_hits import DTYPES, crossing
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.raycast import Ray, batches, make_caster
 from torch_radbp.raycast.direct import Direct, addresses, machine_code

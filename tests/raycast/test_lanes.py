@@ -3,8 +3,8 @@
 import pytest
 import torch
 
+from tests.raycast.casters import CASTERS, COMPILED
 from tests.raycast.meshes import mesh, random_rays, take
-from tests.raycast.test_hits import CASTERS, COMPILED
 from torch_radbp.raycast import Ray, make_caster
 from torch_radbp.tensors.vec import Vec3
 

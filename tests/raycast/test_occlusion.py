@@ -3,8 +3,8 @@
 import pytest
 import torch
 
+from tests.raycast.casters import CASTERS, DTYPES, MESHES, crossing
 from tests.raycast.meshes import mesh, random_rays, single_ray
-from tests.raycast.test_hits import CASTERS, DTYPES, MESHES, crossing
 from torch_radbp.raycast import make_caster
 
 

@@ -10,9 +10,9 @@ from unittest import mock
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import cotangent
-from tests.texture.networks import lit_room, room
+from tests.scenes.everything import EVERYTHING, build_everything
+from tests.scenes.networks import lit_room, room
 from torch_radbp.film.gaussian import Gaussian
 from torch_radbp.jit.structure import flatten
 from torch_radbp.tensors.differentiated import detached

@@ -9,9 +9,9 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep
-from tests.derivatives.everything import EVERYTHING, build_everything
-from tests.derivatives.scenes import subjects
 from tests.gradients import unwarned_renderer
+from tests.scenes.every_plugin import subjects
+from tests.scenes.everything import EVERYTHING, build_everything
 from torch_radbp.jit import compiled, run
 from torch_radbp.jit.fingerprint import Reader
 from torch_radbp.tensors import torch_internals

@@ -9,7 +9,7 @@ import torch
 
 import torch_radbp as rb
 from tests.gradients import assert_informative, image_and_gradients, relative_error
-from tests.scenes import CASES, cornell, load, look_at, rectangle, rgb, sensor
+from tests.scenes import CASES, GLOW, cornell, load, look_at, rectangle, rgb, sensor
 from torch_radbp.emitter.projector import Projector
 from torch_radbp.emitter.spot import Spot
 from torch_radbp.film.box import Box
@@ -144,8 +144,7 @@ def test_the_pose_turns_and_moves_rays_and_a_scale_that_it_gets_later_does_not_m
 
 def poster(distance, **clip):
     """Mean radiance of a poster that fills the view, before a sky of zero light."""
-    light = {"type": "area", "radiance": rgb(1, 1, 1)}
-    scene = load(sensor=sensor(4, (0, 0, distance), (0, 0, 0), 40, **clip), poster=rectangle((0, 0, 0), 10.0, emitter=light))
+    scene = load(sensor=sensor(4, (0, 0, distance), (0, 0, 0), 40, **clip), poster=rectangle((0, 0, 0), 10.0, emitter=GLOW))
     return float(rb.render(scene, spp=4, max_depth=1).mean())
 
 

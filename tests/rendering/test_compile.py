@@ -5,9 +5,9 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but
-from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import assert_informative, cotangent, image_and_gradients, relative_error
 from tests.scenes import CASES, cornell, parameters
+from tests.scenes.everything import EVERYTHING, build_everything
 from torch_radbp.boundary import terms
 from torch_radbp.jit import stages
 from torch_radbp.path.bounce import sample_camera

@@ -10,11 +10,11 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import torch_radbp as rb
-from tests.derivatives.everything import build_everything
 from tests.gradients import assert_informative, image_and_gradients
 from tests.jit.emulated import Emulated
 from tests.rendering.host import place
 from tests.scenes import CASES, cornell
+from tests.scenes.everything import build_everything
 from torch_radbp.check.statistics import Cotangent, Samples, compare
 from torch_radbp.jit.gpu import Gpu
 from torch_radbp.jit.stages import CompiledStages

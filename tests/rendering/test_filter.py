@@ -6,8 +6,7 @@ import pytest
 import torch
 from scipy import integrate
 
-import torch_radbp as rb
-from tests.scenes import load, rectangle, rgb, sensor
+from tests.film.straight_edge import SIZE, columns_at_an_edge
 from torch_radbp.film.box import Box
 from torch_radbp.film.gaussian import Gaussian
 from torch_radbp.film.tent import Tent
@@ -27,15 +26,9 @@ def density(filter):
                          ids=["box", "tent", "gaussian"])
 def test_the_edge_of_a_lamp_is_blurred_by_the_filter(filter, radius):
     """Across a straight edge a pixel's value is the filter's cumulative distribution at its distance from the edge."""
-    size = 16
-    film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": filter}
-    tangent = math.tan(math.radians(20))
-    lamp = rectangle((-10, 0, 0), (10.0, 20.0, 1.0), emitter={"type": "area", "radiance": rgb(1, 1, 1)})  # all of x < 0
-    scene = load(sensor=sensor(size, (0.03, 0, 4), (0.03, 0, 0), 40, film=film), lamp=lamp)
-    image = rb.render(scene, spp=256, max_depth=1)[0, 0].mean(0)  # all rows show the same: 4096 samples a column
-    edge = size / 2 - 0.03 * size / (2 * 4 * tangent)  # pixels from the left
+    image, edge = columns_at_an_edge(rfilter=filter)
     p = density({"box": Box(), "tent": Tent(), "gaussian": Gaussian()}[filter["type"]])
-    for column in range(size):
+    for column in range(SIZE):
         distance = min(max(edge - column - 0.5, -radius), radius)
         expected = integrate.quad(p, -radius, distance, points=[0.0])[0]
         standard_error = math.sqrt(max(expected * (1 - expected), 0) / 4096)

@@ -8,11 +8,11 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import assert_informative, image_and_gradients, relative_error
 from tests.jit.emulated import Emulated
 from tests.rendering.on_gpu import render_on
 from tests.scenes import CASES, cornell
+from tests.scenes.everything import EVERYTHING, build_everything
 from torch_radbp.jit.gpu import Gpu
 
 pytestmark = pytest.mark.filterwarnings("error:.*runs eagerly:RuntimeWarning",

@@ -10,8 +10,8 @@ import torch
 
 import torch_radbp as rb
 from tests.gradients import cotangent, relative_error
-from tests.scenes import diffuse, load, parameters, rectangle, rgb, sensor
-from tests.texture.networks import mlp, textured
+from tests.scenes import SKY, diffuse, load, parameters, rectangle, rgb, sensor
+from tests.scenes.networks import mlp, textured
 from torch_radbp.io.transform import rotate, scale, translate
 
 pytestmark = [pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning"),
@@ -28,7 +28,6 @@ PLATE = rectangle((1.74, 0, -0.3), 2.0, (0, 1, 0), -10, bsdf=METAL)  # the right
 PAINTING = rectangle((-1.0, 0, 0.1), 0.4, bsdf=textured(mlp(2, 3)))  # before the left
 LAMP = rectangle((0.3, 0.2, 5), 2.0, (0, 1, 0), 180, bsdf=diffuse(0.3, 0.2, 0.4),
                  emitter={"type": "area", "radiance": rgb(3, 2, 4)})  # behind the camera, shines forwards
-SKY = {"type": "constant", "radiance": rgb(0.6, 0.9, 1.4)}
 
 
 def strip(width: int, **attributes: Any) -> dict[str, Any]:

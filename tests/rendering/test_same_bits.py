@@ -9,9 +9,9 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep_but
-from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import assert_informative, image_and_gradients
 from tests.scenes import cornell
+from tests.scenes.everything import EVERYTHING, build_everything
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
 SETTINGS = {"spp": 5, "max_depth": 4, "rr_depth": 2}

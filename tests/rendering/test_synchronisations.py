@@ -16,7 +16,7 @@ import torch
 import torch_radbp as rb
 from tests.gradients import cotangent
 from tests.rendering.host import exchanges
-from tests.texture.networks import room
+from tests.scenes.networks import room
 from torch_radbp.adjoint.function import RenderFunction
 
 SHALLOW, DEEP = 3, 5

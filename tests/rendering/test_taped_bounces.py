@@ -5,10 +5,10 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but
-from tests.derivatives.everything import build_everything
 from tests.gradients import cotangent, unwarned_renderer
 from tests.scenes import cornell, diffuse, load, parameters, rectangle, rgb, sensor, sky_and_points, textured, two_sided
-from tests.texture.networks import Function, lit_room, mlp, room
+from tests.scenes.everything import build_everything
+from tests.scenes.networks import Function, lit_room, mlp, room
 from torch_radbp.adjoint import record, taped_sweep
 from torch_radbp.io.transform import translate
 from torch_radbp.jit.recorded import Recorded

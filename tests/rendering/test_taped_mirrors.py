@@ -4,9 +4,9 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.mirror_scenes import BALL, CUBE, LENS, MIRROR, SKY, VIEWED
 from tests.gradients import cotangent
 from tests.scenes import load
+from tests.scenes.mirrors import BALL, CUBE, LENS, MIRROR, SKY, VIEWED
 from torch_radbp.boundary.reflections import differences, ideal_steps
 from torch_radbp.jit.recorded import Recorded
 from torch_radbp.jit.tape import Tape

@@ -16,9 +16,9 @@ from torch import Tensor
 from torch.func import functional_call
 
 import torch_radbp as rb
-from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.gradients import assert_informative, cotangent
 from tests.scenes import cornell, diffuse, load, rectangle, rgb, sensor, texels
+from tests.scenes.everything import EVERYTHING, build_everything
 from torch_radbp.io.transform import rotate, scale
 
 SETTINGS = {"spp": 2, "max_depth": 4, "rr_depth": 2}

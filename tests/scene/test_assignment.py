@@ -10,10 +10,9 @@ from torch.nn.utils import parametrize
 
 import torch_radbp as rb
 from tests.gradients import relative_error
-from tests.scenes import diffuse, load, rectangle, rgb, sensor
-from tests.texture.networks import LAMP, mlp, textured
+from tests.scenes import SKY, diffuse, load, rectangle, sensor
+from tests.scenes.networks import LAMP, mlp, textured
 
-SKY = {"type": "constant", "radiance": rgb(0.6, 0.9, 1.4)}
 SETTINGS = {"spp": 1, "max_depth": 3, "compile": False, "seed": 2}
 
 

@@ -8,8 +8,8 @@ from torch import nn
 from torch.nn.utils import parametrize
 
 import torch_radbp as rb
-from tests.derivatives.everything import EVERYTHING, build_everything
 from tests.scenes import cornell, diffuse, load, rectangle, rgb, sensor, texels
+from tests.scenes.everything import EVERYTHING, build_everything
 from torch_radbp.scene.bounds import range_of
 from torch_radbp.scene.parameters import held_values
 

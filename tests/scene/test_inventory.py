@@ -5,7 +5,7 @@ import torch
 from torch import nn
 from torch.nn.utils import parametrize
 
-from tests.scene.test_pack_cache import Half, scene_of
+from tests.scenes.one_of_each import Half, scene_of
 from torch_radbp.plugin import Texture
 from torch_radbp.scene.inventory import Inventory
 from torch_radbp.scene.pack_cache import PackCache

@@ -2,28 +2,16 @@
 
 import sys
 
-import numpy as np
 import pytest
 import torch
 
 import torch_radbp as rb
-from tests.scenes import diffuse, load, rgb, sensor
+from tests.scenes import load, rgb, sensor
+from tests.scenes.meshes import grid
 from torch_radbp.scene import geometry
 from torch_radbp.scene.pack import pack
 from torch_radbp.shape.mesh import Mesh
 from torch_radbp.shape.normals import angle_weighted_normals
-
-
-def grid(divisions: int, height: float = 0.1, **attributes) -> dict:
-    """A wavy square of 2 * divisions^2 triangles."""
-    line = np.linspace(-1, 1, divisions + 1)
-    x, y = np.meshgrid(line, line)
-    corner = (np.arange(divisions)[:, None] * (divisions + 1) + np.arange(divisions)).reshape(-1)
-    faces = np.concatenate([np.stack([corner, corner + 1, corner + divisions + 2], 1),
-                            np.stack([corner, corner + divisions + 2, corner + divisions + 1], 1)])
-    vertices = np.stack([x, y, height * np.sin(3 * x + 2 * y)], -1).reshape(-1, 3)
-    return {"type": "mesh", "vertex_positions": torch.tensor(vertices), "faces": torch.tensor(faces), "bsdf": diffuse(0.5),
-            **attributes}
 
 
 def lines_of_python(function, *arguments) -> int:

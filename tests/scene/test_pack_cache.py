@@ -13,8 +13,8 @@ from torch.nn.utils import parametrize
 from torch.utils._pytree import tree_flatten
 
 import torch_radbp as rb
-from tests.scene.test_pack import grid
-from tests.scenes import load, rectangle, rgb, sensor, texels
+from tests.scenes import rectangle
+from tests.scenes.one_of_each import Half, scene_of
 from torch_radbp.emitter import envmap
 from torch_radbp.plugin import Texture
 from torch_radbp.scene import geometry, light_table
@@ -26,19 +26,6 @@ from torch_radbp.shape.surface import Triangles
 
 LARGE = (9 << 20) + 5  # numbers
 SETTINGS = {"spp": 4, "max_depth": 3}
-
-
-def scene_of(dtype=torch.float64, **more) -> rb.Scene:
-    """One of everything of which tables are made."""
-    sheet = {"type": "bitmap", "data": 0.2 + 0.6 * texels(4, 4)}
-    hills = grid(4, bsdf={"type": "diffuse", "reflectance": sheet})
-    hills["vertex_texcoords"] = 0.5 + 0.45 * hills["vertex_positions"][:, :2]
-    return load(dtype, camera=sensor(6), hills=hills,
-                ball={"type": "sphere", "radius": 0.3, "bsdf": {"type": "roughconductor", "alpha": 0.3}},
-                sky={"type": "envmap", "bitmap": 0.1 + texels(3, 4)},
-                spot={"type": "spot", "intensity": rgb(3, 2, 1), "texture": {"type": "bitmap", "data": texels(2, 2)},
-                      "to_world": rb.look_at((1, 1, 2), (0, 0, 0), (0, 1, 0))},
-                lamp=rectangle((0.5, 0, 1), 0.3, emitter={"type": "area", "radiance": rgb(4, 5, 6)}), **more)
 
 
 def image_and_gradients(renderer: rb.Renderer, names: tuple[str, ...] = ()) -> list[torch.Tensor]:
@@ -84,11 +71,6 @@ def load_state(scene: rb.Scene) -> None:
 def swap(tensor: torch.Tensor) -> None:
     """Exchanges two rows, which keeps all sums."""
     tensor[[3, 7]] = tensor[[7, 3]]
-
-
-class Half(nn.Module):
-    def forward(self, value: torch.Tensor) -> torch.Tensor:
-        return 0.5 * value
 
 
 CHANGES = {

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.parts import FIELD_OF_VIEW, FISHEYE, THIN_PRISM, calibrated
-from tests.scenes import load, look_at, rectangle, rgb, texels
+from tests.scenes import GLOW, load, look_at, rectangle, texels
+from tests.scenes.parts import FIELD_OF_VIEW, FISHEYE, THIN_PRISM, calibrated
 from torch_radbp.boundary import SilhouetteWarning
 from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
@@ -25,7 +25,6 @@ from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import Vec2, Vec3
 
 HALF = torch.tensor([0.5], dtype=torch.float64)
-GLOW = {"type": "area", "radiance": rgb(1, 1, 1)}
 BROWN = {"k1": -0.2, "k2": 0.05, "k3": 0.01, "p1": 0.01, "p2": -0.02}
 
 

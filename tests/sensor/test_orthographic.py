@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.scenes import load, look_at, rectangle, rgb
+from tests.scenes import GLOW, load, look_at, overhead, rectangle
 from torch_radbp.boundary import SilhouetteWarning
 from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
@@ -17,7 +17,6 @@ from torch_radbp.tensors.vec import Vec2
 
 HALF = torch.tensor([0.5], dtype=torch.float64)
 POSE = translate((1, 2, 3)) @ rotate((0, 1, 0), 30) @ scale((2, 3, 4))
-GLOW = {"type": "area", "radiance": rgb(1, 1, 1)}
 
 
 def camera(width=16, height=8, crop=None, **attributes) -> Orthographic:
@@ -92,9 +91,8 @@ def test_what_is_before_the_near_plane_or_behind_the_far_plane_is_not_seen():
 def test_size_does_not_depend_on_distance():
     images = []
     for z in (0.0, -5.0):
-        sensor = {"type": "orthographic", "to_world": look_at((0, 0, 2), (0, 0, 0), (0, 1, 0)),
-                  "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}}
-        images.append(rb.render(load(sensor=sensor, lamp=rectangle((0, 0, z), 0.5, emitter=GLOW)), spp=16, max_depth=1))
+        scene = load(sensor=overhead(8, 2.0), lamp=rectangle((0, 0, z), 0.5, emitter=GLOW))
+        images.append(rb.render(scene, spp=16, max_depth=1))
     assert torch.equal(*images)
     assert float(images[0].mean()) == pytest.approx(0.25, abs=1e-6)  # edges of the lamp fall on edges of pixels
 

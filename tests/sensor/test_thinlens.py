@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.scenes import load, look_at, rectangle, rgb
+from tests.scenes import GLOW, load, look_at, rectangle
 from torch_radbp.boundary import SilhouetteWarning
 from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
@@ -23,7 +23,6 @@ from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import Vec2
 
 HALF = torch.tensor([0.5], dtype=torch.float64)
-GLOW = {"type": "area", "radiance": rgb(1, 1, 1)}
 
 
 def camera(width=12, height=9, **attributes) -> ThinLens:

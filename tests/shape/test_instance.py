@@ -8,8 +8,8 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.quadrilateral import coloured_file
 from tests.scenes import diffuse, load, rectangle, rgb, sensor, texels
+from tests.scenes.quadrilateral import coloured_file
 from tests.shape.surfaces import TEXTURED, meets, of_point
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.io.write import save

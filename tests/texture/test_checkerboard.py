@@ -7,16 +7,16 @@ import torch
 import torch_radbp as rb
 from tests.gradients import MEMOIZED, QUADRATIC, image_and_gradients, relative_error
 from tests.scenes import load, rectangle, sensor, texels
+from tests.scenes.parts import TO_UV
 from torch_radbp.bsdf.number import NumberOf
 from torch_radbp.emitter.attributes import Scaled
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.transform import scale
 from torch_radbp.tensors.vec import Vec2
 from torch_radbp.texture.bitmap import Bitmap
 from torch_radbp.texture.checkerboard import Checkerboard
 from torch_radbp.texture.reader import TexturePoint
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
-TO_UV = translate((0.11, -0.07, 0)) @ rotate((0, 0, 1), 25) @ scale((1.4, 1.7, 1))
 PLACES = [(0.1, 0.1), (0.3, 0.1), (0.3, 0.2), (-0.1, 0.1), (0.25, 0.1), (0.5, 0.0)]
 SETTINGS = {"spp": 2, "max_depth": 4, "rr_depth": 2}
 TOLERANCE = 1e-10

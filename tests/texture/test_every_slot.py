@@ -6,18 +6,14 @@ import torch
 import torch_radbp as rb
 from tests.deep import deep_but
 from tests.gradients import assert_informative, relative_error
-from tests.scenes import load, rectangle, rgb, sensor, texels
-from tests.texture.meshes import add_attributes, panel
-from torch_radbp.io.attribute_values import options
-from torch_radbp.io.transform import rotate, scale, translate
-from torch_radbp.plugin import REGISTRY, Texture, attributes
+from tests.scenes import SKY, load, rectangle, rgb, sensor, texels
+from tests.scenes.mesh_attributes import add_attributes, panel
+from tests.scenes.parts import TO_UV
+from tests.texture.slots import OTHERS, SLOTS, WHITE
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 SETTINGS = {"spp": 6, "max_depth": 4, "rr_depth": 2, "compile": False}
-SKY = {"type": "constant", "radiance": rgb(0.6, 0.9, 1.4)}
-WHITE = {"type": "diffuse", "reflectance": 0.8}
 # Values that are normals as well: above a half.
-TO_UV = translate((0.11, -0.07, 0)) @ rotate((0, 0, 1), 25) @ scale((1.4, 1.7, 1))
 BOARD = {"type": "checkerboard", "color0": 0.55, "to_uv": TO_UV, "color1": {
     "type": "bitmap", "data": 0.5 + 0.4 * texels(2, 3), "raw": True}}
 TEXTURES = {
@@ -27,16 +23,12 @@ TEXTURES = {
     "of faces": {"type": "mesh_attribute", "name": "face_amount", "scale": 0.9},
     "checkerboard of attributes": BOARD | {"color0": {"type": "mesh_attribute", "name": "vertex_color"}},
 }
-OTHERS = {"blendbsdf": {"first": WHITE, "second": {"type": "roughconductor", "material": "Au", "alpha": 0.3}},
-          "mask": {"nested": WHITE}, "normalmap": {"nested": WHITE},
-          "bumpmap": {"nested": WHITE},
-          # Lobes without which some values are not read, and a colour to tint them with.
-          "principled": {"base_color": rgb(0.3, 0.6, 0.2), "sheen": 0.6, "clearcoat": 0.7},
-          "principledthin": {"base_color": rgb(0.3, 0.6, 0.2), "sheen": 0.6, "spec_trans": 0.5}}
+ALSO = OTHERS | {
+    # Lobes without which some values are not read, and a colour to tint them with.
+    "principled": {"base_color": rgb(0.3, 0.6, 0.2), "sheen": 0.6, "clearcoat": 0.7},
+    "principledthin": {"base_color": rgb(0.3, 0.6, 0.2), "sheen": 0.6, "spec_trans": 0.5}}
 PARTNERS = {"alpha_u": {"alpha_v": 0.3}, "alpha_v": {"alpha_u": 0.3}, "k": {"eta": 0.2}}
 LEVEL = ("bumpmap", "of faces")  # turns no normal
-SLOTS = [(kind, name) for kind, cls in REGISTRY["bsdf"].items() for name, attribute in attributes(cls).items()
-         if Texture in options(attribute.annotation)]
 
 
 def build(bsdf: dict) -> rb.Scene:
@@ -51,7 +43,7 @@ def build(bsdf: dict) -> rb.Scene:
 def test_every_slot_gives_the_gradient_of_the_tape(kind, slot, texture):
     if (kind, texture) == LEVEL:
         texture = "of vertices"
-    bsdf = {"type": kind} | OTHERS.get(kind, {}) | PARTNERS.get(slot, {}) | {slot: TEXTURES[texture]}
+    bsdf = {"type": kind} | ALSO.get(kind, {}) | PARTNERS.get(slot, {}) | {slot: TEXTURES[texture]}
     names = [name for name, _ in build(bsdf).named_parameters() if name.startswith((
         f"subject.bsdf.{slot}.", "subject.vertex_color", "subject.face_amount"))]
     reference, expected = gradients(build(bsdf), names, adjoint=rb.TapeAdjoint())

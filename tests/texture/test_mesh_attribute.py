@@ -7,7 +7,7 @@ import torch
 import torch_radbp as rb
 from tests.gradients import MEMOIZED, QUADRATIC, cotangent, image_and_gradients, relative_error
 from tests.scenes import load, rectangle, rgb, sensor
-from tests.texture.meshes import PLY, add_attributes, tetrahedron
+from tests.scenes.mesh_attributes import PLY, add_attributes, tetrahedron
 from torch_radbp.formats.mesh import read_mesh
 from torch_radbp.formats.ply_attributes import attributes_in
 
@@ -39,7 +39,7 @@ VALUES = [  # at (0.3, -0.5), (-0.2, 0.4), (0.9, 0.1)
 
 @pytest.mark.parametrize("texture, expected", VALUES, ids=[texture["name"] for texture, _ in VALUES])
 def test_values_are_those_of_mitsuba(texture, expected, tmp_path):
-    """Printed by Mitsuba 3.9.1, `scalar_rgb`, with PLY of `tests/texture/meshes.py` in mesh.ply:
+    """Printed by Mitsuba 3.9.1, `scalar_rgb`, with PLY of `tests/scenes/mesh_attributes.py` in mesh.ply:
 
         scene = mi.load_dict({"type": "scene", "mesh": {"type": "ply", "filename": "mesh.ply"}})
         for x, y in ((0.3, -0.5), (-0.2, 0.4), (0.9, 0.1)):

@@ -7,7 +7,7 @@ from torch import nn
 import torch_radbp as rb
 from tests.deep import deep_but
 from tests.gradients import MEMOIZED, QUADRATIC, relative_error
-from tests.texture.networks import mlp, room
+from tests.scenes.networks import mlp, room
 from torch_radbp.adjoint import sweep
 from torch_radbp.tensors.vec import Vec2, Vec3
 from torch_radbp.texture import module_bank

@@ -10,11 +10,10 @@ from torch import nn
 from torch.utils.checkpoint import checkpoint
 
 import torch_radbp as rb
-from tests.scenes import load, rectangle, rgb, sensor
-from tests.texture.networks import Function, mlp, textured
+from tests.scenes import SKY, load, rectangle, sensor
+from tests.scenes.networks import Function, mlp, textured
 
 NAME = "the texture 'poster.bsdf.reflectance': "
-SKY = {"type": "constant", "radiance": rgb(0.6, 0.9, 1.4)}
 
 
 class Net(nn.Module):

@@ -18,18 +18,16 @@ from tests.gradients import (
     image_and_gradients,
     relative_error,
 )
-from tests.scenes import load, rectangle, rgb, sensor
-from tests.texture.networks import LAMP, mlp, room, textured
-from torch_radbp.io.attribute_values import options
+from tests.scenes import SKY, load, rectangle, sensor
+from tests.scenes.networks import LAMP, mlp, room, textured
+from tests.texture.slots import OTHERS, SLOTS, WHITE
 from torch_radbp.io.transform import scale
 from torch_radbp.jit.stages import compiled
-from torch_radbp.plugin import REGISTRY, Texture, attributes
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 TOLERANCE = 1e-10  # hundreds of lanes, each some hundred roundings of 1e-16
 SETTINGS = {"spp": 2, "max_depth": 4, "rr_depth": 2}
 MOVING = ("floor.to_world", "box.vertex_positions")
-SKY = {"type": "constant", "radiance": rgb(0.6, 0.9, 1.4)}
 
 
 def weights(scene: rb.Scene) -> list[str]:
@@ -210,16 +208,11 @@ def test_another_module_compiles_nothing():
     assert functions() == first
 
 
-WHITE = {"type": "diffuse", "reflectance": 0.8}
-OTHERS = {"blendbsdf": {"first": WHITE, "second": {"type": "roughconductor", "material": "Au", "alpha": 0.3}},
-          "mask": {"nested": WHITE}, "normalmap": {"nested": WHITE}, "bumpmap": {"nested": WHITE}}
 PARTNERS = {"alpha_u": {"alpha_v": 0.3}, "alpha_v": {"alpha_u": 0.3},
             "sheen_tint": {"sheen": 0.8, "base_color": {"type": "rgb", "value": [0.8, 0.3, 0.2]}},
             "spec_tint": {"spec_trans": 0.8}, "principledthin eta": {"spec_trans": 0.8},
             "principledthin anisotropic": {"spec_trans": 0.8}, "clearcoat_gloss": {"clearcoat": 1.0},
             "k": {"eta": 0.2}}  # by itself, with an index of 0, it turns the phase and reflects all
-SLOTS = [(kind, name) for kind, cls in REGISTRY["bsdf"].items() for name, attribute in attributes(cls).items()
-         if Texture in options(attribute.annotation)]
 
 
 @pytest.mark.parametrize("kind, name", deep_but_every(4, SLOTS))

@@ -6,7 +6,7 @@ import torch
 import torch_radbp as rb
 from tests.gradients import MEMOIZED, QUADRATIC, assert_informative, cotangent, image_and_gradients, relative_error
 from tests.scenes import load, rectangle, rgb, sensor
-from tests.texture.networks import WHITE, Function, bright, lit_room, mlp, shining
+from tests.scenes.networks import WHITE, Function, bright, lit_room, mlp, shining
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 TOLERANCE = 1e-10

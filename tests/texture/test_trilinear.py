@@ -7,10 +7,10 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.derivatives.parts import lamp, plane
 from tests.gradients import relative_error
-from tests.scene.test_texture import reference
 from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor, texels
+from tests.scenes.parts import lamp, plane
+from tests.texture.texel_by_texel import reference
 from torch_radbp.call.render_call import start_paths
 from torch_radbp.io.transform import scale
 from torch_radbp.scene.pack import pack
