@@ -12,7 +12,7 @@ from copy import copy
 from typing import Any, Protocol
 
 from torch_radbp.jit.allocator import keep_freed_memory
-from torch_radbp.jit.arguments import Taken
+from torch_radbp.jit.arguments import PreparedArgument
 from torch_radbp.jit.dual import DualFunction
 from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.refusal import UnknownOperation
@@ -77,7 +77,7 @@ class PlainStage:
         return results
 
     def into(self, results, first: int, *arguments) -> None:
-        write(results, first, self.function(*arguments))
+        _write(results, first, self.function(*arguments))
 
 
 class CompiledStage:
@@ -104,10 +104,10 @@ class CompiledStage:
         other.dual = self.dual.knowing(*map(as_it_is, arguments))
         return other
 
-    def taken(self, **arguments) -> tuple[Taken, ...]:
+    def taken(self, **arguments) -> tuple[PreparedArgument, ...]:
         return self.fused.taken(**arguments)
 
-    def room(self, results) -> Taken:
+    def room(self, results) -> PreparedArgument:
         return self.fused.room(results)
 
     def __call__(self, *arguments):
@@ -125,7 +125,7 @@ class CompiledStage:
                 return self.dual.into(as_it_is(results), first, parts)
             self.fused.into(results, first, *arguments)
         except UnknownOperation as error:
-            write(as_it_is(results), first, self.eagerly(error, arguments))
+            _write(as_it_is(results), first, self.eagerly(error, arguments))
 
     def eagerly(self, error: UnknownOperation, arguments: tuple):
         """What the stage returns in plain torch; says once why."""
@@ -187,7 +187,7 @@ def compiled() -> CompiledStages:
     return CompiledStages()
 
 
-def write(results, first: int, values) -> None:
+def _write(results, first: int, values) -> None:
     """Writes values into the tensors of `results` from the entry `first` on; where either has None nothing."""
     for target, value in zip(leaves_of(results), leaves_of(values)):
         if target is not None and value is not None:
@@ -196,4 +196,4 @@ def write(results, first: int, values) -> None:
 
 def as_it_is(argument):
     """An argument that may be prepared for several calls, as it was given."""
-    return argument.argument if isinstance(argument, Taken) else argument
+    return argument.argument if isinstance(argument, PreparedArgument) else argument

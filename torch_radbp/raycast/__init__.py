@@ -17,7 +17,7 @@ from torch_radbp.shape.placement import Instances
 __all__ = ["Hit", "Ray", "RayCaster", "make_caster"]
 
 # Imported when asked for: each has dependencies that the others do not need.
-CASTERS = {"embree": "Embree", "direct": "Direct", "brute": "Brute", "warp": "Warp"}
+CASTERS = {"embree": "Embree", "direct": "DirectCaster", "brute": "Brute", "warp": "Warp"}
 # What a path's rays cost at most, in tests of a triangle, to be cast faster without a tree: scattered boxes are three to
 # eight times as fast, even a thousand triangles of them; scattered triangles, whose runs are not compact, begin to lose.
 FEW_TESTS = 230

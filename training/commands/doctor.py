@@ -108,7 +108,7 @@ def processor() -> Iterator[Finding]:
     if folder is None:
         yield Finding("compiled code", "is not kept: RADBP_KERNEL_CACHE is off",
                       advice="every process compiles for seconds; unset it to keep code")
-    elif not code_cache.own(folder):
+    elif not code_cache.belongs_to_user(folder):
         yield Finding("compiled code", f"cannot be kept in {folder}",
                       "the folder must belong to you, and nobody else may write there: name another by RADBP_KERNEL_CACHE")
     else:

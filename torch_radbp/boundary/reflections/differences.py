@@ -10,9 +10,9 @@ from torch import Tensor
 from torch_radbp.boundary.reflections.ideal_paths import IdealPath, Vertices
 from torch_radbp.boundary.reflections.ideal_steps import FRONT, LIT, ONWARDS, OUTSIDE, THROUGH, Reached
 from torch_radbp.boundary.reflections.surfaces import Surfaces
-from torch_radbp.jit.arguments import Taken
+from torch_radbp.jit.arguments import PreparedArgument
 from torch_radbp.jit.board import board
-from torch_radbp.jit.dual import tensors_of
+from torch_radbp.jit.dual import tangents_and_tensors
 from torch_radbp.jit.order import chosen
 from torch_radbp.jit.stages import Stages
 from torch_radbp.jit.tape import Played, Tape, structure_of
@@ -62,11 +62,11 @@ def difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairi
         pairs: of them.
     """
     depths = tuple([number_of(depth, pairs.first.device) for depth in range(len(path))])
-    if not isinstance(surfaces, Taken) or not len(pairs.first) or pairs.first.device.type != "cpu" or inside_dual_level():
+    if not isinstance(surfaces, PreparedArgument) or not len(pairs.first) or pairs.first.device.type != "cpu" or inside_dual_level():
         return depth_by_depth(stages, surfaces, path, pairs, depths)
     with board() as helpers:
         kind = stages, surfaces.form.structure, *structure_of((path, depths))
-        tape = Tape(tensors_of((path, depths, surfaces.argument)), kind, board=helpers)
+        tape = Tape(tangents_and_tensors((path, depths, surfaces.argument)), kind, board=helpers)
         played = tape.play(("difference",), lambda pairs: Played(depth_by_depth(stages, surfaces, path, pairs, depths)),
                            (pairs,), len(pairs.first))
     return depth_by_depth(stages, surfaces, path, pairs, depths) if played is None else played.results
