@@ -31,7 +31,7 @@ from torch_radbp.boundary.segments import joined as joined_segments
 from torch_radbp.boundary.single_bodies import MeshOfBodies
 from torch_radbp.boundary.texture_lines import lines_of_textures, texture_segments
 from torch_radbp.call.render_call import RenderCall
-from torch_radbp.raycast.caster_cache import same
+from torch_radbp.raycast.caster_cache import same_values
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors, TriangleTable
 from torch_radbp.shape.placement import Instances
@@ -325,7 +325,7 @@ def outlines_of(scene: Scene) -> Outlines:
 
 def unchanged(table: Tensor | None, known: Tensor | None) -> bool:
     """True if a table, or its absence, is what it was; tables are never written into."""
-    return table is known if table is None or known is None else same(table, known)
+    return table is known if table is None or known is None else same_values(table, known)
 
 
 def joined(parts: Sequence[Outline]) -> Outline | None:

@@ -25,7 +25,7 @@ from torch_radbp.boundary.single_bodies import (
     shown_by_all,
 )
 from torch_radbp.call.render_call import RenderCall
-from torch_radbp.raycast.caster_cache import same
+from torch_radbp.raycast.caster_cache import same_values
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.vec import rows
@@ -106,7 +106,7 @@ class Passing:
             remember(self.known, moving, known)
             return known
         place = *scene.triangles.vertices.p, *(() if instances is None else leaves_of((instances.linear, instances.origin)))
-        if not known.place or not all(map(same, known.place, place)):
+        if not known.place or not all(map(same_values, known.place, place)):
             geometry = geometry_of(scene)
             segments, touching = intersections(call.stages, geometry, known.bodies)
             contacts = None if touching is None else contacts_of(

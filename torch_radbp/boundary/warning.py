@@ -26,7 +26,7 @@ from torch_radbp.boundary.silhouette import CameraSight, silhouettes_in_view
 from torch_radbp.boundary.unmapped import unmapped_textures
 from torch_radbp.boundary.without_rays import views_without_rays
 from torch_radbp.plugin.errors import level_of_the_caller
-from torch_radbp.raycast.caster_cache import same
+from torch_radbp.raycast.caster_cache import same_values
 from torch_radbp.scene.material import followed, sampling_at
 from torch_radbp.scene.material_tables import one_sided
 
@@ -312,7 +312,7 @@ class JumpWatch:
             counts: the number of triangles of each.
         """
         known = self.edges_of_shapes.get(key)
-        if known is None or not same(known[0], faces):  # a caster's faces are never written into
+        if known is None or not same_values(known[0], faces):  # a caster's faces are never written into
             known = self.edges_of_shapes[key] = (faces, edges_of(vertices, faces, spread(counts, faces.device)))
         return known[1]
 

@@ -46,15 +46,15 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls 
         balls = None
     if name is None and vertices.device.type == "cpu":
         if few(faces, balls, instances):
-            direct = made("direct", vertices, faces, balls, instances)
+            direct = _new_caster("direct", vertices, faces, balls, instances)
             if (direct if instances is None else direct.caster).cost <= FEW_TESTS:
                 return direct
         name = "embree"
-    return made(name or "warp", vertices, faces, balls, instances, last)
+    return _new_caster(name or "warp", vertices, faces, balls, instances, last)
 
 
-def made(name: str, vertices: Tensor, faces: Tensor, balls: Balls | None, instances: Instances | None,
-         last: RayCaster | None = None) -> RayCaster:
+def _new_caster(name: str, vertices: Tensor, faces: Tensor, balls: Balls | None, instances: Instances | None,
+                last: RayCaster | None = None) -> RayCaster:
     """The caster called `name`. Args: as for `make_caster`."""
     if name not in CASTERS:
         raise ValueError(f"unknown ray caster {name!r}; known are {', '.join(map(repr, CASTERS))}")

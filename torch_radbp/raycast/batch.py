@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from torch_radbp.raycast import every_ball
 from torch_radbp.raycast.every_triangle import view_along
-from torch_radbp.raycast.queries import INFINITY, Rays, lanes_before
+from torch_radbp.raycast.queries import INFINITY, RayVector, lanes_before
 from torch_radbp.raycast.runs import MOST
 from torch_radbp.raycast.vectors import ZERO, Vectors
 
@@ -68,7 +68,7 @@ def again(code: Vectors, name: str, end: str, then: str) -> None:
              f"br i1 %{name}.more, label %{name}, label %{then}", f"{then}:")
 
 
-def enter(code: Vectors, rays: Rays, at: str, end: str | None) -> None:
+def enter(code: Vectors, rays: RayVector, at: str, end: str | None) -> None:
     """Stores what is known of a vector of rays at the place `at` of the batch; `end`: t where they end; None: nowhere."""
     view, unit = view_along(code, rays)
     end = code.constant(INFINITY) if end is None else code.mul(end, unit)

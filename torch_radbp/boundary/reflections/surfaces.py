@@ -15,7 +15,7 @@ from torch_radbp.boundary.outline import Outline
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.jit.stages import Stages
 from torch_radbp.plugin.jump_lines import JumpLines
-from torch_radbp.raycast.caster_cache import same
+from torch_radbp.raycast.caster_cache import same_values
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene import Scene
 from torch_radbp.scene.interaction import at_corners
@@ -79,7 +79,7 @@ def surfaces_of(call: RenderCall, meshes: list[Outline], lines: LineTable | None
         lines: of textures.
     """
     triangles, known = call.scene.triangles, KNOWN.get(call.module)
-    if (known is None or not all(map(same, known.vertices, triangles.vertices.p))
+    if (known is None or not all(map(same_values, known.vertices, triangles.vertices.p))
             or len(meshes) != len(known.meshes) or any(own is not old for own, old in zip(meshes, known.meshes))):
         known = Known(triangles.vertices.p, meshes, smooth_parts(call.stages, call.scene, meshes))
         KNOWN[call.module] = known
