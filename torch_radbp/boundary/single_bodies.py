@@ -13,12 +13,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.edges import Edges, joined
+from torch_radbp.boundary.edges import Edges, joined_edges
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.moving import Moving, chosen_instances
 from torch_radbp.boundary.pierced import BodyEdges, edges_looked_at, probes, self_intersections, shape_of
 from torch_radbp.boundary.segments import Segments
-from torch_radbp.boundary.segments import joined as joined_segments
+from torch_radbp.boundary.segments import joined_segments as joined_segments
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.raycast.caster_cache import same_values
 from torch_radbp.scene.tensors import SceneTensors
@@ -73,7 +73,7 @@ def bodies_once(scene: SceneTensors, counts: Sequence[int], meshes: Sequence[Mes
         parts.append(edges if own.all() else rows(edges, own.nonzero().squeeze(1)))
         first = 0 if group < 0 else first_shown(scene, group)
         shown_by.append(torch.full_like(parts[-1].count, first))
-    return BodyEdges(joined(parts), None if instances is None else torch.cat(shown_by))
+    return BodyEdges(joined_edges(parts), None if instances is None else torch.cat(shown_by))
 
 
 def shape_ends(scene: SceneTensors, counts: Sequence[int]) -> Tensor:

@@ -52,7 +52,7 @@ class Pairing(NamedTuple):
     second: Tensor
 
 
-def difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairing) -> Difference:
+def path_difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairing) -> Difference:
     """How the paths of pairs part: by the first vertex at which they do.
 
     Args:
@@ -74,7 +74,7 @@ def difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairi
 
 def depth_by_depth(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairing,
                    depths: tuple[Tensor, ...]) -> Difference:
-    """As `difference`; `depths`: the numbers of the vertices."""
+    """As `path_difference`; `depths`: the numbers of the vertices."""
     found, whole = stages(unparted)(pairs), None
     for depth, vertices in zip(depths, path):
         found = stages(parted)(surfaces, vertices, pairs, found, depth)
@@ -108,7 +108,7 @@ def parted(surfaces: Surfaces, vertices: Vertices, pairs: Pairing, so_far: Diffe
     one, other = (rows(vertices.met, place.clamp_min(0)) for place in (first, second))
     differs = one.what ^ other.what
     surely, bend = how_bent(surfaces, one, other)
-    together = joined(surfaces, one, other)
+    together = _meet_same_surface(surfaces, one, other)
     smooth = ~surely & ~together & part_of_one(surfaces, one, other) & (bend < SMOOTH)
     drawn = torch.zeros_like(both)
     for cell, another in zip(one.cells, other.cells):
@@ -131,7 +131,7 @@ def parted(surfaces: Surfaces, vertices: Vertices, pairs: Pairing, so_far: Diffe
                       both & ((met == SAME) | (met == BENT)) & ((one.what & ONWARDS) != 0))
 
 
-def joined(surfaces: Surfaces, one: Reached, other: Reached) -> Tensor:
+def _meet_same_surface(surfaces: Surfaces, one: Reached, other: Reached) -> Tensor:
     """(N,) bool: two rays meet the same triangle, neighbours on a smooth surface, or both nothing."""
     same, there = one.hit.prim == other.hit.prim, one.hit.prim.clamp_min(0)
     near = torch.zeros_like(same)

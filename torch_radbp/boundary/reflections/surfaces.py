@@ -59,7 +59,7 @@ class Surfaces(NamedTuple):
     lines: LineTable | None  # None: no texture jumps
 
 
-class Known(NamedTuple):
+class CachedSmoothParts(NamedTuple):
     """Smooth parts, and what they depend on."""
 
     vertices: Vec3
@@ -67,7 +67,7 @@ class Known(NamedTuple):
     smooth: SmoothParts
 
 
-KNOWN: WeakKeyDictionary[Scene, Known] = WeakKeyDictionary()
+KNOWN: WeakKeyDictionary[Scene, CachedSmoothParts] = WeakKeyDictionary()
 
 
 def surfaces_of(call: RenderCall, meshes: list[Outline], lines: LineTable | None) -> Surfaces:
@@ -81,7 +81,7 @@ def surfaces_of(call: RenderCall, meshes: list[Outline], lines: LineTable | None
     triangles, known = call.scene.triangles, KNOWN.get(call.module)
     if (known is None or not all(map(same_values, known.vertices, triangles.vertices.p))
             or len(meshes) != len(known.meshes) or any(own is not old for own, old in zip(meshes, known.meshes))):
-        known = Known(triangles.vertices.p, meshes, smooth_parts(call.stages, call.scene, meshes))
+        known = CachedSmoothParts(triangles.vertices.p, meshes, smooth_parts(call.stages, call.scene, meshes))
         KNOWN[call.module] = known
     vertices = triangles.vertices._replace(attributes=(), uv=None if lines is None else triangles.vertices.uv)
     triangles = triangles._replace(vertices=vertices, clearance=None, along=None, emitter=None, balls=None, attributes=(),
