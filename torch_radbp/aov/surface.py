@@ -18,7 +18,7 @@ from torch_radbp.scene.interaction import (
     where_the_ray_goes,
 )
 from torch_radbp.scene.part import part_of
-from torch_radbp.scene.placement import for_lanes, shown
+from torch_radbp.scene.placement import for_lanes, points_in_world
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import stage
@@ -54,7 +54,7 @@ def sight(scene: SceneTensors, ray: Ray, hit: Hit, moving: bool) -> SeenPoint:
         moving: whether ray and geometry carry derivatives: the point stays on the ray.
     """
     triangles = scene.triangles
-    p0, e1, e2 = edges(*shown(scene, hit, at_corners(triangles.vertices.p, corner_rows(scene, hit))))
+    p0, e1, e2 = edges(*points_in_world(scene, hit, at_corners(triangles.vertices.p, corner_rows(scene, hit))))
     t, n = hit.t, triangle_normal(scene, hit, e1, e2)
     if moving:
         hit = where_the_ray_goes(ray, p0, e1, e2, hit, hit.prim >= 0)

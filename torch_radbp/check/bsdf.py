@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 
-from torch_radbp.bsdf.contract import checked_kind, name_of
+from torch_radbp.bsdf.contract import checked_kind, material_name
 from torch_radbp.check.balance import balances, claims, energy, reciprocity
 from torch_radbp.check.ends import at_ends, standing_alone, white
 from torch_radbp.check.finite import (
@@ -83,7 +83,7 @@ def check_bsdf(bsdf: BSDF | dict[str, Any], *, samples: int = 50_000, seed: int 
                          claims(subject.kind, "conserves"), samples, seed)]
     with torch.enable_grad():
         found += [statements(subject, seed), finite_everywhere(bsdf)]
-    return PluginCheck(f"bsdf {name_of(bsdf)}", tuple(found))
+    return PluginCheck(f"bsdf {material_name(bsdf)}", tuple(found))
 
 
 def subject_of(bsdf: BSDF) -> Subject:
