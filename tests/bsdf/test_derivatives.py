@@ -12,7 +12,7 @@ from tests.bsdf.lanes import (
     direction,
     directions,
     material,
-    numbers,
+    random_numbers,
     sampled,
     values_of,
 )
@@ -27,7 +27,7 @@ class Setting:
 
     def __init__(self, name: str, wi: Vec3 | None = None):
         bsdf = material(MATERIALS[name])
-        self.kind, self.random = bsdf.kind(), numbers(COUNT)
+        self.kind, self.random = bsdf.kind(), random_numbers(COUNT)
         self.wi = directions(COUNT, 3) if wi is None else wi
         if not self.kind.transmits:
             self.wi = self.wi._replace(z=self.wi.z.abs())

@@ -15,7 +15,7 @@ from torch_radbp.boundary.shadows.seen_edges import corners_of, salted, uniform_
 from torch_radbp.call.render_call import RenderCall, started
 from torch_radbp.path.bounce import CameraSample, sample_camera
 from torch_radbp.path.event import Scatters
-from torch_radbp.path.integrand import Integrand, number
+from torch_radbp.path.integrand import Integrand, int32_number
 from torch_radbp.path.state import PathState
 from torch_radbp.path.taped_bounces import bounces_taken
 from torch_radbp.path.wavefront import Onward, put_rows
@@ -175,7 +175,7 @@ def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, foll
                      for queue in step.queues if queue.event.scatters and scatters_as(integrand, queue.event, following)]
             if meant:
                 reached = PathsAtBounce(state, step.hit, step.order, step.survives, onward.paths)
-                at = number(SALT + 1 + depth, key.seed.device)
+                at = int32_number(SALT + 1 + depth, key.seed.device)
                 put_rows(picked, *stages(picked_vertex)(picked, reached, torch.cat(meant), key, at, attached))
             depth += 1
     return picked
