@@ -77,8 +77,8 @@ class Estimate:
         for sampling in moving.samplings:
             renderer = rb.Renderer(scene, max_depth=moving.max_depth, sampling=sampling, compile=effort.compile,
                                    share_samples=True)
-            self.measurements[sampling] = Measurement(renderer, f"scene.{moving.name}", value,
-                                                      ParameterMove(moving.step, BOTH_SIDES, self.tangent), False, effort.spp,
+            move = ParameterMove(moving.step, BOTH_SIDES, self.tangent)
+            self.measurements[sampling] = Measurement(renderer, f"scene.{moving.name}", value, move, False, effort.spp,
                                                       effort.seed, None, None)
         self.sums: dict[str, Tensor] = {}
         self.rounding: Tensor | float = 0.0

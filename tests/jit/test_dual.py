@@ -70,7 +70,8 @@ def test_tangents_that_there_is_room_for_are_written_and_zero_where_there_are_no
     with forward_ad.dual_level():
         room = dual(tuple(torch.full((12,), 7.0) for _ in range(2)), tuple(torch.full((12,), 7.0) for _ in range(2)))
         fused.into(room, 2, DualParts.of((forward_ad.make_dual(x, slope), y)))
-        for (value, tangent), right, expected in zip(map(values_and_tangents, room), (x * y, y + 1.0), (slope * y, torch.zeros(9))):
+        expected_tangents = (slope * y, torch.zeros(9))
+        for (value, tangent), right, expected in zip(map(values_and_tangents, room), (x * y, y + 1.0), expected_tangents):
             torch.testing.assert_close(value[2:11], right)
             torch.testing.assert_close(tangent[2:11], expected)
             assert (value[[0, 1, 11]] == 7).all() and (tangent[[0, 1, 11]] == 7).all()

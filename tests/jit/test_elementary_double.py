@@ -97,8 +97,9 @@ def test_sines_of_large_angles_lose_what_is_stated():
 
 
 def test_nothing_of_the_library_is_left():
-    program = traced_program(lambda x, y: [getattr(torch, name)(x) if name not in ("pow", "atan2", "hypot") else
-                                           getattr(torch, name)(x, y) for name in FORMULAS], [torch.float64] * 2, [LANES] * 2)
+    program = traced_program(
+        lambda x, y: [getattr(torch, name)(x) if name not in ("pow", "atan2", "hypot") else getattr(torch, name)(x, y)
+                      for name in FORMULAS], [torch.float64] * 2, [LANES] * 2)
     used = {value.operation for value in program.values}
     assert set(FORMULAS) <= used
     lowered = without_library(program)

@@ -24,7 +24,8 @@ def test_a_kernel_has_the_instructions_that_the_processor_has_for_single_lanes()
 
 
 def test_parameters_are_the_lanes_the_inputs_the_lengths_of_searched_tables_and_the_outputs():
-    program = traced_program(lambda table, x: [torch.searchsorted(table, x, right=True), x * 2], [torch.float32] * 2, [TABLE, LANES])
+    program = traced_program(lambda table, x: [torch.searchsorted(table, x, right=True), x * 2], [torch.float32] * 2,
+                             [TABLE, LANES])
     head = next(line for line in Gpu(Emulated()).text(program).splitlines() if line.startswith("define ptx_kernel"))
     assert head == ("define ptx_kernel void @lanes(i64 %lanes, ptr noalias readonly %in0, ptr noalias readonly %in1, "
                     "i64 %length0, ptr noalias writeonly %out0, ptr noalias writeonly %out1) #0 {")
@@ -42,7 +43,8 @@ def test_ptx_of_a_kernel(architecture):
 @pytest.mark.parametrize("architecture", ["sm_80", "sm_90", "sm_100"])
 def test_which_products_and_sums_are_fused_is_settled_by_the_ptx(architecture):
     """Those without `.rn` would be fused by NVIDIA's assembler or not, as it likes."""
-    program = traced_program(lambda x, y: [x * y + 1, x * y - y, x * y, x.double() * y.double()], [torch.float32] * 2, [LANES] * 2)
+    program = traced_program(lambda x, y: [x * y + 1, x * y - y, x * y, x.double() * y.double()], [torch.float32] * 2,
+                             [LANES] * 2)
     text = ptx(Gpu(Emulated()).text(program), architecture)
     assert "fma.rn.f32" in text and "mul.rn.f32" in text and "mul.rn.f64" in text
     assert not re.search(r"\s(add|sub|mul)\.f(32|64)", text)

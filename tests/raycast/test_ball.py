@@ -107,7 +107,8 @@ def test_the_width_of_vectors_changes_nothing(width, dtype):
     ray, caster = take(rays_near(vertices), slice(0, 5003)), DirectCaster(vertices, faces, balls)
     hit = [torch.empty(5003, dtype=torch.int32), *(torch.empty(5003, dtype=dtype) for _ in range(3))]
     read = [*ray.o, *ray.d, *caster.tables(dtype, batches.closest_hit_of_batches)]
-    run_lanes(code_of_batches(batches.closest_hit_of_batches, dtype, True, width).address, 5003, tensor_addresses(read), tensor_addresses(hit))
+    code = code_of_batches(batches.closest_hit_of_batches, dtype, True, width)
+    run_lanes(code.address, 5003, tensor_addresses(read), tensor_addresses(hit))
     found = Hit(*hit) if dtype == torch.float32 else refined(vertices, faces, ray, Hit(*hit))
     assert all(torch.equal(a, b) for a, b in zip(found[:4], caster.intersect(ray)))
 

@@ -24,9 +24,10 @@ def answers(width: int, dtype: torch.dtype, vertices, faces, ray: Ray, tmax) -> 
     hit = [torch.empty(LANES, dtype=torch.int32), *(torch.empty(LANES, dtype=dtype) for _ in range(3))]
     hidden = torch.empty(LANES, dtype=torch.bool)
     rays = [*ray.o, *ray.d]
-    for loop, columns, results in ((batches.closest_hit_of_batches, rays, hit), (batches.any_hit_of_batches, [*rays, tmax], [hidden])):
-        inputs = [*columns, *caster.tables(dtype, loop)]
-        run_lanes(code_of_batches(loop, dtype, False, width).address, LANES, tensor_addresses(inputs), tensor_addresses(results))
+    for loop, columns, results in ((batches.closest_hit_of_batches, rays, hit),
+                                   (batches.any_hit_of_batches, [*rays, tmax], [hidden])):
+        inputs, code = [*columns, *caster.tables(dtype, loop)], code_of_batches(loop, dtype, False, width)
+        run_lanes(code.address, LANES, tensor_addresses(inputs), tensor_addresses(results))
     return [*hit, hidden]
 
 

@@ -140,7 +140,8 @@ def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps
     view, found = call.views[number], None
     with torch.no_grad():
         stages, sight = still.stages, sight_of(still.views[number], lamps)
-        viewed = ExaminedView(stages, *stages(edge_weight).taken(geometry=geometry_of(still.scene), sight=sight), sight.camera)
+        prepared = stages(edge_weight).taken(geometry=geometry_of(still.scene), sight=sight)
+        viewed = ExaminedView(stages, *prepared, sight.camera)
         places = [] if jumps is None else _places_of(still, number, viewed, jumps, any(seen.turns))
         if places:
             integrand = integrand_of(still, still.integrand, number)
@@ -229,7 +230,8 @@ def lanes(count: int, like: Tensor) -> Tensor:
     return torch.arange(count, dtype=torch.int32, device=like.device)
 
 
-def strengths(call: RenderCall, integrand: Integrand, viewed: ExaminedView, places: Places, seen: SeenByCamera) -> JumpPlaces | None:
+def strengths(call: RenderCall, integrand: Integrand, viewed: ExaminedView, places: Places,
+              seen: SeenByCamera) -> JumpPlaces | None:
     """The places of which the camera sees the jump, and by how much what is seen changes there; None: no place counts.
 
     Args:

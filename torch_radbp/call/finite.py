@@ -141,8 +141,8 @@ def light_is_finite(scene: SceneTensors, proposal: SceneTensors, arrival: Arriva
     return torch.isfinite(torch.stack(sent)).all(0)
 
 
-def image_error(images: Tensor, integrand: Integrand, scene: Scene | None, trace_again: Callable[[Integrand, FirstNonFinite], None]
-                ) -> NonFiniteError:
+def image_error(images: Tensor, integrand: Integrand, scene: Scene | None,
+                trace_again: Callable[[Integrand, FirstNonFinite], None]) -> NonFiniteError:
     """The error about an image.
 
     Args:

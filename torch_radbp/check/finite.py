@@ -54,7 +54,8 @@ class Lanes(NamedTuple):
             return differentiable_copy(vector.map(lambda c: c.detach().repeat(len(others))))
 
         joined = type(others[0])(*(torch.cat(parts) for parts in zip(*others)))
-        return Lanes(tuple(map(repeated, values)), repeated(wi), differentiable_copy(joined) if isinstance(joined, Vec3) else joined)
+        return Lanes(tuple(map(repeated, values)), repeated(wi),
+                     differentiable_copy(joined) if isinstance(joined, Vec3) else joined)
 
     def named(self) -> dict[str, Tensor]:
         """All numbers of the lanes."""

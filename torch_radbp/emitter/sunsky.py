@@ -121,7 +121,8 @@ def _light(table: SunskyTable, d: Vec3, met: Tensor) -> Vec3:
     local = table.to_local.to_local(d)
     first = torch.zeros_like(d.x, dtype=torch.int32)
     above = ((local.z >= 0) & (table.towards.z >= 0)).to(d.x.dtype)
-    sky = _formula(tuple(lookup(each, first) for each in table.coefficients), local, table.towards) * lookup(table.sky, first)
+    coefficients = tuple(lookup(each, first) for each in table.coefficients)
+    sky = _formula(coefficients, local, table.towards) * lookup(table.sky, first)
     return (sky + lookup(table.sun, first) * met.to(d.x.dtype)) * above
 
 

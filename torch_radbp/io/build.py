@@ -100,8 +100,8 @@ class _Builder:
             if name == "type":
                 continue
             if not _is_object(value):
-                raise self.error((name,), value, f"a scene takes only objects, dicts with a \"type\", got {value_text(value)}"
-                                 f"{_advice(value)}")
+                raise self.error((name,), value, f"a scene takes only objects, dicts with a \"type\", got "
+                                 f"{value_text(value)}{_advice(value)}")
             if _is_reference(value):
                 raise self.error((name,), value, "a reference cannot stand directly in the scene; put it inside the "
                                  "object that uses it")
@@ -298,7 +298,8 @@ class _Builder:
         if found is None:
             looked = ", ".join(str(folder.resolve()) for folder in folders)
             like = next(filter(None, (otherwise_spelled(folder / name) for folder in folders)), None)
-            raise ValueError(f"{key} {value_text(name)} not found; looked in {looked}{f'; did you mean {like}?' if like else ''}")
+            raise ValueError(f"{key} {value_text(name)} not found; looked in {looked}"
+                             f"{f'; did you mean {like}?' if like else ''}")
         return str(found)
 
     def colour(self, key: str, value: dict[str, Any], node: dict[str, Any], cls: type[Plugin]) -> Any:
@@ -329,9 +330,9 @@ def warn_of_poles(children: dict[str, Plugin]) -> None:
         pole = child.up() if isinstance(child, Emitter) else None
         for up in ups if pole is not None else ():
             if float(pole @ pole.new_tensor(up)) < 0.5 * float(pole.norm()):
-                warnings.warn(f"{name}: its pole is {value_text(pole.tolist())}, but in the world of the cameras {value_text(up)} "
-                              "points up; turn it, with to_world=[[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]] "
-                              "from y to z", stacklevel=5)
+                warnings.warn(f"{name}: its pole is {value_text(pole.tolist())}, but in the world of the cameras "
+                              f"{value_text(up)} points up; turn it, with "
+                              "to_world=[[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]] from y to z", stacklevel=5)
 
 
 def _is_object(value: Any) -> bool:

@@ -183,7 +183,8 @@ def _number(place: str, given: dict[str, Any], key: str) -> float | None:
     return float(value)
 
 
-def _size_of(frame: NerfFrame, given: dict[str, Any], folder: Path, other: tuple[int | None, int | None]) -> list[int] | None:
+def _size_of(frame: NerfFrame, given: dict[str, Any], folder: Path,
+             other: tuple[int | None, int | None]) -> list[int] | None:
     """Width and height as the file says them, or the caller, or the image does; None if that is not there."""
     size = [_number(frame.place, given, key) for key in ("w", "h")]
     if None in size:

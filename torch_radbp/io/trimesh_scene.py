@@ -97,8 +97,9 @@ def _read_scene(source: trimesh.Trimesh | trimesh.Scene, chosen: Options, strict
 def _camera_of(scene: trimesh.Scene, chosen: Options, reach: float) -> Plugin:
     """The camera of a scene, as of glTF: it looks along -z."""
     width, height = (int(side) for side in scene.camera.resolution)
-    part = DocumentPart(SOURCE, "camera", {"type": "perspective", "extras": {"width": width, "height": height}, "perspective": {
-        "yfov": math.radians(float(scene.camera.fov[1])), "aspectRatio": width / height,
-        "znear": float(scene.camera.z_near)}})
+    perspective = {"yfov": math.radians(float(scene.camera.fov[1])), "aspectRatio": width / height,
+                   "znear": float(scene.camera.z_near)}
+    part = DocumentPart(SOURCE, "camera", {"type": "perspective", "extras": {"width": width, "height": height},
+                                           "perspective": perspective})
     to_world = np.asarray(scene.camera_transform, dtype=np.float64)
     return camera_of(part, to_world, chosen.resolution, chosen.spp, 4 * (reach + float(np.abs(to_world[:3, 3]).max())))

@@ -74,7 +74,8 @@ class Looks:
         self.losses, self.images, self.numbers = losses, ImagesInMemory(), dict[int, int]()
         empty: dict[str, Any] = {"asset": {"version": "2.0"}, "materials": [], "textures": []}
         self.document = Document(SOURCE, empty)
-        self.materials = GltfMaterials(self.document, GltfTextures(self.document, self.images, losses), losses, names, children)
+        textures = GltfTextures(self.document, self.images, losses)
+        self.materials = GltfMaterials(self.document, textures, losses, names, children)
 
     def dressed(self, mesh: trimesh.Trimesh, place: str) -> Dressed:
         """A mesh with its look; `place` names it in messages."""

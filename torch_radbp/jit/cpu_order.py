@@ -249,7 +249,7 @@ def partition_on_cpu(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]
 
 
 def partitioned_by_many(number: Tensor, queues: int, order: Tensor) -> tuple[Tensor, Sequence[int]]:
-    """`partition_on_cpu` into queues of few lanes, whose counters for several runs would not fit into a cache; writes `order`."""
+    """`partition_on_cpu` into queues of few lanes: counters for several runs would not fit into a cache; writes `order`."""
     size, found = number.element_size(), ZERO * queues
     code().count_rest[size](number.data_ptr(), found.buffer_info()[0], queues, 0, number.numel())
     counts = torch.frombuffer(found, dtype=torch.int64)

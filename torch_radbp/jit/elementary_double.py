@@ -189,4 +189,5 @@ def pow(x: Tensor, y: Tensor) -> Tensor:  # noqa: A001 (the operation's name)
 
 FORMULAS: dict[str, Callable[..., Tensor]] = {
     "sinh": sinh, "cosh": cosh, "tanh": tanh, "exp": _exp, "exp2": exp2, "expm1": expm1, "log": _log, "log2": log2,
-    "log10": log10, "log1p": _log1p, "erf": erf, "erfc": _erfc, "pow": pow, "hypot": hypot, **angle_functions(_quadrant, ATAN)}
+    "log10": log10, "log1p": _log1p, "erf": erf, "erfc": _erfc, "pow": pow, "hypot": hypot,
+    **angle_functions(_quadrant, ATAN)}

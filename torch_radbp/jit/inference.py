@@ -43,8 +43,8 @@ def of_numbers(a, b=None, *more, **options) -> Outcome | None:
     return None if dtype == torch.bool else (dtype, shape)
 
 
-@_rule_for("div", "sqrt", "copysign", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "exp2", "expm1",
-           "log", "log2", "log10", "log1p", "erf", "erfc", "atan2", "reciprocal", "rsqrt")
+@_rule_for("div", "sqrt", "copysign", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "exp2",
+           "expm1", "log", "log2", "log10", "log1p", "erf", "erfc", "atan2", "reciprocal", "rsqrt")
 def floating(a, b=None, *, rounding_mode: str | None = None) -> Outcome | None:
     if rounding_mode is not None:
         return of_numbers(a, b)

@@ -279,8 +279,8 @@ class Writer:
 
     def part(self, number: int, operations: Sequence[Operation]) -> str:
         """The function of some operations, which come one after the other."""
-        write = {RecordedLoop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put, Inverted: self.inverted,
-                 Copy: self.copy, Scattered: self.scattered}
+        write = {RecordedLoop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put,
+                 Inverted: self.inverted, Copy: self.copy, Scattered: self.scattered}
         self.lines, self.addresses, known = [], {}, len(self.counts)
         for count in range(2, known):
             at = self.line(f"getelementptr i64, ptr %counts, i64 {count}")

@@ -208,4 +208,5 @@ class LaneFunction:
         program = program._replace(outputs=outputs)
         inputs = tuple(value.static for value in program.inputs)
         dtypes = tuple(value.dtype for value in outputs)
-        return program, Interface(inputs, program.searched, dtypes, results, with_other_leaves(returned, Leaf), of_lanes(structure))
+        shape = with_other_leaves(returned, Leaf)
+        return program, Interface(inputs, program.searched, dtypes, results, shape, of_lanes(structure))

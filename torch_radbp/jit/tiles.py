@@ -195,7 +195,7 @@ class TileStep(NamedTuple):
 
     recorded: Recorded
     handed: Handed
-    given: RecordedInputs  # whose first tensors are the results of the recording before, in order; of the first: lanes, in order
+    given: RecordedInputs  # the first tensors are the results of the recording before, in order; in the first one, lanes
     lanes: int  # how many of them
 
 

@@ -203,8 +203,8 @@ class Photographs(Dataset[Photograph]):
         picture = self.pictures[view]
         if (size := (image.shape[2], image.shape[1])) != self.sizes[view]:
             was = self.sizes[view]
-            raise ValueError(f"{picture_name(picture.image)} has {size[0]} x {size[1]} pixels now, and had {was[0]} x {was[1]} "
-                             f"when these photographs were made; make them anew")
+            raise ValueError(f"{picture_name(picture.image)} has {size[0]} x {size[1]} pixels now, and had {was[0]} x "
+                             f"{was[1]} when these photographs were made; make them anew")
         film = self.cameras[self.names[view]].film
         return tuple(area_average(part, film.crop_width, film.crop_height) for part in (image, mask))
 

@@ -103,14 +103,14 @@ def read_picture(picture: Picture, curve: str | float, background: Tensor) -> tu
     if picture.mask is not None:
         given = read_mask(picture.mask)
         if given.shape[1:] != image.shape[1:]:
-            raise ValueError(f"the mask {picture_name(picture.mask)} has {given.shape[2]} x {given.shape[1]} pixels, and its "
-                             f"image {image.shape[2]} x {image.shape[1]}")
+            raise ValueError(f"the mask {picture_name(picture.mask)} has {given.shape[2]} x {given.shape[1]} pixels, and "
+                             f"its image {image.shape[2]} x {image.shape[1]}")
         mask = mask * in_range(picture_name(picture.mask), given)
     finite = image.isfinite()
     image, bad = image.where(finite | (mask > 0), 0.0), int((~finite & (mask > 0)).sum())
     if bad:
-        raise ValueError(f"{picture_name(picture.image)}: {bad} values of the image are NaN or infinite; mend it first, or give "
-                         f"a mask that is 0 there")
+        raise ValueError(f"{picture_name(picture.image)}: {bad} values of the image are NaN or infinite; mend it first, or "
+                         f"give a mask that is 0 there")
     return image.contiguous(), mask.contiguous()
 
 

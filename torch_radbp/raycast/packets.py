@@ -127,4 +127,5 @@ def closest_of_instances(code: Vectors, rays: RayVector) -> tuple[str, str, str,
 
 # Embree's function and scene, and the address of the distance within which origins are near.
 KERNEL = CasterKernel(("query", "scene", "near_at"), _prepare, closest, occluded)
-OF_INSTANCES = CasterKernel((*KERNEL.inputs, "first_triangles", "first_instances"), _prepare, closest_of_instances, occluded, True)
+OF_INSTANCES = CasterKernel((*KERNEL.inputs, "first_triangles", "first_instances"), _prepare, closest_of_instances, occluded,
+                            True)

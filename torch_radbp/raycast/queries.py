@@ -63,7 +63,8 @@ def closest_hit_of_packets(code: Vectors, kernel: CasterKernel) -> str:
     columns = _begin(code, kernel, columns=6, outputs=len(kinds))
     code.lay("br label %cast\ncast:\n%at = phi i64 [ %first, %entry ], [ %at.next, %answered ]")
     mask = lanes_before(code, "%last", "%at")
-    answers = kernel.closest(code, rays_among_lanes(code, [code.load_where(mask, column, "%at") for column in columns], mask))
+    rays = rays_among_lanes(code, [code.load_where(mask, column, "%at") for column in columns], mask)
+    answers = kernel.closest(code, rays)
     for number, (kind, answer) in enumerate(zip(kinds, answers, strict=True)):
         code.store_where(mask, kind, answer, f"%out{number}", "%at")
     code.lay("br label %answered", "answered:",

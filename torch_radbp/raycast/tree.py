@@ -135,7 +135,8 @@ class GroupTree(NamedTuple):
     faces: Tensor  # (F, 3) int32, rows of these
 
 
-def groups_of(device: Device, vertices: Tensor, faces: Tensor, instances: Instances, known: Sequence[GroupTree]) -> list[GroupTree]:
+def groups_of(device: Device, vertices: Tensor, faces: Tensor, instances: Instances,
+              known: Sequence[GroupTree]) -> list[GroupTree]:
     """The groups that instances show; those of `known`, which are of the same device, whose triangles are the same.
 
     Args:
@@ -151,6 +152,7 @@ def groups_of(device: Device, vertices: Tensor, faces: Tensor, instances: Instan
         own, corners = vertices[start[0]:end[0]], faces[start[1]:end[1]] - start[0]
         same = next((group for group in known
                      if torch.equal(group.vertices, own) and torch.equal(group.faces, corners)), None)
-        groups.append(same or GroupTree(Tree(device, [TreeGeometry.of_triangles(device, own, corners)], len(corners)), own, corners))
+        groups.append(same or GroupTree(Tree(device, [TreeGeometry.of_triangles(device, own, corners)], len(corners)),
+                                        own, corners))
         start = end
     return groups

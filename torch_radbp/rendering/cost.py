@@ -100,14 +100,15 @@ def check_cost(request: Request) -> None:
         ValueError: with the number of paths, or the bytes that are needed at least and those that there are.
     """
     if request.paths > MOST_PATHS or request.spp > MOST_NUMBERED or request.width * request.height > MOST_NUMBERED:
-        raise ValueError(f"{request}: {request.paths:.3g} paths, and {bytes_text(request.least_bytes)} of memory at least; one "
-                         f"call traces at most {MOST_PATHS:.0e} paths, {MOST_NUMBERED} pixels of an image and as many "
+        raise ValueError(f"{request}: {request.paths:.3g} paths, and {bytes_text(request.least_bytes)} of memory at least; "
+                         f"one call traces at most {MOST_PATHS:.0e} paths, {MOST_NUMBERED} pixels of an image and as many "
                          f"samples of a pixel: average calls of fewer samples with other seeds, or render crops of the film")
     there = memory_of(request.device)
     if request.least_bytes > there:
         remedy = "set memory_budget, or average the gradients of calls of fewer samples with other seeds, or "
-        raise ValueError(f"{request}: {bytes_text(request.least_bytes)} of memory at least, and there are {bytes_text(there)}; "
-                         f"{'' if request.adjoint is None else remedy}choose a smaller film, chunk or spp")
+        raise ValueError(f"{request}: {bytes_text(request.least_bytes)} of memory at least, and there are "
+                         f"{bytes_text(there)}; {'' if request.adjoint is None else remedy}choose a smaller film, chunk or "
+                         "spp")
 
 
 def memory_of(device: torch.device) -> float:

@@ -77,7 +77,8 @@ def material_tables(cache: PackCache, scene: Scene, bsdfs: tuple[BSDF, ...], dty
                           cache(_column, len(bsdfs), torch.int32, device))
     inventory = cache.inventory(scene)
     own = {reader: tuple(found.values()) for reader, found in of_reader.items()}
-    read = tuple(MaterialTextures(reader, textures, inventory.reach(textures), inventory.reach(textures) & inventory.settled_reach)
+    read = tuple(MaterialTextures(reader, textures, inventory.reach(textures),
+                                  inventory.reach(textures) & inventory.settled_reach)
                  for reader, textures in own.items())
     bending, ideally = (any(differentiated(source) for kind, own in zip(kinds, textures) if kind.delta or not ideal
                             for slot in kind.bending for source in own[slot].sources()) for ideal in (False, True))

@@ -78,7 +78,8 @@ def curves_crossed(searched: Searched, crossed: Crossings) -> tuple[Curves, Tens
     shadows = (kind == SHADOW).nonzero().squeeze(1)
     if len(shadows):
         casting, is_casting = side_that_casts(searched, rows(crossed, shadows))
-        side = TriangleSide(*(None if part is None else part.index_copy(0, shadows, found) for part, found in zip(side, casting)))
+        side = TriangleSide(*(None if part is None else part.index_copy(0, shadows, found)
+                              for part, found in zip(side, casting)))
         known = known.index_copy(0, shadows, is_casting)
     return Curves(kind, side, other, shown_by, line, number), known
 

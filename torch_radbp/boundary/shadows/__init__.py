@@ -56,7 +56,7 @@ class ShadowIntegral(NamedTuple):
 
     found: Callable[..., Any]  # of a call without derivatives, a view and edges: places; None: there are none
     jumps: Callable[..., FilmJumps]  # of a call, a view's number, edges and the places
-    is_split: bool = False  # `found` also takes a `split.Amount`, beside the first part with its places as `split.SampledIntegral`
+    is_split: bool = False  # `found` also takes a `split.Amount`; its places beside the first part are a `SampledIntegral`
 
 
 def shadows_move(call: RenderCall) -> bool:
@@ -147,24 +147,29 @@ def _parts_of(call: RenderCall, curves: SegmentTree | None, contacts: Segments |
         lights = border.Lights(settings.nee, surfaces, around)
         parts.append(ShadowIntegral(partial(border.borders_in_view, lights=lights), border.jumps_of_borders))
     if on_film and settings.nee:
-        parts += [ShadowIntegral(partial(pictures.picture_borders_in_view, kind=kind, lines=lines), partial(pictures.jumps_of_pictures, kind=kind))
+        parts += [ShadowIntegral(partial(pictures.picture_borders_in_view, kind=kind, lines=lines),
+                                 partial(pictures.jumps_of_pictures, kind=kind))
                   for kind, lines in pictures.lines_of_pictures(call).items()]
     if on_film and settings.nee and contacts is not None:
         parts.append(ShadowIntegral(lambda still, number, _: under_edges.strips_in_view(still, number, contacts),
                                     lambda attached, number, _, found: under_edges.jumps_of_strips(attached, number, found)))
     if glues(call) and (deep or not (surfaces and around)):
-        parts.append(ShadowIntegral(partial(hidden_light.cuts_of_view, first=first), hidden_light.jumps_of_cuts, is_split=True))
+        parts.append(ShadowIntegral(partial(hidden_light.cuts_of_view, first=first), hidden_light.jumps_of_cuts,
+                                    is_split=True))
     if glues(call) and deep and seen_through.passes_straight(call.scene):
         parts.append(ShadowIntegral(seen_through.cuts_seen_through, hidden_light.jumps_of_cuts, is_split=True))
     if glues(call) and sharp:
         parts.append(ShadowIntegral(bounced.connected_borders_of_paths, bounced.jumps_of_connected_borders))
     if not glues(call) or settings.following:
-        parts.append(ShadowIntegral(partial(followed_light.followed_cuts_of_view, first=first), followed_light.jumps_of_followed_cuts))
+        parts.append(ShadowIntegral(partial(followed_light.followed_cuts_of_view, first=first),
+                                    followed_light.jumps_of_followed_cuts))
         if sharp:
-            parts.append(ShadowIntegral(followed_borders.followed_borders_of_paths, followed_borders.jumps_of_followed_borders))
+            parts.append(ShadowIntegral(followed_borders.followed_borders_of_paths,
+                                        followed_borders.jumps_of_followed_borders))
     if curves is not None:
         parts.append(ShadowIntegral(lambda still, number, _: crossed_surfaces.curves_of_view(still, number, curves),
-                                    lambda attached, number, _, found: crossed_surfaces.jumps_of_crossed_surfaces(attached, number, found)))
+                                    lambda attached, number, _, found: crossed_surfaces.jumps_of_crossed_surfaces(
+                                        attached, number, found)))
     return parts
 
 

@@ -123,7 +123,8 @@ def pairs_of(call: RenderCall, number: int, casting: Casting, following: bool) -
     if not len(kept):
         return None
     borders, passed, inwards, times = shadows_cast(geometry, lit, *rows((passed, receiver), kept))
-    return ConnectedPlaces(rows(points, connected[kept]), rows(start, kept), borders, inwards, times * len(points.depth), passed.key)
+    return ConnectedPlaces(rows(points, connected[kept]), rows(start, kept), borders, inwards, times * len(points.depth),
+                           passed.key)
 
 
 class Way(NamedTuple):

@@ -110,7 +110,8 @@ def jumps_of_followed_cuts(call: RenderCall, number: int, casting: Casting, foun
     seen, of_lamps = (cut_at(geometry, casting.outline, at, cuts) for cuts in (own.cuts, lamps.cuts))
     d = moved_directions(call, rows(points, viewpoint), rows(rays, viewpoint), found.numbers)
     seen = Vec2(*(place - dot(d, across) for place, across in zip(seen, own.cuts.basis)))
-    amount = torch.cat([own.strength * swept_areas(seen, own.normal), lamps.strength * swept_areas(of_lamps, lamps.normal)], 1)
+    amount = torch.cat([own.strength * swept_areas(seen, own.normal),
+                        lamps.strength * swept_areas(of_lamps, lamps.normal)], 1)
     return FilmJumps(rows(points.place, torch.cat([viewpoint, lamps.cuts.viewpoint])), amount)
 
 

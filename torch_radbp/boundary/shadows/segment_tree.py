@@ -79,7 +79,8 @@ def segment_bounds(geometry: Geometry, segments: Segments, slots: Tensor, slot: 
 
 
 @stage("geometry", "segments", "slots", "eyes")
-def segment_found(geometry: Geometry, segments: Segments, slots: Tensor, eyes: Eyes, at: Descent, extent: Tensor) -> PickedEdges:
+def segment_found(geometry: Geometry, segments: Segments, slots: Tensor, eyes: Eyes, at: Descent,
+                  extent: Tensor) -> PickedEdges:
     """Segments below the last nodes of the tree, in proportion to the angles under which they are seen.
 
     Args:
@@ -103,8 +104,8 @@ def segment_found(geometry: Geometry, segments: Segments, slots: Tensor, eyes: E
 
 
 @stage("geometry", "segments", "eyes", "lot", "found", "eye")
-def segment_passed(geometry: Geometry, segments: Segments, eyes: Eyes, lot: Lot, found: PickedEdges, eye: Tensor, seed: SampleKey,
-                   extent: Tensor, place: Tensor) -> Passed:
+def segment_passed(geometry: Geometry, segments: Segments, eyes: Eyes, lot: Lot, found: PickedEdges, eye: Tensor,
+                   seed: SampleKey, extent: Tensor, place: Tensor) -> Passed:
     """Places on some of the segments that were found, `outwards` to between the surfaces that eyes see there.
 
     Args:

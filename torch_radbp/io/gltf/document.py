@@ -124,7 +124,8 @@ class DocumentPart:
 
     def parts(self, name: str) -> list[DocumentPart]:
         """The objects of a list."""
-        return [DocumentPart(self.file, f"{self.inside(name)}[{number}]", item) for number, item in enumerate(self.items(name))]
+        return [DocumentPart(self.file, f"{self.inside(name)}[{number}]", item)
+                for number, item in enumerate(self.items(name))]
 
     def items(self, name: str) -> list[Any]:
         """A list; the empty one if it is missing."""

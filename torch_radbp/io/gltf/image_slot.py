@@ -70,7 +70,8 @@ def slot(texture: Texture, name: str, losses: Losses, as_number: bool = False) -
         values = texture.scalars()[..., None].expand(-1, -1, 3) if as_number else texture.texels()
         if texture.filter_type == "trilinear":
             losses.add(name, "its filter trilinear is written as linear: glTF leaves to readers how images shrink")
-        return Slot(checked_values(values, name), Reading(texture.wrap_mode, texture.filter_type == "nearest", _rows(texture.to_uv)))
+        return Slot(checked_values(values, name),
+                    Reading(texture.wrap_mode, texture.filter_type == "nearest", _rows(texture.to_uv)))
     if isinstance(texture, Checkerboard):
         names = texture.numbers if as_number else ("color0", "color1")
         first, second = (slot(getattr(texture, part), f"{name}.{part}", losses, as_number) for part in names)

@@ -40,7 +40,8 @@ class Look(NamedTuple):
 class GltfMaterials:
     """The looks that a scene's surfaces have, made when they are first asked for."""
 
-    def __init__(self, document: Document, textures: GltfTextures, losses: Losses, names: Names, children: dict[str, Plugin]):
+    def __init__(self, document: Document, textures: GltfTextures, losses: Losses, names: Names,
+                 children: dict[str, Plugin]):
         self.document, self.textures, self.losses, self.names, self.children = document, textures, losses, names, children
         self.known: dict[tuple[int | None, str | None, bool], Look] = {}
 

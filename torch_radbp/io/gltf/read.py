@@ -254,7 +254,8 @@ class _Reader:
             return
         reach = 4 * float(np.abs([self.low - place.to_world[:3, 3], self.high - place.to_world[:3, 3]]).max())
         name = self.name(place.node, part, f"camera_{place.node.integer('camera')}")
-        self.children[name] = self.checked(part, sensor_of_camera, place.to_world, self.options.resolution, self.options.spp, reach)
+        self.children[name] = self.checked(part, sensor_of_camera, place.to_world, self.options.resolution, self.options.spp,
+                                           reach)
 
     def checked(self, part: DocumentPart, make, *arguments) -> Plugin:
         """The plugin that `make` makes of a part; its errors name the place."""
