@@ -23,8 +23,8 @@ import torch
 import torch_radbp as rb
 from torch_radbp.jit import machine, run
 traced = []
-trace = run.trace
-run.trace = lambda function, *rest: traced.append(1) or trace(function, *rest)
+trace = run.traced_program
+run.traced_program = lambda function, *rest: traced.append(1) or trace(function, *rest)
 emit = machine.object_code
 machine.object_code = lambda text, **how: traced.append("machine code") or emit(text, **how)
 scene = rb.load(r"{root}/assets/cornell_box/scene.xml", resolution=8)
