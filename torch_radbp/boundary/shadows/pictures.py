@@ -118,7 +118,7 @@ def picture_borders_in_view(call: RenderCall, number: int, casting: Casting, kin
 
 
 def jumps_of_pictures(call: RenderCall, number: int, casting: Casting, found: PictureBorders, kind: int) -> FilmJumps:
-    """What borders of pictures add to the derivative of a view; `call`: something of it moves, the rest as for the search."""
+    """What borders of pictures add to the derivative of a view; `call`: something of it moves, others as for the search."""
     on_curve = lit_at(call.scene, attached_geometry(call.scene), kind, found.curves)
     on_view = on_film(call.views[number].camera, on_curve, found.aperture)
     return FilmJumps(found.place, found.strength * swept_areas(on_view, found.normal))
