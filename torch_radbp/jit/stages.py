@@ -77,7 +77,7 @@ class PlainStage:
         return results
 
     def into(self, results, first: int, *arguments) -> None:
-        _write(results, first, self.function(*arguments))
+        write(results, first, self.function(*arguments))
 
 
 class CompiledStage:
@@ -125,7 +125,7 @@ class CompiledStage:
                 return self.dual.into(as_it_is(results), first, parts)
             self.fused.into(results, first, *arguments)
         except UnknownOperation as error:
-            _write(as_it_is(results), first, self.eagerly(error, arguments))
+            write(as_it_is(results), first, self.eagerly(error, arguments))
 
     def eagerly(self, error: UnknownOperation, arguments: tuple):
         """What the stage returns in plain torch; says once why."""
@@ -187,7 +187,7 @@ def compiled() -> CompiledStages:
     return CompiledStages()
 
 
-def _write(results, first: int, values) -> None:
+def write(results, first: int, values) -> None:
     """Writes values into the tensors of `results` from the entry `first` on; where either has None nothing."""
     for target, value in zip(leaves_of(results), leaves_of(values)):
         if target is not None and value is not None:
