@@ -29,8 +29,8 @@ from benchmarks.peers import Ours
 from benchmarks.scenes import QUICK, SCENES
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.arguments import Arguments
-from torch_radbp.jit.cpu import CpuLoop, framed
-from torch_radbp.jit.emit import Emitter
+from torch_radbp.jit.cpu import CpuLoop, loop_module
+from torch_radbp.jit.emit import ProgramText
 from torch_radbp.jit.graph import LANES, Program, Value
 from torch_radbp.jit.instructions import memory
 from torch_radbp.jit.later import Later
@@ -59,7 +59,7 @@ class Work(NamedTuple):
                     self.gathers + lanes * sum(value.operation == "gather" for value in of_lanes))
 
 
-class Unread(Emitter):
+class Unread(ProgramText):
     """The text of a program that reads no tables at indices; searches stay."""
 
     def read(self, value: Value) -> str:
@@ -77,7 +77,7 @@ class Unread(Emitter):
 
 def without_reads(program: Program) -> CpuLoop:
     """The loop of a program without its gathers."""
-    return CpuLoop(object_code(framed(Unread(program, host_width()).instructions(), host_width())))
+    return CpuLoop(object_code(loop_module(Unread(program, host_width()).instructions(), host_width())))
 
 
 def copied(x):

@@ -46,14 +46,14 @@ from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.boundary import JumpWatch
 from torch_radbp.jit import LaneFunction, cpu
 from torch_radbp.path import taped_bounces
-from torch_radbp.raycast.direct import Direct
+from torch_radbp.raycast.direct import DirectCaster
 from torch_radbp.raycast.embree import Embree
 from torch_radbp.rendering.renderer import Renderer
 
 BACKWARD, REST = "derivative of packing", "the rest"
 TIMED = {  # part: what is timed for it; what is called inside of another part counts for the inner one
-    "closest hits": [(Direct, "intersect"), (Embree, "intersect")],
-    "shadow rays": [(Direct, "occluded"), (Embree, "occluded")],
+    "closest hits": [(DirectCaster, "intersect"), (Embree, "intersect")],
+    "shadow rays": [(DirectCaster, "occluded"), (Embree, "occluded")],
     "fused code": [(cpu, "run_lanes")],
     "lane compiler": [(LaneFunction, "__call__"), (LaneFunction, "into")],
     "scatter": [(Gradients, "add"), (function, "gradients_of")],

@@ -136,6 +136,17 @@ def test_nothing_is_imported_from_a_test():
     assert len(found) > 1000 and not wrong, wrong
 
 
+def test_no_two_things_of_the_package_have_one_name():
+    """Classes and functions at the top of files; those with a leading underscore are for their file alone."""
+    homes: dict[str, set[str]] = {}
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and not node.name.startswith("_"):
+                homes.setdefault(node.name, set()).add(str(path.relative_to(PACKAGE)))
+    shared = [f"{name}: {', '.join(sorted(files))}" for name, files in sorted(homes.items()) if len(files) > 1]
+    assert len(homes) > 1000 and not shared, "\n".join(shared)
+
+
 def modules() -> list[str]:
     names = [module.name for module in pkgutil.walk_packages(rb.__path__, "torch_radbp.")]
     return ["torch_radbp", *names]

@@ -37,7 +37,7 @@ def se3(rotation_vector: Tensor, translation: Tensor) -> Tensor:
     Reference: Rodrigues' formula; Murray, Li and Sastry 1994, "A Mathematical Introduction to Robotic Manipulation",
     equation 2.14.
     """
-    check(rotation_vector, translation)
+    _check(rotation_vector, translation)
     w = rotation_vector
     square = (w * w).sum(-1)
     sine, cosine = sine_and_cosine_terms(square)
@@ -142,7 +142,7 @@ def series(square: Tensor, first: int) -> Tensor:
     return total
 
 
-def check(rotation_vector: Tensor, translation: Tensor) -> None:
+def _check(rotation_vector: Tensor, translation: Tensor) -> None:
     """Raises TypeError or ValueError unless the arguments are as `se3` says."""
     for name, value in (("rotation_vector", rotation_vector), ("translation", translation)):
         if not isinstance(value, Tensor) or not value.is_floating_point():

@@ -9,7 +9,7 @@ import torch_radbp as rb
 from tests.gradients import unwarned_renderer, z_score
 from tests.scenes import load, rectangle, sensor, texels
 from tests.scenes.aovs import NETWORK_FREE, landscape
-from torch_radbp.rendering.jvp import with_tangents
+from torch_radbp.rendering.jvp import render_with_tangents
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 SETTINGS = {"spp": 2, "max_depth": 1, "terms": ["interior"], "share_samples": True}
@@ -233,7 +233,7 @@ def test_the_derivative_has_the_samples_of_its_seed():
     assert (first - second).abs().max() > 1e-3 * first.abs().max() and (third - second).abs().max() > 1e-3
     assert not other["prim_index"].requires_grad
     pose.requires_grad_(False)
-    forward = with_tangents(renderer, {name: tangent}, {"seed": 3, "seed_grad": 9, "aovs": names})[1]
+    forward = render_with_tangents(renderer, {name: tangent}, {"seed": 3, "seed_grad": 9, "aovs": names})[1]
     for quantity in names[:2]:
         torch.testing.assert_close(forward[quantity].image, one[quantity].detach(), rtol=1e-13, atol=1e-13)
     inner = sum((2 * one[quantity] * forward[quantity].tangent).sum() for quantity in names[:2])

@@ -5,11 +5,11 @@ import time
 import pytest
 
 from benchmarks.rays import SCENES, SPP, lines, recorded
-from torch_radbp.raycast.direct import Direct
+from torch_radbp.raycast.direct import DirectCaster
 from torch_radbp.raycast.embree import Embree
 
 
-@pytest.mark.parametrize(("name", "kind"), [("cornell", Direct), ("room", Embree)])
+@pytest.mark.parametrize(("name", "kind"), [("cornell", DirectCaster), ("room", Embree)])
 def test_rays_of_every_depth_are_recorded(name, kind):
     recorder = recorded(SCENES[name](8), 8)
     assert isinstance(recorder.caster, kind)

@@ -52,13 +52,13 @@ def test_sums_keep_their_expectation():
 @pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 def test_the_derivative_is_the_same_of_rounds_of_which_little_is_kept(monkeypatch):
     """A plate over a floor under an even sky, in sums over the film by which noise is small."""
-    moving, found, kept, made = SHADOWS["plate, constant"], {}, [], hidden_light.together
+    moving, found, kept, made = SHADOWS["plate, constant"], {}, [], hidden_light.joined_cuts
 
     def noted(cuts):
         kept.append((len(cuts), sum(len(own.cuts.edge) for own, _ in cuts)))
         return made(cuts)
 
-    monkeypatch.setattr(hidden_light, "together", noted)
+    monkeypatch.setattr(hidden_light, "joined_cuts", noted)
     for most in (1 << 16, 512):
         monkeypatch.setattr(hidden_light, "MOST", most)
         scene = moving.build()

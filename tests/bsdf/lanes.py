@@ -7,11 +7,11 @@ from torch import Tensor
 
 from tests.scenes.materials import MATERIALS
 from torch_radbp.bsdf.kind import Kind, Values
-from torch_radbp.check.lanes import Numbers, choices, direction, directions, numbers, sampled
+from torch_radbp.check.lanes import LaneNumbers, choices, direction, directions, random_numbers, sampled
 from torch_radbp.plugin import BSDF, REGISTRY
 from torch_radbp.tensors.vec import Vec3
 
-__all__ = ["Numbers", "choices", "direction", "directions", "numbers", "sampled"]  # and the materials below
+__all__ = ["LaneNumbers", "choices", "direction", "directions", "random_numbers", "sampled"]  # and the materials below
 
 
 def material(description: dict) -> BSDF:

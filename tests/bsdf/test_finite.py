@@ -5,7 +5,7 @@ import itertools
 import pytest
 import torch
 
-from tests.bsdf.lanes import Numbers
+from tests.bsdf.lanes import LaneNumbers
 from tests.deep import deep, deep_but_every
 from torch_radbp.bsdf.conductor import ConductorKind
 from torch_radbp.bsdf.dielectric import DielectricKind
@@ -102,7 +102,7 @@ def test_rough_glass_between_nearly_equal_indices_still_samples_what_it_evaluate
         full = [torch.full((count,), value, dtype=dtype) for value in (0.3, eta, 1.0, 1.0)]
         values = tuple(Vec3(c, c, c) for c in full)
         wi = Vec3(*(torch.full((count,), c, dtype=dtype) for c in (0.6, 0.0, 0.8)))
-        random = Numbers(*torch.rand(3, count, generator=generator).to(dtype).unbind())
+        random = LaneNumbers(*torch.rand(3, count, generator=generator).to(dtype).unbind())
         choice = kind.choose(values, wi, *random)
         wo = kind.sample(values, wi, choice, random.u, random.v)
         assert (choice.lobe == 1).all()

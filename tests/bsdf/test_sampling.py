@@ -16,7 +16,7 @@ from tests.bsdf.lanes import (
     direction,
     directions,
     material,
-    numbers,
+    random_numbers,
     sampled,
     values_of,
 )
@@ -55,7 +55,7 @@ def test_single_precision_follows_the_same_density(name):
     bsdf = material(MATERIALS[name])
     kind, wi = bsdf.kind(), direction(0.5, 0.7, COUNT, torch.float32)
     values = values_of(bsdf.float(), wi.z)
-    _, wo = sampled(kind, values, wi, numbers(COUNT, dtype=torch.float32))
+    _, wo = sampled(kind, values, wi, random_numbers(COUNT, dtype=torch.float32))
     assert wo.x.dtype == torch.float32
     keep = kind.pdf(values, wi, wo).detach() > 0
     wo = wo.map(lambda component: component.detach().double())
@@ -72,7 +72,7 @@ def test_sharp_lobes_follow_their_density(kind_type, distribution, alpha, dtype)
     bsdf = material({"type": kind_type, "distribution": distribution, "alpha": alpha}).to(dtype)
     kind, wi = bsdf.kind(), direction(0.8, 0.3, COUNT, dtype)
     values = values_of(bsdf, wi.z)
-    _, wo = sampled(kind, values, wi, numbers(COUNT, dtype=dtype))
+    _, wo = sampled(kind, values, wi, random_numbers(COUNT, dtype=dtype))
     wo = wo.map(lambda c: c.detach().double())
     eta = values[-3].x[0].item()
     windows = [(1, -1.0, 6 * alpha)]  # side, wo.xy over wi.xy, half width
@@ -104,7 +104,7 @@ def test_the_test_notices_a_wrong_roughness():
 @pytest.mark.parametrize("name", MATERIALS)
 def test_a_choice_is_made_with_its_probability(name):
     bsdf = material(MATERIALS[name]).requires_grad_()
-    kind, wi, random = bsdf.kind(), directions(COUNT), numbers(COUNT)
+    kind, wi, random = bsdf.kind(), directions(COUNT), random_numbers(COUNT)
     choice, _ = sampled(kind, values_of(bsdf, wi.z), wi, random)
     assert not choice.probability.requires_grad and not choice.lobe.requires_grad
     assert (choice.probability > 0).all() and (choice.probability <= 1).all()
@@ -129,7 +129,7 @@ def test_a_choice_is_made_with_its_probability(name):
 def test_a_blend_chooses_by_its_weight_but_neither_part_never(weight):
     bsdf = material({**MATERIALS["nested blend"], "weight": weight}).requires_grad_()  # see test_cut_outs.py for others
     kind, wi = bsdf.kind(), directions(COUNT)
-    choice, _ = sampled(kind, values_of(bsdf, wi.z), wi, numbers(COUNT))
+    choice, _ = sampled(kind, values_of(bsdf, wi.z), wi, random_numbers(COUNT))
     expected = min(max(weight, 0.02), 0.98)
     assert abs(choice.lobe.mean() - expected) < 5 * 0.5 / math.sqrt(COUNT)
     glass, inner = choice.parts
@@ -147,7 +147,7 @@ def test_delta_lobes_take_what_the_density_of_the_smooth_ones_leaves(name):
     for where in ("steep", "oblique"):
         wi = direction(VIEWERS[where], 0.7, COUNT)
         values = values_of(bsdf, wi.z)
-        choice, _ = sampled(kind, values, wi, numbers(COUNT))
+        choice, _ = sampled(kind, values, wi, random_numbers(COUNT))
         assert choice.delta.dtype == torch.bool and 0.01 < choice.delta.double().mean() < 0.99
         assert (kind.specular(values, wi, choice).stack()[choice.delta] > 0).all()
         view = viewed(subject_of(bsdf), where, COUNT, 7)
@@ -159,7 +159,7 @@ def test_the_density_with_fixed_lobes_has_another_derivative_only_where_lobes_ar
     bsdf = material(MATERIALS[name]).requires_grad_()
     kind, wi = bsdf.kind(), Vec3(*(component.requires_grad_() for component in directions(COUNT)))
     values = values_of(bsdf, wi.z)
-    wo = sampled(kind, values, wi, numbers(COUNT)).wo.detach()
+    wo = sampled(kind, values, wi, random_numbers(COUNT)).wo.detach()
     pdf, fixed = (kind.eval_pdf(values, wi, wo, fixed_lobes)[1] for fixed_lobes in (False, True))
     assert (pdf > 0).double().mean() > 0.3 and torch.equal(pdf, fixed)
     moved = [wi.z, *bsdf.parameters()]
@@ -174,7 +174,7 @@ def test_a_choice_is_kept_by_its_sample(name):
     bsdf = material(MATERIALS[name])
     kind, wi = bsdf.kind(), directions(COUNT)
     values = values_of(bsdf, wi.z)
-    choice, wo = sampled(kind, values, wi, numbers(COUNT))
+    choice, wo = sampled(kind, values, wi, random_numbers(COUNT))
     crossed = wo.z * wi.z < 0
     level = wo.z == 0
     assert (crossed == (choice.lobe > 0))[~level].all()

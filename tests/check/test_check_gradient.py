@@ -10,7 +10,7 @@ from tests.boundary.closed_forms import parallel
 from tests.scenes import CASES, cornell, diffuse, load, rectangle, rgb, sensor, textured_lamp
 from torch_radbp.check import gradient as check_module
 from torch_radbp.check.gradient import checked_direction, checked_step, informative_cotangents
-from torch_radbp.check.statistics import Cotangent, Samples, compare, expected_square, tile_sums
+from torch_radbp.check.statistics import Cotangent, Estimates, compare, expected_square, tile_sums
 from torch_radbp.rendering.jvp import DualImage
 
 WHITE, SETTINGS = "white.reflectance.value", {"spp": 64, "max_depth": 4}
@@ -220,7 +220,7 @@ def samples(error, noise=0.1, count=16, seed=0):
     generator = torch.Generator().manual_seed(seed)
     truth = 1 + torch.linspace(0, 1, SHAPE[-1], dtype=torch.float64).expand(SHAPE)
     a, b = (truth + noise * torch.randn(count, *SHAPE, generator=generator, dtype=torch.float64) for _ in range(2))
-    return Samples(a, b + error, torch.zeros(SHAPE, dtype=torch.float64)), truth
+    return Estimates(a, b + error, torch.zeros(SHAPE, dtype=torch.float64)), truth
 
 
 def test_z_is_standard_normal_if_nothing_is_wrong():
@@ -284,7 +284,7 @@ def test_a_bias_in_few_pixels_is_said_to_be_concentrated():
 
 def test_images_without_noise_are_compared_to_rounding():
     truth = torch.ones(SHAPE, dtype=torch.float64)
-    exact = Samples(truth.expand(16, *SHAPE), truth.expand(16, *SHAPE) + 1e-13, 1e-12 * truth)
+    exact = Estimates(truth.expand(16, *SHAPE), truth.expand(16, *SHAPE) + 1e-13, 1e-12 * truth)
     result = compare(exact, [Cotangent("ones", truth)], [768.0], 1e-16)
     assert result.pixels.max_z < 1 and abs(result.projections[0].z) < 4
     unequal = compare(exact._replace(rounding=0 * truth), [], [], 1e-16)

@@ -11,8 +11,8 @@ import torch_radbp as rb
 from tests.scenes.moving import MovingScene
 from torch_radbp.check.gradient import Measurement, informative_cotangents
 from torch_radbp.check.outcome import GradientCheck, Question, judge, uncertainty
-from torch_radbp.check.statistics import Cotangent, Samples, compare
-from torch_radbp.check.stencil import BOTH_SIDES, Place
+from torch_radbp.check.statistics import Cotangent, Estimates, compare
+from torch_radbp.check.stencil import BOTH_SIDES, ParameterMove
 
 # A bias of the stated size is this many standard errors, so that 4 of them are exceeded whatever 2 of noise do.
 CERTAIN = 6
@@ -77,8 +77,8 @@ class Estimate:
         for sampling in moving.samplings:
             renderer = rb.Renderer(scene, max_depth=moving.max_depth, sampling=sampling, compile=effort.compile,
                                    share_samples=True)
-            self.measurements[sampling] = Measurement(renderer, f"scene.{moving.name}", value,
-                                                      Place(moving.step, BOTH_SIDES, self.tangent), False, effort.spp,
+            move = ParameterMove(moving.step, BOTH_SIDES, self.tangent)
+            self.measurements[sampling] = Measurement(renderer, f"scene.{moving.name}", value, move, False, effort.spp,
                                                       effort.seed, None, None)
         self.sums: dict[str, Tensor] = {}
         self.rounding: Tensor | float = 0.0
@@ -126,7 +126,7 @@ class Estimate:
         """What `rb.check_gradient` would say, for each sampling, of derivatives that are wrong by the factor 1 + `error`."""
         found, effort, factor = {}, self.effort, (1 + error) / self.rounds
         for sampling in self.measurements:
-            samples = Samples(self.sums["differences"] / self.rounds, factor * self.sums[sampling], self.rounding)
+            samples = Estimates(self.sums["differences"] / self.rounds, factor * self.sums[sampling], self.rounding)
             backward = [factor * value for value in self.backward[sampling]]
             comparison = compare(samples, self.cotangents, backward, self.eps)
             batches = len(samples.jvp)

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from tests.scenes import load
-from torch_radbp.boundary.shadows.drawn_directions import direction, inverted
+from torch_radbp.boundary.shadows.drawn_directions import drawn_direction, inverted_sampling
 from torch_radbp.scene.material import Material, sample
 from torch_radbp.tensors.vec import Vec3, dot, normalize
 
@@ -41,9 +41,9 @@ def test_numbers_lead_to_the_directions_and_their_shares_add_up_to_one(name):
     assert int(counts.sum()) > COUNT // 2
     shares = []
     for choice in torch.rand(CHOICES, COUNT, generator=random):
-        numbers, density = inverted(material, wi, drawn.wo, choice)
+        numbers, density = inverted_sampling(material, wi, drawn.wo, choice)
         found = counts & (density > 0)
-        again, delta = direction(material, wi, *numbers)
+        again, delta = drawn_direction(material, wi, *numbers)
         assert not delta[found].any() and float(dot(again, drawn.wo)[found].min()) > 1 - 1e-6
         shares.append((density / torch.where(counts, drawn.pdf, 1.0))[counts])
     share = torch.stack(shares).mean(0)

@@ -12,7 +12,7 @@ from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.elementary_double import FORMULAS
 from torch_radbp.jit.order import chosen, partition, put
 from torch_radbp.jit.scatter import Sums, copies, scatter_add
-from torch_radbp.jit.structure import replaced
+from torch_radbp.jit.structure import with_other_leaves
 from torch_radbp.scene import geometry
 from torch_radbp.shape import cylinder, disk, sphere
 from torch_radbp.tensors.record import leaves_of
@@ -26,7 +26,7 @@ DTYPES = (torch.bool, torch.int32, torch.float32, torch.float64, torch.int64)
 def moved(record, device: str):
     """The same nested tuples with tensors on a device."""
     leaves = (leaf.to(device) for leaf in leaves_of(record) if isinstance(leaf, torch.Tensor))
-    return replaced(record, lambda: next(leaves))
+    return with_other_leaves(record, lambda: next(leaves))
 
 
 @pytest.mark.parametrize("lanes", [1, 127, 128, 129, 100_003])

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_radbp.jit.graph import LANES, NUMBER, TABLE
 from torch_radbp.jit.scatter import Addition, Sums
-from torch_radbp.jit.trace import trace
+from torch_radbp.jit.trace import traced_program
 
 
 class Point(NamedTuple):
@@ -61,4 +61,4 @@ def shaded(table, index, x, scale):
     return [table.index_select(0, index) * x * scale + 1.0, x * scale]
 
 
-PROGRAM = trace(shaded, [torch.float32, torch.int32, torch.float32, torch.float32], [TABLE, LANES, LANES, NUMBER])
+PROGRAM = traced_program(shaded, [torch.float32, torch.int32, torch.float32, torch.float32], [TABLE, LANES, LANES, NUMBER])

@@ -23,8 +23,8 @@ import torch
 import torch_radbp as rb
 from torch_radbp.jit import machine, run
 traced = []
-trace = run.trace
-run.trace = lambda function, *rest: traced.append(1) or trace(function, *rest)
+trace = run.traced_program
+run.traced_program = lambda function, *rest: traced.append(1) or trace(function, *rest)
 emit = machine.object_code
 machine.object_code = lambda text, **how: traced.append("machine code") or emit(text, **how)
 scene = rb.load(r"{root}/assets/cornell_box/scene.xml", resolution=8)
@@ -51,8 +51,8 @@ def call():
     """What a new function of lanes returns, and whether it was traced for that."""
     traced = []
     with pytest.MonkeyPatch.context() as patch:
-        trace = run.trace
-        patch.setattr(run, "trace", lambda *arguments: traced.append(1) or trace(*arguments))
+        trace = run.traced_program
+        patch.setattr(run, "traced_program", lambda *arguments: traced.append(1) or trace(*arguments))
         return LaneFunction(mixed, tables=("colours",))(*arguments(100)), bool(traced)
 
 
@@ -102,8 +102,8 @@ def test_a_function_is_read_from_disk(folder):
 
 
 def test_a_function_that_computes_nothing_is_read_from_disk(folder, monkeypatch):
-    x, traced, trace = torch.rand(5), [], run.trace
-    monkeypatch.setattr(run, "trace", lambda *arguments: traced.append(1) or trace(*arguments))
+    x, traced, trace = torch.rand(5), [], run.traced_program
+    monkeypatch.setattr(run, "traced_program", lambda *arguments: traced.append(1) or trace(*arguments))
     assert all(LaneFunction(as_it_is)(x) is x for _ in range(2)) and len(traced) == 1
 
 
@@ -156,7 +156,7 @@ def test_code_that_others_may_write_is_not_run(folder):
     call()
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     folder.chmod(0o777)
-    code_cache.own.cache_clear()
+    code_cache.belongs_to_user.cache_clear()
     _, traced = call()
     assert traced
 
@@ -171,9 +171,9 @@ def test_off_keeps_nothing(monkeypatch, tmp_path):
 
 def test_what_was_not_used_for_longest_goes_first(folder, monkeypatch):
     for k in range(8):
-        code_cache.write(f"{k}", os.urandom(1000))
+        code_cache.write_code(f"{k}", os.urandom(1000))
         os.utime(folder / f"{k}.code", (k, k))
-    assert code_cache.read("0") is not None  # used now
+    assert code_cache.read_code("0") is not None  # used now
     monkeypatch.setattr(code_cache, "LIMIT", 5000)
     code_cache.make_room.cache_clear()
     code_cache.make_room(folder)

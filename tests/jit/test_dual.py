@@ -6,7 +6,7 @@ from torch.autograd import forward_ad
 
 from tests.jit.emulated import emulated
 from torch_radbp.jit import UnknownOperation
-from torch_radbp.jit.dual import DualFunction, Parts, dual, parted
+from torch_radbp.jit.dual import DualFunction, DualParts, dual, values_and_tangents
 
 LANES = 1000
 
@@ -39,13 +39,13 @@ def test_values_and_tangents_are_those_of_torch(dtype, rtol, target):
     with forward_ad.dual_level():
         given = arguments(dtype, dual=True)
         found, expected = (tensors(each(*given)) for each in (fused, function))
-        for (value, tangent), (right, slope) in zip(map(parted, found), map(parted, expected)):
+        for (value, tangent), (right, slope) in zip(map(values_and_tangents, found), map(values_and_tangents, expected)):
             torch.testing.assert_close(value, right, rtol=rtol, atol=0)
             assert (tangent is None) == (slope is None)
             if slope is not None:
                 assert slope.abs().max() > 0
                 torch.testing.assert_close(tangent, slope, rtol=rtol, atol=1e-6 if dtype == torch.float32 else 1e-14)
-        assert [parted(part)[1] is not None for part in found] == [True, True, False, False, False, True]
+        assert [values_and_tangents(part)[1] is not None for part in found] == [True, True, False, False, False, True]
 
 
 def test_what_has_a_tangent_may_change_from_call_to_call():
@@ -54,10 +54,10 @@ def test_what_has_a_tangent_may_change_from_call_to_call():
     with forward_ad.dual_level():
         dual_x, dual_y = forward_ad.make_dual(x, slope), forward_ad.make_dual(y, slope)
         for a, b, tangent in ((dual_x, y, slope * y), (x, dual_y, x * slope), (dual_x, dual_y, slope * y + x * slope)):
-            value, found = parted(fused(a, b))
+            value, found = values_and_tangents(fused(a, b))
             torch.testing.assert_close(found, tangent)
             torch.testing.assert_close(value, x * y)
-        assert parted(fused(x, y))[1] is None
+        assert values_and_tangents(fused(x, y))[1] is None
 
 
 def test_an_operation_that_is_none_of_lanes_is_refused():
@@ -69,8 +69,9 @@ def test_tangents_that_there_is_room_for_are_written_and_zero_where_there_are_no
     fused, (x, y, slope) = DualFunction(lambda x, y: (x * y, y + 1.0)), torch.rand(3, 9)
     with forward_ad.dual_level():
         room = dual(tuple(torch.full((12,), 7.0) for _ in range(2)), tuple(torch.full((12,), 7.0) for _ in range(2)))
-        fused.into(room, 2, Parts.of((forward_ad.make_dual(x, slope), y)))
-        for (value, tangent), right, expected in zip(map(parted, room), (x * y, y + 1.0), (slope * y, torch.zeros(9))):
+        fused.into(room, 2, DualParts.of((forward_ad.make_dual(x, slope), y)))
+        expected_tangents = (slope * y, torch.zeros(9))
+        for (value, tangent), right, expected in zip(map(values_and_tangents, room), (x * y, y + 1.0), expected_tangents):
             torch.testing.assert_close(value[2:11], right)
             torch.testing.assert_close(tangent[2:11], expected)
             assert (value[[0, 1, 11]] == 7).all() and (tangent[[0, 1, 11]] == 7).all()
@@ -79,4 +80,4 @@ def test_tangents_that_there_is_room_for_are_written_and_zero_where_there_are_no
 def test_tangents_that_there_is_no_room_for_are_an_error():
     x, slope = torch.rand(2, 9)
     with forward_ad.dual_level(), pytest.raises(ValueError, match="no room"):
-        DualFunction(lambda x: 2.0 * x).into(torch.empty(9), 0, Parts.of((forward_ad.make_dual(x, slope),)))
+        DualFunction(lambda x: 2.0 * x).into(torch.empty(9), 0, DualParts.of((forward_ad.make_dual(x, slope),)))

@@ -10,7 +10,7 @@ from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.elementary_double import FORMULAS
 from torch_radbp.jit.graph import LANES
 from torch_radbp.jit.lowered import without_library
-from torch_radbp.jit.trace import trace
+from torch_radbp.jit.trace import traced_program
 
 RANGES = {  # lowest, highest, greatest error in units in the last place; that of the C library is about 1
     "exp": (-745.0, 709.7, 2), "exp2": (-1074.0, 1023.9, 2), "expm1": (-50.0, 709.7, 2), "log": (5e-324, 1.7e308, 3),
@@ -97,8 +97,9 @@ def test_sines_of_large_angles_lose_what_is_stated():
 
 
 def test_nothing_of_the_library_is_left():
-    program = trace(lambda x, y: [getattr(torch, name)(x) if name not in ("pow", "atan2", "hypot") else
-                                  getattr(torch, name)(x, y) for name in FORMULAS], [torch.float64] * 2, [LANES] * 2)
+    program = traced_program(
+        lambda x, y: [getattr(torch, name)(x) if name not in ("pow", "atan2", "hypot") else getattr(torch, name)(x, y)
+                      for name in FORMULAS], [torch.float64] * 2, [LANES] * 2)
     used = {value.operation for value in program.values}
     assert set(FORMULAS) <= used
     lowered = without_library(program)

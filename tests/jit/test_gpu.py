@@ -12,7 +12,7 @@ from torch_radbp.jit.graph import LANES
 from torch_radbp.jit.nvptx import ptx
 from torch_radbp.jit.nvptx_lanes import put_text, scatter_text
 from torch_radbp.jit.target import target_of
-from torch_radbp.jit.trace import trace
+from torch_radbp.jit.trace import traced_program
 
 
 @pytest.mark.parametrize("lanes", [1, 127, 1000])
@@ -100,7 +100,7 @@ def test_numbers_are_added_by_the_instruction_for_it():
 def test_without_a_driver_nothing_is_compiled_and_the_message_says_what_is_missing():
     target = gpu_of(torch.device("cuda", 0)) if not torch.cuda.is_available() else AnyDevice("NVIDIA's compile=False")
     with pytest.raises(RuntimeError, match="NVIDIA's .*compile=False"):
-        target.compile(trace(lambda x: [x + 1], [torch.float32], [LANES]))
+        target.compile(traced_program(lambda x: [x + 1], [torch.float32], [LANES]))
 
 
 def test_on_other_devices_lanes_are_moved_by_torch():

@@ -16,9 +16,9 @@ def arguments(name: str) -> list[tuple]:
     rule = INFERRED[name].__name__
     if rule == "like":
         return [(x, *[3] * (name == "full_like")) for x in TENSORS]
-    if rule == "read":
+    if rule == "read_entry":
         return [(table, 0, index) for table in TENSORS if table.dim() for index in TENSORS]
-    if rule == "chosen":
+    if rule == "chosen_value":
         return [(condition, a, b) for condition in TENSORS for a in TENSORS for b in TENSORS]
     pairs = itertools.product([*TENSORS, 2, 2.0, True], repeat=2)
     return [(x,) for x in TENSORS] + [pair for pair in pairs if any(isinstance(x, torch.Tensor) for x in pair)]

@@ -12,7 +12,7 @@ import torch
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.board import board
 from torch_radbp.jit.later import Later
-from torch_radbp.jit.recorded import Given, Recorded
+from torch_radbp.jit.recorded import Recorded, RecordedInputs
 from torch_radbp.jit.recording import ALL, Recording, Reserve, listening
 from torch_radbp.jit.target import Cpu
 
@@ -119,5 +119,5 @@ def test_a_recording_needs_no_code_before_it_ends(monkeypatch):
     recorded = Recorded(recording, [x], found)
     given = torch.rand(100)
     with board() as own:
-        result, _ = recorded(Given([given]), Given([]), 100, own)
+        result, _ = recorded(RecordedInputs([given]), RecordedInputs([]), 100, own)
     torch.testing.assert_close(result, (given * 2 + 1) * 3 + 1)

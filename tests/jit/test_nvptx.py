@@ -12,7 +12,7 @@ from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.gpu import Gpu
 from torch_radbp.jit.graph import LANES, NUMBER, TABLE
 from torch_radbp.jit.nvptx import BLOCK, ptx
-from torch_radbp.jit.trace import trace
+from torch_radbp.jit.trace import traced_program
 
 
 def test_a_kernel_has_the_instructions_that_the_processor_has_for_single_lanes():
@@ -23,7 +23,8 @@ def test_a_kernel_has_the_instructions_that_the_processor_has_for_single_lanes()
 
 
 def test_parameters_are_the_lanes_the_inputs_the_lengths_of_searched_tables_and_the_outputs():
-    program = trace(lambda table, x: [torch.searchsorted(table, x, right=True), x * 2], [torch.float32] * 2, [TABLE, LANES])
+    program = traced_program(lambda table, x: [torch.searchsorted(table, x, right=True), x * 2], [torch.float32] * 2,
+                             [TABLE, LANES])
     head = next(line for line in Gpu(Emulated()).text(program).splitlines() if line.startswith("define ptx_kernel"))
     assert head == ("define ptx_kernel void @lanes(i64 %lanes, ptr noalias readonly %in0, ptr noalias readonly %in1, "
                     "i64 %length0, ptr noalias writeonly %out0, ptr noalias writeonly %out1) #0 {")
@@ -41,7 +42,8 @@ def test_ptx_of_a_kernel(architecture):
 @pytest.mark.parametrize("architecture", ["sm_80", "sm_90", "sm_100"])
 def test_which_products_and_sums_are_fused_is_settled_by_the_ptx(architecture):
     """Those without `.rn` would be fused by NVIDIA's assembler or not, as it likes."""
-    program = trace(lambda x, y: [x * y + 1, x * y - y, x * y, x.double() * y.double()], [torch.float32] * 2, [LANES] * 2)
+    program = traced_program(lambda x, y: [x * y + 1, x * y - y, x * y, x.double() * y.double()], [torch.float32] * 2,
+                             [LANES] * 2)
     text = ptx(Gpu(Emulated()).text(program), architecture)
     assert "fma.rn.f32" in text and "mul.rn.f32" in text and "mul.rn.f64" in text
     assert not re.search(r"\s(add|sub|mul)\.f(32|64)", text)
@@ -49,7 +51,7 @@ def test_which_products_and_sums_are_fused_is_settled_by_the_ptx(architecture):
 
 @pytest.mark.parametrize("dtype, bits", [(torch.float32, 32), (torch.float64, 64), (torch.int32, 32), (torch.int64, 64)])
 def test_a_number_of_a_call_is_read_at_once(dtype, bits):
-    program = trace(lambda x, number: [x + number], [dtype, dtype], [LANES, NUMBER])
+    program = traced_program(lambda x, number: [x + number], [dtype, dtype], [LANES, NUMBER])
     assert re.findall(r"ld\.global\.nc\.[bufs](\d+)", ptx(Gpu(Emulated()).text(program), "sm_90")) == [str(bits)] * 2
 
 

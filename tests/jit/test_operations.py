@@ -15,7 +15,7 @@ from tests.jit.interpreter import interpreted, needs_interpreter
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.graph import LANES
-from torch_radbp.jit.trace import trace
+from torch_radbp.jit.trace import traced_program
 
 TARGETS = {str(width): Cpu(width) for width in (1, 4, 8, 16)} | {
     "gpu": emulated(), "ptx": pytest.param(interpreted(), marks=[needs_interpreter, pytest.mark.deep])}
@@ -163,7 +163,7 @@ def test_powers(exponent):
 
 @pytest.mark.parametrize("dtype", FLOATS, ids=str)
 def test_powers_of_small_integers_are_products(dtype):
-    program = trace(lambda x: [x**3, x.square(), torch.pow(x, -2)], [dtype], [LANES])
+    program = traced_program(lambda x: [x**3, x.square(), torch.pow(x, -2)], [dtype], [LANES])
     assert {value.operation for value in program.values} == {"input", "constant", "mul", "div"}
 
 

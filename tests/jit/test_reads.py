@@ -11,7 +11,7 @@ from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.emit import emit
 from torch_radbp.jit.machine import host_width
-from torch_radbp.jit.window import Window
+from torch_radbp.jit.window import TableWindow
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.texture.interleaved import LEAST, interleaved
@@ -123,7 +123,7 @@ def test_nothing_beyond_a_table_is_read(entries):
     protect(address + page, page, mmap.PROT_READ | mmap.PROT_WRITE)
 
 
-@pytest.mark.parametrize("window, words", [(Window(16, True), "vpermi2var"), (Window(8, False), "permd")])
+@pytest.mark.parametrize("window, words", [(TableWindow(16, True), "vpermi2var"), (TableWindow(8, False), "permd")])
 def test_a_window_is_looked_for_where_several_tables_are_read(window, words):
     tables, index = tables_of(40), indices(40, "near")
     program = LaneFunction(looked_up, ("tables",)).program(tables, index)

@@ -10,7 +10,7 @@ from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.addition import Addition, Sums
 from torch_radbp.jit.board import board
 from torch_radbp.jit.order import chosen, inverted, nothing, partition, put
-from torch_radbp.jit.recorded import Given, Recorded
+from torch_radbp.jit.recorded import Recorded, RecordedInputs
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, listening, outside
 from torch_radbp.jit.scatter import scatter_add
 from torch_radbp.jit.team import alone_in_torch
@@ -31,7 +31,7 @@ def recorded(function, *tensors: Tensor, tables: tuple[Tensor | int, ...] = (), 
 def again(made: Recorded, *tensors: Tensor, tables: tuple[Tensor | int, ...] = (), threads: int = 2, contexts: tuple = ()):
     """What was recorded, done for these lanes."""
     with alone_in_torch(threads=threads), board() as own:
-        return made(Given(tensors), Given(tables), len(tensors[0]), own, contexts=contexts)[0]
+        return made(RecordedInputs(tensors), RecordedInputs(tables), len(tensors[0]), own, contexts=contexts)[0]
 
 
 TWICE = LaneFunction(lambda x, y: (x + y, x - y, y))
@@ -214,7 +214,7 @@ def test_counts_that_the_function_is_told_may_differ():
     x = torch.rand(5000)
     for count in (0, 1, 300, 5000):
         with board() as own:
-            found, counts = made(Given([x]), Given([]), len(x), own, [count])
+            found, counts = made(RecordedInputs([x]), RecordedInputs([]), len(x), own, [count])
         assert counts[2] == count
         assert all(map(torch.equal, found, looped(x[:count], x[:count]) if count else (x[:0],) * 3))
 
@@ -238,7 +238,7 @@ def test_nothing_listens_afterwards():
 
 def test_what_is_given_twice_is_told():
     x, y = torch.rand(3), torch.rand(3)
-    assert Given([x, y, x, 5, 5]).pattern == (0, 1, 0, 3, 3) != Given([x, y, x.clone(), 5, 5]).pattern
+    assert RecordedInputs([x, y, x, 5, 5]).pattern == (0, 1, 0, 3, 3) != RecordedInputs([x, y, x.clone(), 5, 5]).pattern
 
 
 def test_an_error_lets_the_helpers_go():

@@ -9,7 +9,7 @@ from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.gpu import Gpu
 from torch_radbp.jit.graph import LANES, Program, Value
 from torch_radbp.jit.schedule import REGISTERS, few_alive, most_alive
-from torch_radbp.jit.trace import trace
+from torch_radbp.jit.trace import traced_program
 
 
 def pairs(x, count: int):
@@ -19,7 +19,7 @@ def pairs(x, count: int):
 
 
 def traced(count: int) -> Program:
-    return trace(lambda x: pairs(x, count), [torch.float32], [LANES])
+    return traced_program(lambda x: pairs(x, count), [torch.float32], [LANES])
 
 
 def computed_before_use(values: Sequence[Value]) -> bool:
@@ -47,7 +47,7 @@ def test_the_order_is_the_same_each_time():
 
 
 def test_registers_alive_are_counted_where_most_are():
-    program = trace(lambda x, y: [(x * y).double() + (x - y).double()], [torch.float32] * 2, [LANES] * 2)
+    program = traced_program(lambda x, y: [(x * y).double() + (x - y).double()], [torch.float32] * 2, [LANES] * 2)
     assert most_alive(program.values) == 5  # one term in float64, the other in both
 
 

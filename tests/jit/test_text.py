@@ -11,7 +11,7 @@ from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.graph import LANES, NUMBER, TABLE
 from torch_radbp.jit.machine import host_width
-from torch_radbp.jit.trace import trace
+from torch_radbp.jit.trace import traced_program
 
 
 def test_a_program_lists_its_values():
@@ -23,7 +23,7 @@ def test_a_program_lists_its_values():
 
 
 def test_what_no_result_needs_is_left_out_and_equal_values_are_one():
-    program = trace(lambda x, y: [(x + 1) * (x + 1), (torch.sin(y), x)[1]], [torch.float32] * 2, [LANES] * 2)
+    program = traced_program(lambda x, y: [(x + 1) * (x + 1), (torch.sin(y), x)[1]], [torch.float32] * 2, [LANES] * 2)
     assert [value.operation for value in program.values] == ["input", "constant", "add", "mul"]
     assert len(program.inputs) == 1
 
@@ -48,8 +48,8 @@ def test_the_width_is_that_of_the_processor():
                                                       (torch.float64, False, 1), (torch.float64, True, 1)])
 def test_float32_takes_two_vectors_where_it_searches(dtype, searches, vectors):
     """As many bytes as float64 has in the lanes of one."""
-    program = trace(lambda table, x: [torch.searchsorted(table, x, right=True).to(dtype) if searches else x + 1],
-                    [dtype, dtype], [TABLE, LANES])
+    program = traced_program(lambda table, x: [torch.searchsorted(table, x, right=True).to(dtype) if searches else x + 1],
+                             [dtype, dtype], [TABLE, LANES])
     assert f"add i64 %at, {vectors * host_width()}" in Cpu().text(program)
 
 
@@ -69,7 +69,7 @@ def test_tracing_imports_no_other_compiler():
 
 
 def test_what_is_the_same_for_all_lanes_is_computed_once():
-    program = trace(lambda x, scale: [x * (scale * scale)], [torch.float32] * 2, [LANES, NUMBER])
+    program = traced_program(lambda x, scale: [x * (scale * scale)], [torch.float32] * 2, [LANES, NUMBER])
     before, loop = Cpu(8).text(program).split("define internal void @lanes(")[1].split("\nloop:\n")
     assert before.count("fmul") == 1 and loop.count("fmul") == 1
 

@@ -6,10 +6,10 @@ from torch import Tensor
 
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.order import chosen, put
-from torch_radbp.jit.recorded import Given, Recorded
+from torch_radbp.jit.recorded import Recorded, RecordedInputs
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, listening, outside
 from torch_radbp.jit.team import alone_in_torch
-from torch_radbp.jit.tiles import TILE, Step, handed, run_in_tiles
+from torch_radbp.jit.tiles import TILE, TileStep, handed, run_in_tiles
 
 STEPS = 4
 HALF, LARGE = LaneFunction(lambda x: 0.5 * x), LaneFunction(lambda x: x > 0.1)
@@ -34,7 +34,7 @@ def recorded(function, contexts: tuple = ()) -> Recorded:
 
 def in_tiles(x: Tensor, total: Tensor, threads: int) -> None:
     made, lane = recorded(halved), torch.arange(len(x), dtype=torch.int32)
-    steps = [Step(made, handed(made), Given([x, lane, total]), 2) for _ in range(STEPS)]
+    steps = [TileStep(made, handed(made), RecordedInputs([x, lane, total]), 2) for _ in range(STEPS)]
     with alone_in_torch(threads=threads):
         assert run_in_tiles(steps, len(x)) == 0  # rays
 

@@ -9,7 +9,7 @@ from tests.raycast.meshes import take
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.raycast import FEW_BALLS, Hit, Ray, batches, make_caster
 from torch_radbp.raycast.brute import Brute
-from torch_radbp.raycast.direct import Direct, addresses, machine_code
+from torch_radbp.raycast.direct import DirectCaster, code_of_batches, tensor_addresses
 from torch_radbp.raycast.embree import Embree
 from torch_radbp.raycast.refined import refined
 from torch_radbp.scene.interaction import clearance
@@ -104,10 +104,11 @@ def test_occlusion_agrees_with_the_closest_hit(name, things):
 @pytest.mark.parametrize("width", [2, 4, 8, 16])
 def test_the_width_of_vectors_changes_nothing(width, dtype):
     vertices, faces, balls = mesh_of(THINGS["several"] + [FLOOR], dtype)
-    ray, caster = take(rays_near(vertices), slice(0, 5003)), Direct(vertices, faces, balls)
+    ray, caster = take(rays_near(vertices), slice(0, 5003)), DirectCaster(vertices, faces, balls)
     hit = [torch.empty(5003, dtype=torch.int32), *(torch.empty(5003, dtype=dtype) for _ in range(3))]
-    read = [*ray.o, *ray.d, *caster.tables(dtype, batches.closest_hit)]
-    run_lanes(machine_code(batches.closest_hit, dtype, True, width).address, 5003, addresses(read), addresses(hit))
+    read = [*ray.o, *ray.d, *caster.tables(dtype, batches.closest_hit_of_batches)]
+    code = code_of_batches(batches.closest_hit_of_batches, dtype, True, width)
+    run_lanes(code.address, 5003, tensor_addresses(read), tensor_addresses(hit))
     found = Hit(*hit) if dtype == torch.float32 else refined(vertices, faces, ray, Hit(*hit))
     assert all(torch.equal(a, b) for a, b in zip(found[:4], caster.intersect(ray)))
 
@@ -126,7 +127,7 @@ def test_no_ray_slips_through_corners_and_edges(inside, dtype):
     aside = 0.05 * torch.randn(target.shape, generator=generator).to(dtype)
     o = centre + (target - centre) * (-0.3 if inside else 4.0) + aside
     ray = Ray(Vec3.of(o), Vec3.of(target - o))
-    caster = Direct(vertices, faces, balls)
+    caster = DirectCaster(vertices, faces, balls)
     hit = caster.intersect(ray)
     assert bool((hit.prim >= 0).all())
     torch.testing.assert_close(hit.t, torch.ones_like(hit.t), rtol=0, atol=1e-4)
@@ -166,7 +167,7 @@ def test_a_ball_that_moves_is_cast_where_it_is():
     renderer = rb.Renderer(scene, spp=4, max_depth=2)
     seen = renderer(seed=0).mean()
     first = renderer.last_caster
-    assert isinstance(first, Direct) and len(first.balls.first) == 1
+    assert isinstance(first, DirectCaster) and len(first.balls.first) == 1
     renderer(seed=1)
     assert renderer.last_caster is first
     with torch.no_grad():

@@ -14,7 +14,7 @@ from tests.raycast.casters import CASTERS, WARP
 from tests.raycast.meshes import mesh, random_rays, single_ray, soup
 from torch_radbp.raycast import FEW_TESTS, Ray, library, make_caster, tree
 from torch_radbp.raycast.brute import Brute
-from torch_radbp.raycast.direct import Direct
+from torch_radbp.raycast.direct import DirectCaster
 from torch_radbp.raycast.embree import Embree
 from torch_radbp.raycast.runs import MOST_TRIANGLES
 from torch_radbp.tensors.vec import Vec3
@@ -30,15 +30,15 @@ DOWN = single_ray((0.0, 0.0, 3.0), (0.0, 0.0, -1.0))
 def test_casters_are_chosen_by_name():
     assert isinstance(make_caster("embree", TRIANGLE, FACE), Embree)
     assert isinstance(make_caster("brute", TRIANGLE, FACE), Brute)
-    assert isinstance(make_caster("direct", TRIANGLE, FACE), Direct)
+    assert isinstance(make_caster("direct", TRIANGLE, FACE), DirectCaster)
 
 
 def test_meshes_that_batches_of_rays_find_quickly_have_no_tree():
     """Compact things may be many; scattered triangles, large ones, are few; and a thousand are the most."""
     def chosen(vertices, faces):
         caster = make_caster(None, vertices, faces)
-        cost = Direct(vertices, faces).cost if len(faces) <= MOST_TRIANGLES else math.inf
-        assert isinstance(caster, Direct if cost <= FEW_TESTS else Embree)
+        cost = DirectCaster(vertices, faces).cost if len(faces) <= MOST_TRIANGLES else math.inf
+        assert isinstance(caster, DirectCaster if cost <= FEW_TESTS else Embree)
         return type(caster)
 
     box, triangles = mesh("box")
@@ -49,10 +49,10 @@ def test_meshes_that_batches_of_rays_find_quickly_have_no_tree():
         numbers = len(box) * torch.arange(count)[:, None, None]
         return (places + 0.5 * box).reshape(-1, 3), (triangles + numbers).reshape(-1, 3)
 
-    assert chosen(TRIANGLE, FACE) is Direct
-    assert chosen(*boxes(MOST_TRIANGLES // len(triangles))) is Direct
+    assert chosen(TRIANGLE, FACE) is DirectCaster
+    assert chosen(*boxes(MOST_TRIANGLES // len(triangles))) is DirectCaster
     assert chosen(*boxes(MOST_TRIANGLES // len(triangles) + 1)) is Embree
-    assert chosen(*soup(100)) is Direct
+    assert chosen(*soup(100)) is DirectCaster
     assert chosen(*soup(1000)) is Embree
 
 
@@ -181,7 +181,7 @@ def test_an_error_of_a_large_tree_is_raised_whenever_rays_are_cast(monkeypatch):
             raise RuntimeError(f"Embree failed {doing}")
 
     monkeypatch.setattr(tree, "LARGE", 1)
-    monkeypatch.setattr(library, "check", refuse)
+    monkeypatch.setattr(library, "check_for_error", refuse)
     if torch.get_num_threads() == 1:
         with pytest.raises(RuntimeError, match="building a scene of 1 triangles"):
             Embree(TRIANGLE, FACE)
@@ -193,15 +193,15 @@ def test_an_error_of_a_large_tree_is_raised_whenever_rays_are_cast(monkeypatch):
 
 
 def test_an_error_of_embree_is_raised_with_its_name():
-    embree, device = library.load(), library.new_device()
+    embree, device = library.load_embree(), library.new_device()
     geometry = embree.rtcNewGeometry(device, library.GEOMETRY_TYPE_TRIANGLE)
     three_bytes = 3  # a stride must be a multiple of 4 bytes
     embree.rtcSetSharedGeometryBuffer(
         geometry, library.BUFFER_TYPE_VERTEX, 0, library.FORMAT_FLOAT3, TRIANGLE.data_ptr(), 0, three_bytes, 3
     )
     with pytest.raises(RuntimeError, match="Embree failed while testing: invalid operation .*aligned"):
-        library.check(device, "testing")
-    library.check(device, "testing")  # reading an error clears it
+        library.check_for_error(device, "testing")
+    library.check_for_error(device, "testing")  # reading an error clears it
     embree.rtcReleaseGeometry(geometry)
     embree.rtcReleaseDevice(device)
 

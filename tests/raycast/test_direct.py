@@ -10,7 +10,7 @@ from tests.raycast.casters import DTYPES, crossing
 from tests.raycast.meshes import mesh, random_rays, soup
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.raycast import Ray, batches, make_caster
-from torch_radbp.raycast.direct import Direct, addresses, machine_code
+from torch_radbp.raycast.direct import DirectCaster, code_of_batches, tensor_addresses
 from torch_radbp.raycast.faces import faces_of
 from torch_radbp.raycast.runs import CORNER, LOST, MOST, OF_RAYS, OF_SEGMENTS, PARALLELOGRAM, Costs, area, divisions
 from torch_radbp.tensors.vec import Vec3
@@ -20,13 +20,14 @@ LANES = 5003
 
 def answers(width: int, dtype: torch.dtype, vertices, faces, ray: Ray, tmax) -> list[torch.Tensor]:
     """prim, u, v, t and whether hidden, by vectors of a width."""
-    caster = Direct(vertices, faces)
+    caster = DirectCaster(vertices, faces)
     hit = [torch.empty(LANES, dtype=torch.int32), *(torch.empty(LANES, dtype=dtype) for _ in range(3))]
     hidden = torch.empty(LANES, dtype=torch.bool)
     rays = [*ray.o, *ray.d]
-    for loop, columns, results in ((batches.closest_hit, rays, hit), (batches.any_hit, [*rays, tmax], [hidden])):
-        inputs = [*columns, *caster.tables(dtype, loop)]
-        run_lanes(machine_code(loop, dtype, False, width).address, LANES, addresses(inputs), addresses(results))
+    for loop, columns, results in ((batches.closest_hit_of_batches, rays, hit),
+                                   (batches.any_hit_of_batches, [*rays, tmax], [hidden])):
+        inputs, code = [*columns, *caster.tables(dtype, loop)], code_of_batches(loop, dtype, False, width)
+        run_lanes(code.address, LANES, tensor_addresses(inputs), tensor_addresses(results))
     return [*hit, hidden]
 
 
@@ -36,7 +37,7 @@ def test_the_width_of_vectors_changes_nothing(width, dtype):
     vertices, faces = mesh("sphere in a box", dtype)
     ray = random_rays(LANES, dtype)
     tmax = torch.where(torch.arange(LANES) % 5 < 2, 0.7, -1.0).to(dtype)
-    caster = Direct(vertices, faces)
+    caster = DirectCaster(vertices, faces)
     expected = [*caster.intersect(ray)[:4], caster.occluded(ray, tmax)]
     assert 0.02 < expected[-1].float().mean() < 0.4
     assert all(torch.equal(a, b) for a, b in zip(answers(width, dtype, vertices, faces, ray, tmax), expected))
@@ -60,7 +61,7 @@ def test_no_ray_slips_through_an_edge_or_a_corner(name, dtype, separate):
     if separate:
         vertices, faces = vertices[faces.long()].reshape(-1, 3), torch.arange(3 * len(faces)).reshape(-1, 3)
     ray = at_edges(vertices, faces, 200_000, dtype)
-    caster = Direct(vertices, faces)
+    caster = DirectCaster(vertices, faces)
     assert int((caster.intersect(ray).prim < 0).sum()) == 0
     assert bool(caster.occluded(ray, torch.full((200_000,), torch.inf, dtype=dtype)).all())
 
@@ -76,13 +77,13 @@ def test_how_triangles_are_divided_into_runs_changes_nothing(distance, shift, dt
     ray = at_edges(vertices - shift, faces, 50_000, dtype)
     o, d = ray.o.stack() + shift - distance * ray.d.stack(), ray.d.stack()
     ray, tmax = Ray(Vec3.of(o), Vec3.of(d)), torch.full((50_000,), distance + 0.9, dtype=dtype)
-    caster = Direct(vertices, faces)
+    caster = DirectCaster(vertices, faces)
     count, of_box = len(caster._faces.prims), caster._faces.parallelogram
     assert of_box.sum() == 6 and bool(of_box[-6:].all())
     many = torch.cat([torch.arange(0, count - 6, MOST), torch.tensor([count - 6])])
     found = []
     for runs in (None, torch.arange(count), many):
-        divided = Direct(vertices, faces)
+        divided = DirectCaster(vertices, faces)
         if runs is not None:
             divided._runs = dict.fromkeys(divided._runs, runs)
         found.append([*divided.intersect(ray)[:4], divided.occluded(ray, tmax)])
@@ -148,7 +149,7 @@ def test_rays_along_axes_and_in_the_planes_of_triangles(axis):
     zero = torch.zeros(len(directions))
     shift = [zero, zero, zero]
     shift[axis] = zero + 0.5
-    hit = Direct(*mesh("box")).intersect(Ray(Vec3(*shift), Vec3.of(directions)))
+    hit = DirectCaster(*mesh("box")).intersect(Ray(Vec3(*shift), Vec3.of(directions)))
     assert bool((hit.prim >= 0).all())
     end = Vec3(*shift) + Vec3.of(directions) * hit.t
     assert torch.equal(torch.stack([*end]).abs().amax(0), torch.ones(len(directions)))
@@ -175,8 +176,8 @@ def test_scale_changes_nothing(scale):
     scale = 2.0 ** round(torch.tensor(scale).log2().item())
     vertices, faces = mesh("sphere in a box")
     ray = random_rays(LANES)
-    hit = Direct(vertices, faces).intersect(ray)
-    scaled = Direct(vertices * scale, faces)
+    hit = DirectCaster(vertices, faces).intersect(ray)
+    scaled = DirectCaster(vertices * scale, faces)
     larger = scaled.intersect(Ray(ray.o * scale, ray.d * scale))
     assert all(torch.equal(a, b) for a, b in zip(larger[:4], hit))
     assert torch.equal(scaled.intersect(Ray(ray.o * scale, ray.d)).t, hit.t * scale)
@@ -219,13 +220,13 @@ def test_rays_from_nearby_hit_a_triangle_of_any_size_beside_an_ordinary_one(size
     share = 0.05 + torch.rand(500, 3, generator=generator).to(dtype)
     inside = share / share.sum(1, keepdim=True) @ corners
     o = Vec3.of(size * (2 * torch.rand(500, 3, generator=generator) + torch.tensor([0.0, 0, 1])).to(dtype))
-    hit = Direct(vertices, torch.arange(6).reshape(-1, 3)).intersect(Ray(o, Vec3.of(size * inside) - o))
+    hit = DirectCaster(vertices, torch.arange(6).reshape(-1, 3)).intersect(Ray(o, Vec3.of(size * inside) - o))
     assert bool((hit.prim == 0).all())
 
 
 def test_rays_of_both_dtypes_may_be_asked_of_one_caster():
     vertices, faces = mesh("sphere in a box", torch.float64)
-    caster = Direct(vertices, faces)
+    caster = DirectCaster(vertices, faces)
     single, double = (caster.intersect(random_rays(LANES, dtype)) for dtype in DTYPES)
     assert (single.prim != double.prim).float().mean() < 1e-3
     assert single.t.dtype == torch.float32 and double.t.dtype == torch.float64
@@ -233,7 +234,7 @@ def test_rays_of_both_dtypes_may_be_asked_of_one_caster():
 
 def test_a_large_mesh_is_refused():
     with pytest.raises(ValueError, match="'direct' takes at most 1000 triangles, got 5120; use 'embree'"):
-        Direct(*mesh("fine sphere"))
+        DirectCaster(*mesh("fine sphere"))
 
 
 def test_the_largest_mesh_is_right():

@@ -13,7 +13,7 @@ from tests.gradients import unwarned_renderer
 from tests.scenes.every_plugin import subjects
 from tests.scenes.everything import EVERYTHING, build_everything
 from torch_radbp.jit import compiled, run
-from torch_radbp.jit.fingerprint import Reader
+from torch_radbp.jit.fingerprint import DefinitionReader
 from torch_radbp.tensors import torch_internals
 
 PACKAGE = Path(rb.__file__).parent
@@ -44,7 +44,7 @@ def codes(code: CodeType) -> set[CodeType]:
 
 def told(*things) -> set[CodeType]:
     """The functions that a fingerprint depends on."""
-    reader = Reader()
+    reader = DefinitionReader()
     reader.words(things)
     for thing in reader.named:
         reader.definition(thing)
@@ -55,7 +55,7 @@ def told(*things) -> set[CodeType]:
                                             *(deep(name, "hybrid") for name in EVERYTHING if name != "textures")])
 def test_every_function_that_is_traced_belongs_to_the_name(name, sampling, fresh_stages, monkeypatch):
     named, missing, traced = [], {}, run.LaneFunction.traced
-    name_of = compiled.name_of
+    name_of = compiled.code_name
 
     def watched(function, given):
         found = []
@@ -67,7 +67,7 @@ def test_every_function_that_is_traced_belongs_to_the_name(name, sampling, fresh
 
     monkeypatch.setenv("RADBP_KERNEL_CACHE", "off")
     monkeypatch.setattr(run.LaneFunction, "traced", watched)
-    monkeypatch.setattr(compiled, "name_of", lambda *arguments: named.append(name_of(*arguments)) or named[-1])
+    monkeypatch.setattr(compiled, "code_name", lambda *arguments: named.append(name_of(*arguments)) or named[-1])
     scene = build_everything(name, torch.float32)
     wanted = [scene.get_parameter(parameter).requires_grad_() for parameter in subjects(scene)]
     image = unwarned_renderer(scene, spp=2, max_depth=4, rr_depth=2, sampling=sampling)(seed=3)

@@ -75,7 +75,7 @@ def test_a_budget_or_no_gradient_asks_for_no_more_than_a_chunk(monkeypatch):
 def test_the_machine_has_memory():
     assert cost.memory_of(torch.device("cpu")) > GIB / 4
     assert cost.memory_of(torch.device("meta")) == float("inf")
-    assert (cost.size_of(3 << 20), cost.size_of(1.5 * (1 << 40)), cost.size_of(10)) == ("3 MiB", "1.5 TiB", "10 B")
+    assert (cost.bytes_text(3 << 20), cost.bytes_text(1.5 * (1 << 40)), cost.bytes_text(10)) == ("3 MiB", "1.5 TiB", "10 B")
 
 
 @pytest.mark.parametrize("settings", [{}, {"adjoint": rb.TapeAdjoint()}, {"chunk": 16}], ids=["memoized", "tape", "chunks"])

@@ -15,7 +15,7 @@ from tests.jit.emulated import Emulated
 from tests.rendering.host import place
 from tests.scenes import CASES, cornell
 from tests.scenes.everything import build_everything
-from torch_radbp.check.statistics import Cotangent, Samples, compare
+from torch_radbp.check.statistics import Cotangent, Estimates, compare
 from torch_radbp.jit.gpu import Gpu
 from torch_radbp.jit.stages import CompiledStages
 from torch_radbp.sampling import running_sum
@@ -99,7 +99,7 @@ def test_neither_a_check_nor_an_error_image_calls_what_torch_refuses(monkeypatch
     monkeypatch.setattr(running_sum, "sums_in_any_order", lambda device: True)
     draw = torch.Generator().manual_seed(5)
     truth, *noise = (torch.rand(n, 1, 3, 9, 8, generator=draw, dtype=torch.float64) for n in (1, 16, 16))
-    samples = Samples(*(truth + each for each in noise), torch.zeros_like(truth[0]))
+    samples = Estimates(*(truth + each for each in noise), torch.zeros_like(truth[0]))
     with Refusals() as refusals:
         result = compare(samples, [Cotangent("ones", torch.ones_like(truth[0]))], [0.0], 1e-16)
         colours = false_colour(truth[0, 0], error_scale(truth[0, 0]))

@@ -18,7 +18,7 @@ from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.tensors.vec import Vec2
 from torch_radbp.texture import bitmap as bitmap_file
 from torch_radbp.texture.bitmap import Bitmap, pyramid_bank
-from torch_radbp.texture.pyramid import halved, pyramid, sample_pyramid
+from torch_radbp.texture.pyramid import half_size, pyramid, sample_pyramid
 
 SKY = {"type": "constant", "radiance": rgb(1, 1, 1)}
 LEVEL_STEP = 0.1  # of the values that stand for levels
@@ -61,8 +61,8 @@ def test_a_coarser_texel_is_the_mean_of_the_area_that_it_covers(size):
     covered = torch.tensor([[max(0.0, min(k + 1, (i + 1) * wide) - max(k, i * wide)) for k in range(size)]
                             for i in range(half)], dtype=torch.float64)
     expected = torch.einsum("ik,kjc->ijc", covered / wide, data)
-    assert torch.allclose(halved(data, 0), expected, rtol=0, atol=1e-15)
-    assert torch.allclose(halved(data.transpose(0, 1), 1), expected.transpose(0, 1), rtol=0, atol=1e-15)
+    assert torch.allclose(half_size(data, 0), expected, rtol=0, atol=1e-15)
+    assert torch.allclose(half_size(data.transpose(0, 1), 1), expected.transpose(0, 1), rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize("mode", ["repeat", "mirror", "clamp"])

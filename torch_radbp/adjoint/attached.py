@@ -36,7 +36,7 @@ def bounced_twice(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | No
     vertex, _, step = take_step(fixed, detached(state), depth, hit=onward.hit, with_light=False)
     alive = surviving(step)
     hit = None if integrand.is_last(depth) else fixed.caster.intersect(stages(rows)(vertex.next.ray, alive))
-    E, ahead = attached_vertices(integrand, state, depth, step, spread(hit, alive, step.scattered))
+    E, ahead = attached_vertices(integrand, state, depth, step, _spread(hit, alive, step.scattered))
     if E is not None:
         order, lane = step.order[:step.scattered], vertex.next.lane
         put_rows(L, lane, stages(brightened)(L, state.beta, order, lane, E, None, None))
@@ -123,7 +123,7 @@ def rays_reaching(integrand: Integrand, start: PathState, depth: Tensor) -> Ray:
                  for parts in found))
 
 
-def spread(hit: Hit | None, alive: Tensor, lanes: int) -> Hit | None:
+def _spread(hit: Hit | None, alive: Tensor, lanes: int) -> Hit | None:
     """(N,) the hits of the lanes `alive` in their places; of no meaning in others."""
     if hit is None:
         return None

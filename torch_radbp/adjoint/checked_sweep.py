@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torch_radbp.adjoint.bounce import bounce_adjoint
 from torch_radbp.adjoint.sweep import Sweep
-from torch_radbp.call.finite import Finding
+from torch_radbp.call.finite import FirstNonFinite
 from torch_radbp.path.state import Arrival, PathState
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.record import leaves_of
@@ -17,7 +17,7 @@ from torch_radbp.tensors.stage import PlainStages
 class CheckedSweep(Sweep):
     """A sweep that notes the first bounce, from the deepest up, whose derivatives are not finite. Eager."""
 
-    def __init__(self, finding: Finding, *arguments):
+    def __init__(self, finding: FirstNonFinite, *arguments):
         super().__init__(*arguments)
         self.finding = finding
 

@@ -5,7 +5,7 @@ carries the tangents through `path.trace` as it runs, inside of fused loops (`ji
 bounces, too. No states are kept, so that the chunk bounds the memory, as in the forward pass.
 
 `torch.func.jvp` makes dual tensors, too, but while it is active it wraps everything, down to the constants of a ray caster,
-in tensors without storage. `outside_transforms` unwraps the parameters first and wraps only the image again.
+in tensors without storage. `render_outside_transforms` unwraps the parameters first and wraps only the image again.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def inside_transforms() -> bool:
     return bool(torch_internals.transforms())
 
 
-def outside_transforms(render: Callable, parameters: dict[str, Tensor]):
+def render_outside_transforms(render: Callable, parameters: dict[str, Tensor]):
     """`render(parameters)` inside `torch.func.jvp`, images in tuples and dicts, computed outside of it on dual tensors.
 
     Raises:

@@ -17,7 +17,7 @@ from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import Sweep, numbered_leaves
 from torch_radbp.adjoint.taped_sweep import sweep_of
 from torch_radbp.call.chunks import Chunk
-from torch_radbp.call.finite import Finding, NonFiniteError, count_of_bad, finite, gradient_error
+from torch_radbp.call.finite import FirstNonFinite, NonFiniteError, all_finite, count_of_bad, gradient_error
 from torch_radbp.call.pixels import asked_of_pixels, filters_of, lane_adjoint, weighted
 from torch_radbp.call.render_call import (
     RenderCall,
@@ -109,7 +109,7 @@ class RenderFunction(torch.autograd.Function):
                 call.adjoint.backward(sweep)
             return sweep
 
-        def sweep_again(finding: Finding) -> None:
+        def sweep_again(finding: FirstNonFinite) -> None:
             for index in range(len(call.wavefronts)):
                 if finding.depth is None:
                     swept(index, Gradients(leaves), lambda *arguments: nullcontext(CheckedSweep(finding, *arguments)))
@@ -130,11 +130,11 @@ class RenderFunction(torch.autograd.Function):
         results, are_finite = gradients_of(shares)
         call.memory.give_back(rows for share in shares for rows in share.rows)
         if not are_finite:
-            if not finite([grad_images]):
+            if not all_finite([grad_images]):
                 raise NonFiniteError(f"the derivative of the loss with respect to the image is NaN or infinite in "
                                      f"{count_of_bad(grad_images)}: it is the loss that is not finite, not the rendering")
             sources = tensors[:len(ctx.needs_input_grad) - 1]
-            bad = [(source, result) for source, result in zip(wanted_of(ctx, sources), results) if not finite([result])]
+            bad = [(source, result) for source, result in zip(wanted_of(ctx, sources), results) if not all_finite([result])]
             raise gradient_error(bad, integrand, call.module, call.parameters, sweep_again)
         results = iter(results)
         return None, *(next(results) if need else None for need in ctx.needs_input_grad[1:])

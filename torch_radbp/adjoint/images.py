@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_radbp.adjoint.record import Allowance, trace_both, trace_wavefront
 from torch_radbp.adjoint.sweep import PathRecord
-from torch_radbp.call.finite import Finding, checked_stages, finite, image_error
+from torch_radbp.call.finite import FirstNonFinite, all_finite, checked_stages, image_error
 from torch_radbp.call.pixels import Images, developed
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.wavefronts import Wavefront
@@ -29,16 +29,16 @@ def render_images(call: RenderCall, integrand: Integrand, record: bool, tracer: 
         return sums, path_record if keeping and allowance.covers(path_record) else None
 
     images = developed(call, trace_one)
-    check_images(call, integrand, images.pixels[:, :3].detach())
+    _check_images(call, integrand, images.pixels[:, :3].detach())
     return images
 
 
-def check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None:
+def _check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None:
     """Raises NonFiniteError if a pixel is NaN or infinite."""
-    if finite([images]):
+    if all_finite([images]):
         return
 
-    def trace_again(integrand: Integrand, finding: Finding) -> None:
+    def trace_again(integrand: Integrand, finding: FirstNonFinite) -> None:
         for wavefront in call.wavefronts:
             if finding.depth is None:
                 trace_wavefront(call, integrand.with_stages(checked_stages(finding)), wavefront, 0, record=False)

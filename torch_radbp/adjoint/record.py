@@ -50,7 +50,7 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
     asked = record or call.quantities is not None  # of the quantities some ask for what camera rays meet
     L = tracer(integrand, started(call, samples), recorder.visit if asked else None)
     radiance = L if record and call.adjoint.keep_radiance else None
-    return (deposit(call, wavefront, shown(call, integrand, samples, recorder.hit, L), samples.place),
+    return (deposit(call, wavefront, _shown(call, integrand, samples, recorder.hit, L), samples.place),
             recorder.record(partial(start_paths, call, wavefront, which), radiance, samples))
 
 
@@ -61,7 +61,7 @@ def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> 
     apart = wavefront.lanes >= MANY and call.quantities is None and goes_whole(integrand, wavefront.lanes)
     traced = traced_apart if apart else traced_as_one
     image, derivative, hit, L = traced(call, integrand, wavefront, recorder)
-    return (deposit(call, wavefront, shown(call, integrand, image, hit, L), image.place),
+    return (deposit(call, wavefront, _shown(call, integrand, image, hit, L), image.place),
             recorder.record(partial(start_paths, call, wavefront, 1), None, derivative))
 
 
@@ -97,7 +97,7 @@ def traced_as_one(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
     return image, derivative, hit, L
 
 
-def shown(call: RenderCall, integrand: Integrand, samples: CameraSample, hit: Hit | None, L: Vec3) -> list[Tensor]:
+def _shown(call: RenderCall, integrand: Integrand, samples: CameraSample, hit: Hit | None, L: Vec3) -> list[Tensor]:
     """What the lanes of an image count in pixels: their radiance, and the quantities beside it.
 
     Args:

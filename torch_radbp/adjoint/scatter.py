@@ -33,21 +33,21 @@ class Contribution(NamedTuple):
     adjoint: Tensor  # (N,)
 
 
-class Block(NamedTuple):
+class TableBlock(NamedTuple):
     """Tables whose totals lie together: columns of the same rows, several of few entries, or a single one."""
 
     first: int  # table
     width: int  # how many there are
 
 
-def blocks_of(tables: Sequence[Tensor]) -> list[Block]:
+def blocks_of(tables: Sequence[Tensor]) -> list[TableBlock]:
     """All tables, block by block."""
     found, first = [], 0
     while first < len(tables):
         width = 1
         while first + width < len(tables) and lie_together(tables[first], tables[first + width]):
             width += 1
-        found.append(Block(first, width))
+        found.append(TableBlock(first, width))
         first += width
     return found
 

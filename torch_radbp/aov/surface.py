@@ -18,7 +18,7 @@ from torch_radbp.scene.interaction import (
     where_the_ray_goes,
 )
 from torch_radbp.scene.part import part_of
-from torch_radbp.scene.placement import for_lanes, shown
+from torch_radbp.scene.placement import for_lanes, points_in_world
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import stage
@@ -54,7 +54,7 @@ def sight(scene: SceneTensors, ray: Ray, hit: Hit, moving: bool) -> SeenPoint:
         moving: whether ray and geometry carry derivatives: the point stays on the ray.
     """
     triangles = scene.triangles
-    p0, e1, e2 = edges(*shown(scene, hit, at_corners(triangles.vertices.p, corner_rows(scene, hit))))
+    p0, e1, e2 = edges(*points_in_world(scene, hit, at_corners(triangles.vertices.p, corner_rows(scene, hit))))
     t, n = hit.t, triangle_normal(scene, hit, e1, e2)
     if moving:
         hit = where_the_ray_goes(ray, p0, e1, e2, hit, hit.prim >= 0)
@@ -64,12 +64,12 @@ def sight(scene: SceneTensors, ray: Ray, hit: Hit, moving: bool) -> SeenPoint:
     return SeenPoint(scene, hit, e1, e2, p, n, t)
 
 
-def coordinates(seen: SeenPoint) -> Values:
+def _coordinates(seen: SeenPoint) -> Values:
     """Surface coordinates u and v."""
     return tuple(interpolated(seen.uv, seen.hit.u, seen.hit.v))
 
 
-def tangents(seen: SeenPoint) -> tuple[Vec3, Vec3]:
+def _tangents(seen: SeenPoint) -> tuple[Vec3, Vec3]:
     """The derivatives of the position by u and by v on the triangle; where the coordinates do not span it, any orthonormal
     pair across the normal."""
     uv0, uv1, uv2 = seen.uv
@@ -82,7 +82,7 @@ def tangents(seen: SeenPoint) -> tuple[Vec3, Vec3]:
             where(spanned, (seen.e2 * d1.x - seen.e1 * d2.x) * scale, other.t))
 
 
-def number(seen: SeenPoint, which: int) -> Values:
+def _number(seen: SeenPoint, which: int) -> Values:
     """A number of the triangle, floating point: 0 the triangle's in its shape, 1 the shape's."""
     triangles = seen.scene.triangles
     found = lookup(triangles.numbers[which], seen.hit.prim.clamp_min(0))
@@ -94,13 +94,13 @@ def number(seen: SeenPoint, which: int) -> Values:
 FUNCTIONS = {
     "depth": lambda seen: (seen.t,),
     "position": lambda seen: tuple(seen.p),
-    "uv": coordinates,
+    "uv": _coordinates,
     "geo_normal": lambda seen: tuple(seen.n),
     "sh_normal": lambda seen: tuple(shading_normal(seen.scene, seen.hit, seen.n)),
-    "dp_du": lambda seen: tuple(tangents(seen)[0]),
-    "dp_dv": lambda seen: tuple(tangents(seen)[1]),
-    "prim_index": lambda seen: number(seen, 0),
-    "shape_index": lambda seen: number(seen, 1),
+    "dp_du": lambda seen: tuple(_tangents(seen)[0]),
+    "dp_dv": lambda seen: tuple(_tangents(seen)[1]),
+    "prim_index": lambda seen: _number(seen, 0),
+    "shape_index": lambda seen: _number(seen, 1),
 }
 
 

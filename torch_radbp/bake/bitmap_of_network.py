@@ -55,12 +55,12 @@ def bitmap(texture: NeuralTexture, resolution: int | Sequence[int],
     """
     if not isinstance(texture, NeuralTexture):
         raise TypeError(f"a network in the place of a texture is baked, rb.NeuralTexture, got {type(texture).__name__}")
-    height, width = size_of(resolution)
+    height, width = _size_of(resolution)
     if texture.of == "uv":
         v, u = ((torch.arange(side, dtype=torch.float64) + 0.5) / side for side in (height, width))
         places = torch.stack([u.expand(height, -1), v[:, None].expand(-1, width)], 2)
     else:
-        places = positions(TensorMesh.of_trimesh(shape) if is_trimesh(shape) else shape, height, width)
+        places = _positions(TensorMesh.of_trimesh(shape) if is_trimesh(shape) else shape, height, width)
     like = next((value for value in texture.module.parameters()), torch.empty(0))
     function, found = texture.function().with_parameters(list(texture.module.parameters())), []
     with torch.no_grad():
@@ -71,7 +71,7 @@ def bitmap(texture: NeuralTexture, resolution: int | Sequence[int],
     return Bitmap(data=torch.cat(found).view(height, width, -1), wrap_mode="clamp").to(like)
 
 
-def size_of(resolution: int | Sequence[int]) -> tuple[int, int]:
+def _size_of(resolution: int | Sequence[int]) -> tuple[int, int]:
     """Height and width.
 
     Raises:
@@ -84,7 +84,7 @@ def size_of(resolution: int | Sequence[int]) -> tuple[int, int]:
     return height, width
 
 
-def positions(shape: Surface | None, height: int, width: int) -> Tensor:
+def _positions(shape: Surface | None, height: int, width: int) -> Tensor:
     """(H, W, 3) where the surface coordinates of a shape put the texels, float64; errors as of `bitmap`."""
     if shape is None:
         raise ValueError("a network of positions is baked over the surface coordinates of a shape: give the shape, too")

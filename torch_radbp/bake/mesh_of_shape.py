@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 GAP = 4  # texels between charts
 
 
-class Body(NamedTuple):
+class ShapeTriangles(NamedTuple):
     """The triangles of a shape in world space, with what they are made of."""
 
     surface: Triangles
@@ -68,7 +68,7 @@ def mesh(shape: Shape | trimesh.Trimesh | trimesh.Scene, *, unwrap: bool = False
         body = body_of(shape)
     surface = body.surface
     if unwrap or surface.uv is None:
-        surface = unwrapped(surface, resolution)
+        surface = _unwrapped(surface, resolution)
     found = TensorMesh(vertex_positions=surface.vertices, faces=surface.faces, vertex_normals=surface.normals,
                        vertex_texcoords=surface.uv, bsdf=body.bsdf, emitter=body.emitter).to(surface.vertices)
     for name, values in surface.attributes:
@@ -76,24 +76,24 @@ def mesh(shape: Shape | trimesh.Trimesh | trimesh.Scene, *, unwrap: bool = False
     return found
 
 
-def body_of(shape: Surface | ShapeGroup | Instance) -> Body:
+def body_of(shape: Surface | ShapeGroup | Instance) -> ShapeTriangles:
     """All triangles of a shape, as one surface.
 
     Raises:
         ValueError: if they have several materials.
     """
     if isinstance(shape, Surface):
-        return Body(shape.oriented()._replace(ball=None), shape.bsdf, shape.emitter)
+        return ShapeTriangles(shape.oriented()._replace(ball=None), shape.bsdf, shape.emitter)
     group = shape.shapegroup if isinstance(shape, Instance) else shape
     own, names = list(group.shapes.values()), list(group.shapes)
     if len({id(each.bsdf) for each in own}) != 1:
         raise ValueError(f"a mesh has one material, and the shapes of the group, {', '.join(names)}, have several or none "
                          f"that they share: bake each by itself, rb.bake.mesh(group.{names[0] if names else 'NAME'})")
-    surface = joined([each.oriented() for each in own])
-    return Body(instanced(surface, shape.to_world) if isinstance(shape, Instance) else surface, own[0].bsdf, None)
+    surface = _joined([each.oriented() for each in own])
+    return ShapeTriangles(instanced(surface, shape.to_world) if isinstance(shape, Instance) else surface, own[0].bsdf, None)
 
 
-def joined(surfaces: list[Triangles]) -> Triangles:
+def _joined(surfaces: list[Triangles]) -> Triangles:
     """Several surfaces as one; what only some of them have is left out, but for normals, which flat ones get."""
     if any(each.normals is None for each in surfaces) and any(each.normals is not None for each in surfaces):
         surfaces = [flat_with_normals(each) if each.normals is None else each for each in surfaces]
@@ -122,7 +122,7 @@ def flat_with_normals(surface: Triangles) -> Triangles:
                                       for name, values in surface.attributes))
 
 
-def unwrapped(surface: Triangles, resolution: int) -> Triangles:
+def _unwrapped(surface: Triangles, resolution: int) -> Triangles:
     """The surface with charts of xatlas as surface coordinates."""
     try:
         import xatlas

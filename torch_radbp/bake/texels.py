@@ -14,7 +14,7 @@ WITHIN = 1e-5  # of weights: centres that lie in a triangle and not on its edge
 REACH = 4.0  # texels around a triangle up to which its plane is continued
 
 
-class Texels(NamedTuple):
+class TexelPlaces(NamedTuple):
     """The places of the (H, W) texels of a bitmap on a mesh; row 0 is at v = 0."""
 
     triangle: Tensor  # (H, W) int64
@@ -26,7 +26,7 @@ class Texels(NamedTuple):
         return (rows[faces[self.triangle]] * self.weights.to(rows)[..., None]).sum(2)
 
 
-def texels_of(uv: Tensor, faces: Tensor, height: int, width: int) -> Texels:
+def texels_of(uv: Tensor, faces: Tensor, height: int, width: int) -> TexelPlaces:
     """The triangle that each texel lies in, and of those that lie in none, a triangle nearby.
 
     Bilinear reading at the borders of a chart mixes texels outside of it. Up to `REACH` texels away these continue the plane
@@ -67,7 +67,7 @@ def texels_of(uv: Tensor, faces: Tensor, height: int, width: int) -> Texels:
     place = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     y, x = (torch.where(distance <= REACH, own, other) for own, other in zip(place, (row, column)))
     weights = weights_in(corners[triangle.flatten()], x.flatten(), y.flatten())
-    return Texels(triangle, weights.view(height, width, 3), int((count > 1).sum()))
+    return TexelPlaces(triangle, weights.view(height, width, 3), int((count > 1).sum()))
 
 
 def pairs(corners: Tensor, usable: Tensor, height: int, width: int) -> Iterator[tuple[Tensor, Tensor]]:

@@ -86,7 +86,7 @@ def first_on_a_way(rendering: Rendering, source: ShadowSource, kinds: list[list[
     for o, towards, some in ((p, reflected, torch.ones_like(first, dtype=torch.bool)), (p, d, passes[first])):
         for _ in range(MOST_SURFACES):
             hit = rendering.caster.intersect(ray_from(o + APART * extent * towards, towards))
-            met = shapes_of(rendering, hit.prim)
+            met = _shapes_of(rendering, hit.prim)
             found = some & (met >= 0) & shows[met.clamp_min(0)]
             if found.any():
                 return int(first[found][0])
@@ -97,9 +97,9 @@ def first_on_a_way(rendering: Rendering, source: ShadowSource, kinds: list[list[
 
 def shapes_met(rendering: Rendering, o: Tensor, d: Tensor) -> Tensor:
     """The numbers of the shapes that rays meet first, (N,) int64; -1: none."""
-    return shapes_of(rendering, rendering.caster.intersect(ray_from(o, d)).prim)
+    return _shapes_of(rendering, rendering.caster.intersect(ray_from(o, d)).prim)
 
 
-def shapes_of(rendering: Rendering, prim: Tensor) -> Tensor:
+def _shapes_of(rendering: Rendering, prim: Tensor) -> Tensor:
     """The numbers of the shapes of triangles, (N,) int64; -1 for -1."""
     return torch.where(prim >= 0, rendering.shape_of[prim.clamp_min(0).long()], -1)

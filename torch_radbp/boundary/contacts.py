@@ -71,14 +71,14 @@ def contacts_of(geometry: Geometry, touching: Segments, ends: Tensor,
                                                                  (touching.through, touching.shown_by)))
     beyond, = in_world(geometry, (tip.clamp_min(0),), touching.instance)
     # Where the triangles at the edge lie, above or below the surface, and the second one, before or behind the first.
-    above, closed = side_of(passed, [rows_of_corner(mine, number)]), count == 2
-    of_second, folds = (torch.where(closed, side_of(plane, [beyond]), 0.0) for plane in (passed, mine))
+    above, closed = _side_of(passed, [rows_of_corner(mine, number)]), count == 2
+    of_second, folds = (torch.where(closed, _side_of(plane, [beyond]), 0.0) for plane in (passed, mine))
     pierces = of_second * above < 0.0
     facing = torch.where(pierces, 0.0, -folds)
     counts = (count == 1) | (closed & (pierces | (folds != 0.0)))
     # Where the surface has an edge there, too, it must go on beyond.
     start, end = (interpolated(mine, place.x, place.y) for place in (touching.start, touching.end))
-    reach = side_of(mine, passed)
+    reach = _side_of(mine, passed)
     meets_edge = ~pierces & (reach == torch.where(closed, facing, 1.0)) & has_other_side(key, start + end, reach)
     kept = (counts & ((reach == 0.0) | meets_edge)).nonzero().squeeze(1)
     if not len(kept):
@@ -152,7 +152,7 @@ def rows_of_corner(corners: tuple[Vec3, Vec3, Vec3], number: Tensor) -> Vec3:
     return Vec3(*(torch.where(number == 0, a, torch.where(number == 1, b, c)) for a, b, c in zip(*corners)))
 
 
-def side_of(plane: tuple[Vec3, Vec3, Vec3], points: tuple[Vec3, ...] | list[Vec3]) -> Tensor:
+def _side_of(plane: tuple[Vec3, Vec3, Vec3], points: tuple[Vec3, ...] | list[Vec3]) -> Tensor:
     """On which side of the planes of triangles points lie, (N,) float64: 1, -1, or 0 in the plane, or if on both."""
     normal = cross(plane[1] - plane[0], plane[2] - plane[0])
     scale = torch.stack([part.abs() for point in (*plane, *points) for part in point]).amax(0)
@@ -169,7 +169,7 @@ def rows_at(column: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
     return row, which[row]
 
 
-class Parts(NamedTuple):
+class EdgeParts(NamedTuple):
     """P parts of edges, (P,) float64."""
 
     start: Tensor  # shares of the edges' lengths
@@ -181,7 +181,7 @@ class Parts(NamedTuple):
         return torch.where((along >= self.start) & (along <= self.end), self.counts, 0.0)
 
 
-def parts_of_edges(a: Vec3, b: Vec3, resting: Resting, edge: Tensor) -> tuple[Tensor, Parts]:
+def parts_of_edges(a: Vec3, b: Vec3, resting: Resting, edge: Tensor) -> tuple[Tensor, EdgeParts]:
     """The parts of edges that lie on something, and those that lie on nothing.
 
     Args:
@@ -212,11 +212,11 @@ def parts_of_edges(a: Vec3, b: Vec3, resting: Resting, edge: Tensor) -> tuple[Te
     of_part = torch.div(low, 2.0, rounding_mode="floor")
     least = torch.ones_like(a.x).scatter_reduce(0, torch.searchsorted(every, edge), resting.counts, "amin")
     counts = torch.where(torch.isin(low, reached), 1.0, least[torch.searchsorted(every, of_part.long())])
-    return of_part.long(), Parts(low - 2.0 * of_part, high - 2.0 * of_part, counts)
+    return of_part.long(), EdgeParts(low - 2.0 * of_part, high - 2.0 * of_part, counts)
 
 
 def edges_in_parts(geometry: Geometry, edges: Edges, instance: Tensor | None,
-                   resting: Resting) -> tuple[Tensor, Parts] | None:
+                   resting: Resting) -> tuple[Tensor, EdgeParts] | None:
     """Edges, of which some are in parts, since a part of them lies on other surfaces; None: none are.
 
     Args:
@@ -242,4 +242,4 @@ def edges_in_parts(geometry: Geometry, edges: Edges, instance: Tensor | None,
     part, parts = parts_of_edges(a, b, resting, edge)
     whole = torch.ones_like(edges.a, dtype=torch.bool).index_fill(0, edge, False).nonzero().squeeze(1)
     none = torch.zeros_like(whole, dtype=torch.float64)
-    return torch.cat([whole, part]), joined([Parts(none, none + 1.0, none + 1.0), parts])
+    return torch.cat([whole, part]), joined([EdgeParts(none, none + 1.0, none + 1.0), parts])

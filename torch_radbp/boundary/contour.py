@@ -43,9 +43,9 @@ from torch_radbp.boundary.places import (
     Sight,
     counts_somewhere,
     depth_of,
-    numbers_of,
     on_film,
     picked,
+    place_numbers,
     unknown,
     velocities_on_film,
 )
@@ -63,7 +63,7 @@ SIDES = ((0, 1), (0, 2), (1, 2))  # of triangles, by their corners
 Level = Callable[[Camera, Vec3, Vec3 | None, Vec2 | None], Tensor]
 
 
-class Net(NamedTuple):
+class TriangleLevel(NamedTuple):
     """The six numbers F_ij of a level on triangles, (N,) each."""
 
     corner: tuple[Tensor, Tensor, Tensor]  # F_00, F_11, F_22
@@ -102,7 +102,7 @@ class OnFilm(NamedTuple):
     uphill: Vec2  # u and v by which the level rises by one, at the fastest
 
 
-def facing(camera: Camera, p: Vec3, n: Vec3, aperture: Vec2 | None) -> Tensor:
+def _facing(camera: Camera, p: Vec3, n: Vec3, aperture: Vec2 | None) -> Tensor:
     """The level that is 0 on rims: positive where the viewer is on the side of the shading normal.
 
     A rim along an edge is moved into one of its two triangles, by next to nothing.
@@ -121,7 +121,7 @@ def beyond_far(camera: Camera, p: Vec3, n: None, aperture: Vec2 | None) -> Tenso
     return camera.kind.beyond_planes(camera.lens, p)[1]
 
 
-LEVELS: dict[int, Level] = {RIM: facing, NEAR: beyond_near, FAR: beyond_far}
+LEVELS: dict[int, Level] = {RIM: _facing, NEAR: beyond_near, FAR: beyond_far}
 
 
 @stage("geometry", "sight")
@@ -160,7 +160,7 @@ def contour_length(geometry: Geometry, sight: Sight, faces: Faces, kind: int) ->
     for s, x, y in PROBES:
         aperture = Vec2(torch.full_like(whole, x), torch.full_like(whole, y)) if camera.kind.has_aperture else None
         curve = OnView(geometry, camera, between, faces.instance, kind, aperture)
-        for place in met(curve.net, torch.full_like(whole, s)):
+        for place in _met(curve.net, torch.full_like(whole, s)):
             seen = curve.at(place)
             length = torch.sqrt(seen.normal.x * seen.normal.x + seen.normal.y * seen.normal.y)
             own = torch.where(length >= 0.0, length, 0.0)  # NaN where there is no place
@@ -182,13 +182,13 @@ def contour_place(geometry: Geometry, sight: Sight, faces: Faces, lot: Lot, coun
         lane: (2 N,) int32, first the first place of each line, then the second.
     """
     camera, line = sight.camera, lane % count
-    numbers = numbers_of(sight, line, kind)
+    numbers = place_numbers(sight, line, kind)
     aperture = numbers.aperture
     face, s, times = picked(lot, line, numbers.along)
     faces = rows(faces, face)
     between, apex = from_apex(geometry, sight, faces, kind)
     curve = OnView(geometry, camera, between, faces.instance, kind, aperture)
-    one, two = met(curve.net, s)
+    one, two = _met(curve.net, s)
     place = OnTriangle(*(torch.where(lane < count, here, there) for here, there in zip(one, two)))
     seen = curve.at(place)
     scale = times if faces.share is None else times / faces.share
@@ -231,17 +231,17 @@ def middle(sight: Sight, geometry: Geometry, between: Between) -> Vec2 | None:
 
 
 def net(geometry: Geometry, camera: Camera, between: Between, instance: Tensor | None, kind: int,
-        aperture: Vec2 | None) -> Net:
+        aperture: Vec2 | None) -> TriangleLevel:
     """The numbers F_ij of a level: its values at the corners, and what those in the middle of the sides follow from."""
     p = positions(geometry, between, instance)
     n = vertex_normals(geometry, between, instance) if kind == RIM else (None,) * 3
     level = LEVELS[kind]
     corner = tuple(level(camera, p[i], n[i], aperture) for i in range(3))
     halfway = (level(camera, (p[i] + p[j]) * 0.5, None if n[i] is None else (n[i] + n[j]) * 0.5, aperture) for i, j in SIDES)
-    return Net(corner, tuple(2.0 * value - 0.5 * (corner[i] + corner[j]) for value, (i, j) in zip(halfway, SIDES)))
+    return TriangleLevel(corner, tuple(2.0 * value - 0.5 * (corner[i] + corner[j]) for value, (i, j) in zip(halfway, SIDES)))
 
 
-def met(level: Net, along: Tensor) -> list[OnTriangle]:
+def _met(level: TriangleLevel, along: Tensor) -> list[OnTriangle]:
     """The two places, at most, where the lines from first corners to points of the opposite sides meet a curve.
 
     Args:

@@ -21,9 +21,9 @@ from torch_radbp.boundary.places import (
     counts_somewhere,
     depth_of,
     length_in_view,
-    numbers_of,
     on_film,
     picked,
+    place_numbers,
     velocities_on_film,
 )
 from torch_radbp.boundary.silhouette import is_silhouette
@@ -91,7 +91,7 @@ def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, pla
         lot: of its edges.
         place: (N,) int32, numbers of the places.
     """
-    camera, numbers = sight.camera, numbers_of(sight, place, SILHOUETTE)
+    camera, numbers = sight.camera, place_numbers(sight, place, SILHOUETTE)
     aperture = numbers.aperture
     edge, share, times = picked(lot, place, numbers.along)
     edges, instance = rows(outline.edges, edge), rows(outline.instance, edge)
@@ -117,7 +117,7 @@ def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, pla
     sheets = [sheet_at(geometry, sight, (a, b, tip), corner, instance, p, at, normal, aperture)
               for tip, corner in zip(opposite[:2], edges.corner[:2])]
     side = torch.where(sheets[0].ahead + sheets[1].ahead >= 0.0, 1.0, -1.0)
-    behind, ahead = in_order(sheets, silhouette, edges.count <= 2)
+    behind, ahead = _in_order(sheets, silhouette, edges.count <= 2)
     depth = torch.maximum(depth_of(camera, p, [a, b], aperture), torch.maximum(*(sheet.depth for sheet in sheets)))
     kind = torch.where(silhouette, SILHOUETTE, CREASE).to(torch.int32)
     return Places(kind, Between(edges.a, edges.b, edges.b), instance, along, nothing, p, at, normal, side, nothing, depth,
@@ -187,7 +187,7 @@ def facing_at(geometry: Geometry, triangle: Tensor, between: Between, instance: 
     return level if smooth is None else torch.where(lookup(smooth, triangle), level, 1.0)
 
 
-def in_order(sheets: list[Sheet], silhouette: Tensor, known: Tensor) -> tuple[Glued, Glued]:
+def _in_order(sheets: list[Sheet], silhouette: Tensor, known: Tensor) -> tuple[Glued, Glued]:
     """What is seen of two triangles at edges behind and ahead of these: at silhouettes, (N,) bool, the one that hides the
     other on both sides; unknown where not `known`, (N,) bool."""
     one, two = sheets

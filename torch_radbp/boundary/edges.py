@@ -33,7 +33,7 @@ class Edges(NamedTuple):
     seam: Tensor | None  # (E,) bool: these have not the same vertices there; None: nowhere
 
 
-def joined(parts: Sequence[Edges]) -> Edges:
+def joined_edges(parts: Sequence[Edges]) -> Edges:
     """All of several edges."""
     most = max(len(part.corner) for part in parts)
     return parts[0] if len(parts) < 2 else joined_records([padded(part, most) for part in parts])
@@ -94,11 +94,11 @@ def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> E
         own = faces
     label = welded(cells)
     corner = own if label is None else label[own]
-    sides, flat, cut = sides_of(corner), own.flatten(), False
-    edges = met(sides, len(vertices))
+    sides, flat, cut = _sides_of(corner), own.flatten(), False
+    edges = _met(sides, len(vertices))
     border = edges.side[0][edges.count == 1].long()
     if wanted is not None:  # most others end here only because their neighbours are left out
-        border = border[beside(sides, border, rows(wanted, torch.div(sides.corner, 3, rounding_mode="floor")))]
+        border = border[_beside(sides, border, rows(wanted, torch.div(sides.corner, 3, rounding_mode="floor")))]
     if len(border):
         ends = torch.where(sides.forward[border], sides.low[border], sides.high[border]), torch.where(
             sides.forward[border], sides.high[border], sides.low[border])
@@ -108,7 +108,7 @@ def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> E
             whole = torch.ones_like(sides.forward).index_fill(0, border[which], False)
             parts = sides_between(*pieces.int(), sides.corner[border[which]])
             sides = Sides(*(torch.cat([side[whole], part]) for side, part in zip(sides, parts)))
-            edges = met(sides, len(vertices))
+            edges = _met(sides, len(vertices))
     if wanted is not None:
         edges = edges.of(rows(wanted, torch.div(sides.corner, 3, rounding_mode="floor")))
     corners = tuple(rows(sides.corner, side) for side in edges.side)
@@ -138,7 +138,7 @@ def sides_between(start: Tensor, end: Tensor, corner: Tensor) -> Sides:
     return Sides(torch.minimum(start, end), torch.maximum(start, end), start < end, corner)
 
 
-def beside(sides: Sides, border: Tensor, wanted: Tensor) -> Tensor:
+def _beside(sides: Sides, border: Tensor, wanted: Tensor) -> Tensor:
     """(B,) bool: which of some borders, (B,) int64 sides, have an end of one that is `wanted`, (H,) bool of all sides."""
     low, high, own = sides.low[border].long(), sides.high[border].long(), wanted[border]
     ends = torch.zeros(int(high.max()) + 1 if len(high) else 0, dtype=torch.bool, device=low.device)
@@ -146,7 +146,7 @@ def beside(sides: Sides, border: Tensor, wanted: Tensor) -> Tensor:
     return ends[low] | ends[high]
 
 
-def sides_of(faces: Tensor) -> Sides:
+def _sides_of(faces: Tensor) -> Sides:
     """The sides of the triangles among some, (F, 3) int32, that are not degenerate."""
     number = torch.arange(0, 3 * len(faces), 3, dtype=torch.int32, device=faces.device)
     one, two, three = faces.unbind(1)
@@ -183,7 +183,7 @@ class Meeting(NamedTuple):
         return Meeting(low, high, tuple(side[keep] for side in self.side), count, self.every)
 
 
-def met(sides: Sides, vertices: int) -> Meeting:
+def _met(sides: Sides, vertices: int) -> Meeting:
     """Which sides of triangles meet, in the order of their vertices, of which there are so many."""
     order, low, high = in_order(sides.low, sides.high, vertices)
     begins = torch.ones_like(sides.forward)

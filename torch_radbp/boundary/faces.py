@@ -27,7 +27,7 @@ class Faces(NamedTuple):
         return positions(geometry, self.between(geometry), self.instance)
 
 
-def joined(parts: list[Faces]) -> Faces | None:
+def joined_faces(parts: list[Faces]) -> Faces | None:
     """All of several faces; None: there are none."""
     if len(parts) < 2:
         return parts[0] if parts else None

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.scene.placement import for_lanes, shown, shown_normals
+from torch_radbp.scene.placement import for_lanes, points_in_world, shown_normals
 from torch_radbp.scene.tensors import SceneTensors, TriangleTable
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.lookup import lookup
@@ -30,7 +30,7 @@ class Geometry(NamedTuple):
     layout: NormalsOnly
 
 
-class Placed(NamedTuple):
+class _ShownBy(NamedTuple):
     """What shows vertices of groups, in place of a `Hit`."""
 
     instance: Tensor  # (N,) int32, as hits count
@@ -72,13 +72,13 @@ def in_world(geometry: Geometry, vertices: tuple[Tensor, ...], instance: Tensor 
     Were they off by what float32 rounds, points close to them would take them for silhouettes.
     """
     points = tuple(lookup(geometry.triangles.vertices.p, row).map(torch.Tensor.double) for row in vertices)
-    return points if instance is None else shown(geometry, Placed(instance), points)
+    return points if instance is None else points_in_world(geometry, _ShownBy(instance), points)
 
 
 def vertex_normals(geometry: Geometry, between: Between, instance: Tensor | None) -> Corners:
     """The shading normals there, unit length."""
     normals = tuple(lookup(geometry.triangles.vertices.n, row) for row in between)
-    normals = normals if instance is None else shown_normals(geometry, Placed(instance), normals)
+    normals = normals if instance is None else shown_normals(geometry, _ShownBy(instance), normals)
     return tuple(normal.map(torch.Tensor.double) for normal in normals)
 
 

@@ -78,7 +78,7 @@ def in_sight(geometry: Geometry, places: Places, chosen: Tensor, sent: Sent, cou
     jumps_ahead, jumps_behind = shown[1] & turning[2], shown[2] & turning[1]
     seen = ends & ((ahead & jumps_ahead) | (~ahead & jumps_behind))
     turned = ends & ~seen & ((ahead & jumps_behind) | (~ahead & jumps_ahead))
-    seen = seen | (goes_on(kind) & ((here[1] & here[2]) | own[0])) | (kind == NEAR)
+    seen = seen | (_goes_on(kind) & ((here[1] & here[2]) | own[0])) | (kind == NEAR)
     if RIM in kinds:
         seen = seen | ((kind == RIM) & ~blurred & rim_in_sight(places, own, hits[0], distances[0]) & ~covered[0])
         behind, before = (is_in_front(geometry, ray, hit) for ray, hit in zip(rays[1:], hits[1:]))
@@ -117,7 +117,7 @@ def paths_beside(places: Places, chosen: Tensor, sent: Sent, times: Tensor, show
     number = rows(shown, torch.where(is_ahead, lane - count, lane))
     own, times = rows(places, rows(chosen, number)), rows(times, number)
     sample, hit = rows(sent, number + torch.where(is_ahead, 2 * sent_to, sent_to))
-    both, outline = (own.kind == RIM) | goes_on(own.kind), own.kind == SILHOUETTE
+    both, outline = (own.kind == RIM) | _goes_on(own.kind), own.kind == SILHOUETTE
     lies_ahead = ~((own.side > 0) ^ (times > 0))
     glued = Glued(*(torch.where(is_ahead, there, here) for here, there in zip(own.behind, own.ahead)))
     straight = rows(sent.sample.ray, number)
@@ -128,7 +128,7 @@ def paths_beside(places: Places, chosen: Tensor, sent: Sent, times: Tensor, show
                                      for here, there in zip(place, hit))))
 
 
-def goes_on(kind: Tensor) -> Tensor:
+def _goes_on(kind: Tensor) -> Tensor:
     """True for curves on both sides of which a surface is seen that is near."""
     return (kind == CREASE) | (kind >= TEXTURE)
 

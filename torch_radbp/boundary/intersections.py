@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.geometry import Corners, Geometry
-from torch_radbp.boundary.segments import Segments, crossings, height_above
+from torch_radbp.boundary.segments import Segments, height_above, zero_crossings
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import Vec2, Vec3, cross, dot, interpolated, rows
@@ -80,9 +80,9 @@ def intersections(stages: Stages, geometry: Geometry, bodies: Bodies) -> Met:
     if not len(pairs.one):
         return Met(None, None)
     first = sizes.cumsum(0) - sizes
-    reach = [reaching(boxes, around, first, sizes, own, other) for own, other in (pairs, pairs[::-1])]
+    reach = [_reaching(boxes, around, first, sizes, own, other) for own, other in (pairs, pairs[::-1])]
     segments, touching = [], []
-    for own in candidates(boxes, *reach, len(pairs.one)):
+    for own in _candidates(boxes, *reach, len(pairs.one)):
         planes = planes_of(geometry, faces, own)
         segments.append(segments_on(planes))
         touching += [sides_on(planes), sides_on(planes.turned())]
@@ -110,13 +110,13 @@ def meeting(bodies: Boxes, moves: Tensor) -> Pairs:
     return joined(found)
 
 
-def expanded(counts: Tensor) -> tuple[Tensor, Tensor]:
+def _expanded(counts: Tensor) -> tuple[Tensor, Tensor]:
     """For things that there are `counts` of, (N,) int64: which one each is, and its number among those of one."""
     which = torch.repeat_interleave(counts)
     return which, torch.arange(len(which), device=which.device) - (counts.cumsum(0) - counts)[which]
 
 
-def reaching(boxes: Boxes, bodies: Boxes, first: Tensor, sizes: Tensor, own: Tensor, other: Tensor) -> Pairs:
+def _reaching(boxes: Boxes, bodies: Boxes, first: Tensor, sizes: Tensor, own: Tensor, other: Tensor) -> Pairs:
     """The triangles of bodies that reach into the boxes of others: which pair of bodies, and which triangle.
 
     Args:
@@ -126,8 +126,8 @@ def reaching(boxes: Boxes, bodies: Boxes, first: Tensor, sizes: Tensor, own: Ten
         own, other: (P,) pairs of bodies.
     """
     found, size = [], sizes[own]
-    for part in torch.arange(len(own), device=own.device).split(parts_of(size)):
-        pair, place = expanded(size[part])
+    for part in torch.arange(len(own), device=own.device).split(_parts_of(size)):
+        pair, place = _expanded(size[part])
         pair = part[pair]
         triangle = first[own[pair]] + place
         inside = rows(boxes, triangle).overlap(rows(bodies, other[pair]))
@@ -135,7 +135,7 @@ def reaching(boxes: Boxes, bodies: Boxes, first: Tensor, sizes: Tensor, own: Ten
     return joined(found)
 
 
-def candidates(boxes: Boxes, ones: Pairs, others: Pairs, count: int) -> Iterator[Pairs]:
+def _candidates(boxes: Boxes, ones: Pairs, others: Pairs, count: int) -> Iterator[Pairs]:
     """The pairs of triangles whose boxes overlap, in parts.
 
     Args:
@@ -157,14 +157,14 @@ def candidates(boxes: Boxes, ones: Pairs, others: Pairs, count: int) -> Iterator
     lows, widest = lows[order], on_axis(others, high)[order].cummax(0).values if len(order) else lows
     begin = torch.searchsorted(widest, on_axis(ones, low))
     count = (torch.searchsorted(lows, on_axis(ones, high), right=True) - begin).clamp_min(0)
-    for own in torch.arange(len(count), device=count.device).split(parts_of(count)):
-        which, place = expanded(count[own])
+    for own in torch.arange(len(count), device=count.device).split(_parts_of(count)):
+        which, place = _expanded(count[own])
         one, other = ones.other[own[which]], others.other[order[begin[own[which]] + place]]
         meet = rows(boxes, one).overlap(rows(boxes, other))
         yield Pairs(one[meet], other[meet])
 
 
-def parts_of(counts: Tensor) -> list[int]:
+def _parts_of(counts: Tensor) -> list[int]:
     """How many things, of which each has so many parts, (N,) int64, are taken together."""
     return torch.bincount(torch.div(counts.cumsum(0) - counts, MOST, rounding_mode="floor")).tolist()
 
@@ -206,7 +206,7 @@ def segments_on(planes: Planes) -> Segments:
     """The segments along which pairs of triangles pass through each other, on the first of each."""
     meet = planes.heights[0].crosses & planes.heights[1].crosses
     planes = rows(planes, meet.nonzero().squeeze(1))
-    return segments_along(planes, tuple(own.height for own in planes.heights))
+    return _segments_along(planes, tuple(own.height for own in planes.heights))
 
 
 def sides_on(planes: Planes) -> Segments:
@@ -225,10 +225,10 @@ def sides_on(planes: Planes) -> Segments:
         level = [torch.where(height.abs() <= own.least, 0.0, height) for height in own.height]
         below = ~own.crosses & (level[0] + level[1] + level[2] < 0.0)
         heights.append(tuple(torch.where(below, -height, height) for height in level))
-    return segments_along(planes, tuple(heights))
+    return _segments_along(planes, tuple(heights))
 
 
-def segments_along(planes: Planes, heights: tuple[tuple[Tensor, Tensor, Tensor], ...]) -> Segments:
+def _segments_along(planes: Planes, heights: tuple[tuple[Tensor, Tensor, Tensor], ...]) -> Segments:
     """The segments that both triangles of pairs have in common, on the first of each.
 
     Args:
@@ -236,7 +236,7 @@ def segments_along(planes: Planes, heights: tuple[tuple[Tensor, Tensor, Tensor],
         heights: of the corners of either triangle above the plane of the other, (N,) each; the segment is where they are 0.
     """
     (one, other), corners, _ = planes
-    ends = [crossings(*own) for own in heights]  # on the first triangle, on the second one
+    ends = [zero_crossings(*own) for own in heights]  # on the first triangle, on the second one
     points = [[interpolated(own, end.x, end.y) for end in both] for own, both in zip(corners, ends)]
     along = points[0][1] - points[0][0]
     length = dot(along, along)

@@ -21,7 +21,7 @@ from torch_radbp.tensors.stage import Stages
 from torch_radbp.tensors.vec import rows
 
 
-class Jumping(NamedTuple):
+class JumpPlaces(NamedTuple):
     """Places at which the camera sees an image jump."""
 
     places: Places  # among others
@@ -37,7 +37,7 @@ class JumpFunction(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx, stages: Stages, geometry: Geometry, camera: Camera, jumps: Jumping, shape: tuple[int, int],
+    def forward(ctx, stages: Stages, geometry: Geometry, camera: Camera, jumps: JumpPlaces, shape: tuple[int, int],
                 *leaves: Tensor) -> Tensor:
         wanted, wanted_of_camera = asks_for_gradient(geometry), asks_for_gradient(camera)
         geometry, camera = detached(geometry), detached(camera)
@@ -65,7 +65,7 @@ class JumpFunction(torch.autograd.Function):
         return None, None, None, None, None, *results
 
 
-def image_of_jumps(stages: Stages, geometry: Geometry, camera: Camera, jumps: Jumping, shape: tuple[int, int]) -> Tensor:
+def image_of_jumps(stages: Stages, geometry: Geometry, camera: Camera, jumps: JumpPlaces, shape: tuple[int, int]) -> Tensor:
     """(C, H, W) zeros with the derivative of jumps, backward.
 
     Args:
@@ -78,7 +78,7 @@ def image_of_jumps(stages: Stages, geometry: Geometry, camera: Camera, jumps: Ju
     return JumpFunction.apply(stages, geometry, camera, jumps, shape, *leaves[0], *leaves[1])
 
 
-def recorded_jumps(stages: Stages, geometry: Geometry, camera: Camera, jumps: Jumping, shape: tuple[int, int]) -> Tensor:
+def recorded_jumps(stages: Stages, geometry: Geometry, camera: Camera, jumps: JumpPlaces, shape: tuple[int, int]) -> Tensor:
     """The same with a derivative that torch records, in either mode."""
     geometry = geometry if has_tangents(geometry) else summed(geometry)
     moved = stages(swept)(geometry, camera, jumps.places, jumps.shown, jumps.kinds)

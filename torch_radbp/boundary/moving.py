@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.faces import Faces, joined
+from torch_radbp.boundary.faces import Faces, joined_faces
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.shape.placement import Instances
 
@@ -23,7 +23,7 @@ class Moving(NamedTuple):
     instances: tuple[bool, ...]  # each instance, as hits count but from 0
 
 
-def faces_of(scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Faces | None:
+def moving_faces(scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Faces | None:
     """The triangles of all that moves; None: there are none. Args as for `Outlines.of`."""
     triangles, firsts = scene.triangles, list(accumulate(counts, initial=0))
     device = triangles.material.device
@@ -45,7 +45,7 @@ def faces_of(scene: SceneTensors, counts: Sequence[int], moving: Moving, generat
         shows = chosen.to(device, torch.int32) + 1
         share = None if part == 1.0 else torch.full((len(shows) * len(members),), part, dtype=torch.float64, device=device)
         parts.append(Faces(members.repeat(len(shows)), shows.repeat_interleave(len(members)), share))
-    return joined([part for part in parts if len(part.triangle)])
+    return joined_faces([part for part in parts if len(part.triangle)])
 
 
 def chosen_instances(instances: Instances, group: int, moving: Moving, everywhere: bool, size: int,

@@ -16,22 +16,22 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.contacts import Parts, Resting, edges_in_parts
+from torch_radbp.boundary.contacts import EdgeParts, Resting, edges_in_parts
 from torch_radbp.boundary.creases import FOLD, creases
 from torch_radbp.boundary.edge_order import EdgeSlots, slots_of
 from torch_radbp.boundary.edges import Edges, edges_of
-from torch_radbp.boundary.edges import joined as joined_edges
+from torch_radbp.boundary.edges import joined_edges as joined_edges
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.geometry import geometry_of, in_world
-from torch_radbp.boundary.moving import Moving, chosen_instances, faces_of
+from torch_radbp.boundary.moving import Moving, chosen_instances, moving_faces
 from torch_radbp.boundary.passing import Passing, key_of, remember
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments
-from torch_radbp.boundary.segments import joined as joined_segments
+from torch_radbp.boundary.segments import joined_segments as joined_segments
 from torch_radbp.boundary.single_bodies import MeshOfBodies
 from torch_radbp.boundary.texture_lines import lines_of_textures, texture_segments
 from torch_radbp.call.render_call import RenderCall
-from torch_radbp.raycast.caster_cache import same
+from torch_radbp.raycast.caster_cache import same_values
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors, TriangleTable
 from torch_radbp.shape.placement import Instances
@@ -49,7 +49,7 @@ class Outline(NamedTuple):
     crease: Tensor  # (E,) int32, how much of a jump an edge may be that is no silhouette: `NONE`, `WHOLE`, `FOLD`, ...
     folds: bool  # some are `FOLD` or `TURNED`
     share: Tensor | None  # (E,) float64, probability with which an edge is among these; None: all are
-    parts: Parts | None = None  # (E,) of the edges that are meant; None: these are whole, and lie on nothing
+    parts: EdgeParts | None = None  # (E,) of the edges that are meant; None: these are whole, and lie on nothing
     slots: EdgeSlots | None = None  # of everything, see `edge_order.slots_of`
 
 
@@ -79,7 +79,7 @@ class MeshShown(NamedTuple):
 
     def equals(self, other: MeshShown) -> bool:
         """True if the other shows the same."""
-        return self.mesh is other.mesh and self.part == other.part and unchanged(self.chosen, other.chosen)
+        return self.mesh is other.mesh and self.part == other.part and _unchanged(self.chosen, other.chosen)
 
     def outline(self, instanced: bool) -> Outline:
         """The edges in the world; `instanced`: the scene has instances."""
@@ -132,7 +132,7 @@ class Outlines:
             resting = self.passing.of_pairs(rendering, call, moves, edges_of_shape, seed).resting
             outline = in_parts(scene, self.of(scene, sizes, moves, generator), resting)
             faces = self.faces_of(scene, sizes, turns, generator)
-            patterned = faces_of(scene, sizes, slides, generator) if any(lines) else None
+            patterned = moving_faces(scene, sizes, slides, generator) if any(lines) else None
             segments = [] if patterned is None else [texture_segments(scene, patterned, sizes, lines)]
             segments += self.passing.segments(rendering, call, moves, self.of_bodies(scene, sizes, moves), edges_of_shape,
                                               seed)
@@ -147,7 +147,7 @@ class Outlines:
         key, known = key_of(scene, counts), self.faces.get(moving)
         if known is not None and known[0] == key:
             return known[1]
-        faces = faces_of(scene, counts, moving, generator)
+        faces = moving_faces(scene, counts, moving, generator)
         if faces is None or faces.share is None:  # otherwise of some instances: others in the next call
             remember(self.faces, moving, (key, faces))
         return faces
@@ -177,7 +177,7 @@ class Outlines:
         """The slots of all edges, found anew only if these have changed; `body`: (E,) whose they are."""
         edges, instance = outline.edges, outline.instance
         tables = (edges.a, edges.b, body, *edges.opposite)
-        if self.order is None or len(tables) != len(self.order[0]) or not all(map(unchanged, tables, self.order[0])):
+        if self.order is None or len(tables) != len(self.order[0]) or not all(map(_unchanged, tables, self.order[0])):
             points, = in_world(geometry_of(scene), (edges.a,), instance)
             slots = slots_of(body, points.stack())
             found = EdgeSlots(slots, *rows(((edges.a, edges.b, *edges.opposite), instance), slots.clamp_min(0)))
@@ -202,7 +202,7 @@ class Outlines:
         meshes = [shown for shown in meshes if shown.mesh is not None]
         known = self.shown.get(moving)
         if known is None or len(known.meshes) != len(meshes) or not all(map(MeshShown.equals, meshes, known.meshes)):
-            known = Shown(meshes, joined([shown.outline(triangles.instances is not None) for shown in meshes]))
+            known = Shown(meshes, joined_outlines([shown.outline(triangles.instances is not None) for shown in meshes]))
         if all(shown.part == 1.0 for shown in meshes):  # otherwise some instances: others in the next call
             remember(self.shown, moving, known)
         return known.outline
@@ -256,7 +256,7 @@ class Outlines:
         known = self.known.get(shapes)
         tables, reads = (*triangles.corners, triangles.smooth), tuple(
             column is not None for column in (triangles.vertices.n, triangles.vertices.uv))
-        if known is not None and known.reads == reads and all(map(unchanged, tables, (*known.corners, known.smooth))):
+        if known is not None and known.reads == reads and all(map(_unchanged, tables, (*known.corners, known.smooth))):
             return known.outline
         device, firsts = triangles.material.device, list(accumulate(counts, initial=0))
         own = [torch.arange(firsts[number], firsts[number + 1], dtype=torch.int32, device=device) for number in shapes
@@ -323,12 +323,12 @@ def outlines_of(scene: Scene) -> Outlines:
     return KNOWN.setdefault(scene, Outlines())
 
 
-def unchanged(table: Tensor | None, known: Tensor | None) -> bool:
+def _unchanged(table: Tensor | None, known: Tensor | None) -> bool:
     """True if a table, or its absence, is what it was; tables are never written into."""
-    return table is known if table is None or known is None else same(table, known)
+    return table is known if table is None or known is None else same_values(table, known)
 
 
-def joined(parts: Sequence[Outline]) -> Outline | None:
+def joined_outlines(parts: Sequence[Outline]) -> Outline | None:
     """All edges of several outlines."""
     if len(parts) < 2:
         return parts[0] if parts else None

@@ -12,9 +12,9 @@ from torch_radbp.boundary.contacts import Resting, contacts_of
 from torch_radbp.boundary.edges import Edges
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.intersections import Bodies, intersections
-from torch_radbp.boundary.moving import Moving, faces_of
+from torch_radbp.boundary.moving import Moving, moving_faces
 from torch_radbp.boundary.rendering import Rendering
-from torch_radbp.boundary.segments import Segments, joined
+from torch_radbp.boundary.segments import Segments, joined_segments
 from torch_radbp.boundary.single_bodies import (
     FoundOnce,
     Looked,
@@ -25,7 +25,7 @@ from torch_radbp.boundary.single_bodies import (
     shown_by_all,
 )
 from torch_radbp.call.render_call import RenderCall
-from torch_radbp.raycast.caster_cache import same
+from torch_radbp.raycast.caster_cache import same_values
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.vec import rows
@@ -33,7 +33,7 @@ from torch_radbp.tensors.vec import rows
 MOST_KNOWN = 4  # selections of what moves for which bodies are remembered
 
 
-class Known(NamedTuple):
+class CachedIntersections(NamedTuple):
     """Where bodies pass through each other, and what that depends on."""
 
     key: tuple  # of the bodies
@@ -55,7 +55,7 @@ class Passing:
     """Finds where bodies pass through each other and through themselves."""
 
     def __init__(self) -> None:
-        self.known: dict[Moving, Known] = {}
+        self.known: dict[Moving, CachedIntersections] = {}
         self.looked: dict[Moving, Looked] = {}  # at single bodies
         self.shown: dict[Moving, ShownByAll] = {}
 
@@ -95,24 +95,24 @@ class Passing:
         return segments
 
     def of_pairs(self, rendering: Rendering, call: RenderCall, moving: Moving, edges_of_shape: Callable[[int], Edges],
-                 seed: int) -> Known:
+                 seed: int) -> CachedIntersections:
         """Where two bodies each pass through each other, or touch; args as for `segments`."""
         scene, generator = call.still_scene, torch.Generator("cpu").manual_seed(seed % (1 << 63))
         instances, key = scene.triangles.instances, key_of(scene, rendering.sizes)
         known = self.known.get(moving)
         if known is None or known.key != key:
-            known = Known(key, bodies_of(scene, rendering.sizes, moving, generator), (), None)
+            known = CachedIntersections(key, bodies_of(scene, rendering.sizes, moving, generator), (), None)
         if known.bodies is None:
             remember(self.known, moving, known)
             return known
         place = *scene.triangles.vertices.p, *(() if instances is None else leaves_of((instances.linear, instances.origin)))
-        if not known.place or not all(map(same, known.place, place)):
+        if not known.place or not all(map(same_values, known.place, place)):
             geometry = geometry_of(scene)
             segments, touching = intersections(call.stages, geometry, known.bodies)
             contacts = None if touching is None else contacts_of(
                 geometry, touching, shape_ends(scene, rendering.sizes), edges_of_shape)
             parts = [part for part in (segments, contacts and contacts.segments) if part is not None]
-            known = known._replace(place=place, segments=joined(parts), resting=contacts and contacts.resting)
+            known = known._replace(place=place, segments=joined_segments(parts), resting=contacts and contacts.resting)
         if known.bodies.faces.share is None:  # otherwise some instances: others in the next call
             remember(self.known, moving, known)
         return known
@@ -142,7 +142,7 @@ def with_groups(rendering: Rendering, moving: Moving) -> list[bool]:
 
 def bodies_of(scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Bodies | None:
     """All bodies, and which of them move; None: there are less than two. Args as for `Outlines.of`."""
-    faces = faces_of(scene, counts, Moving(*((True,) * len(part) for part in moving)), generator)
+    faces = moving_faces(scene, counts, Moving(*((True,) * len(part) for part in moving)), generator)
     if faces is None:
         return None
     device, shapes = faces.triangle.device, len(counts)

@@ -116,7 +116,7 @@ def taken_by(stages: Stages, size: int) -> int:
     return int(size * (FUSED if stages.is_compiled else 1.0))
 
 
-class Numbers(NamedTuple):
+class PlaceNumbers(NamedTuple):
     """The random numbers of some places."""
 
     key: LaneKey
@@ -124,7 +124,7 @@ class Numbers(NamedTuple):
     aperture: Vec2 | None  # (N,) in [0, 1)
 
 
-def numbers_of(sight: Sight, place: Tensor, salt: int) -> Numbers:
+def place_numbers(sight: Sight, place: Tensor, salt: int) -> PlaceNumbers:
     """The random numbers of places, (N,) int32; curves of another kind have another salt."""
     salted = SampleKey(hash32(sight.seed.seed ^ (SALT + salt)), sight.seed.shared)
     lanes = lane_key(salted, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
@@ -132,10 +132,10 @@ def numbers_of(sight: Sight, place: Tensor, salt: int) -> Numbers:
     if sight.camera.kind.has_aperture:
         more = bounce_key(lanes, APERTURE_COUNTER)
         aperture = Vec2(*(fine_unit(random_bits(more, dimension)) for dimension in (APERTURE_U, APERTURE_V)))
-    return Numbers(lanes, along, aperture)
+    return PlaceNumbers(lanes, along, aperture)
 
 
-def numbers_of_places(lengths: Sequence[float], call: RenderCall, view: View) -> list[int]:
+def place_counts(lengths: Sequence[float], call: RenderCall, view: View) -> list[int]:
     """How many places are sampled on curves of each kind: as many as a pixel has samples for each pixel of length, but all
     together no more than a share of the paths of the image, beside whose part of a gradient's variance that of the places
     is small (`python -m benchmarks.primary --noise`).

@@ -28,7 +28,7 @@ from torch_radbp.boundary.edge_places import edge_place, edge_weight
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.in_sight import PathsBeside, Sent, in_sight, paths_beside
-from torch_radbp.boundary.jump_function import Jumping, image_of_jumps, recorded_jumps
+from torch_radbp.boundary.jump_function import JumpPlaces, image_of_jumps, recorded_jumps
 from torch_radbp.boundary.moving import MOST_SHOWN
 from torch_radbp.boundary.outline import Jumps, Outline
 from torch_radbp.boundary.places import (
@@ -42,7 +42,7 @@ from torch_radbp.boundary.places import (
     Places,
     Sight,
     lot_of,
-    numbers_of_places,
+    place_counts,
     rays_beside,
     sight_of,
     taken_by,
@@ -76,14 +76,14 @@ MOST_TRIES = 16  # places that are looked for on a lens for one that is found
 Evaluate = Callable[[Integrand, PathState, Hit], tuple[Tensor, ...]]
 
 
-class Seen(NamedTuple):
+class SeenByCamera(NamedTuple):
     """What camera paths see that may jump."""
 
     turns: tuple[bool, ...]  # for each channel, whether it differs between the two sides of a surface
     evaluate: Evaluate  # gives the channels, detached
 
 
-class Viewed(NamedTuple):
+class ExaminedView(NamedTuple):
     """A view that is looked at for jumps."""
 
     stages: Stages
@@ -117,17 +117,17 @@ def image_jumps(call: RenderCall, jumps: list[Jumps | None]) -> Tensor:
     def radiance(integrand: Integrand, start: PathState, hit: Hit) -> tuple[Tensor, ...]:
         return tuple(trace(integrand, start, hit=hit))
 
-    return jumps_of_views(call, jumps, Seen((True,) * 3, radiance))
+    return jumps_of_views(call, jumps, SeenByCamera((True,) * 3, radiance))
 
 
-def jumps_of_views(call: RenderCall, jumps: list[Jumps | None], seen: Seen) -> Tensor:
+def jumps_of_views(call: RenderCall, jumps: list[Jumps | None], seen: SeenByCamera) -> Tensor:
     """(B, C, H, W) zeros with the derivative of jumps in C channels."""
     still = call.still()
     lamps = lamps_of(still)
     return torch.stack([jumps_of_view(call, still, number, own, seen, lamps) for number, own in enumerate(jumps)])
 
 
-def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps | None, seen: Seen,
+def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps | None, seen: SeenByCamera,
                   lamps: tuple[Eye, ...]) -> Tensor:
     """(C, H, W) of view `number`.
 
@@ -140,8 +140,9 @@ def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps
     view, found = call.views[number], None
     with torch.no_grad():
         stages, sight = still.stages, sight_of(still.views[number], lamps)
-        viewed = Viewed(stages, *stages(edge_weight).taken(geometry=geometry_of(still.scene), sight=sight), sight.camera)
-        places = [] if jumps is None else places_of(still, number, viewed, jumps, any(seen.turns))
+        prepared = stages(edge_weight).taken(geometry=geometry_of(still.scene), sight=sight)
+        viewed = ExaminedView(stages, *prepared, sight.camera)
+        places = [] if jumps is None else _places_of(still, number, viewed, jumps, any(seen.turns))
         if places:
             integrand = integrand_of(still, still.integrand, number)
             found = strengths(still, integrand, viewed, joined(places), seen)
@@ -153,7 +154,7 @@ def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps
     return image_of_jumps(call.stages, geometry, view.camera, found, shape)
 
 
-def places_of(call: RenderCall, number: int, viewed: Viewed, jumps: Jumps, rims: bool) -> list[Places]:
+def _places_of(call: RenderCall, number: int, viewed: ExaminedView, jumps: Jumps, rims: bool) -> list[Places]:
     """Places on all curves at which view `number` may jump; `rims`: those of shading normals are among them."""
     stages, found = viewed.stages, []
     if jumps.outline is not None:
@@ -165,7 +166,7 @@ def places_of(call: RenderCall, number: int, viewed: Viewed, jumps: Jumps, rims:
     if jumps.segments is not None:
         found.append(lines_in_view(viewed, jumps.segments, stages(segment_weight), stages(segment_place)))
     found = [curves for curves in found if curves is not None]
-    counts = numbers_of_places([curves.length for curves in found], call, call.views[number])
+    counts = place_counts([curves.length for curves in found], call, call.views[number])
     return [curves.places(count) for curves, count in zip(found, counts)]
 
 
@@ -184,7 +185,7 @@ class CurvesInView(NamedTuple):
     places: Callable[[int], Places]  # so many, in proportion to lengths
 
 
-def lines_in_view(viewed: Viewed, lines: Outline | Segments, weigh: Callable, place: Callable) -> CurvesInView | None:
+def lines_in_view(viewed: ExaminedView, lines: Outline | Segments, weigh: Callable, place: Callable) -> CurvesInView | None:
     """What is seen of straight lines; None: nothing.
 
     Args:
@@ -203,7 +204,7 @@ def lines_in_view(viewed: Viewed, lines: Outline | Segments, weigh: Callable, pl
     return CurvesInView(length, places) if length > 0.0 else None
 
 
-def contours_in_view(viewed: Viewed, faces: Faces, kind: int, crossed: Tensor) -> CurvesInView | None:
+def contours_in_view(viewed: ExaminedView, faces: Faces, kind: int, crossed: Tensor) -> CurvesInView | None:
     """What is seen of the curves of one kind inside of triangles, `crossed` (K,) int32 among them; None: nothing."""
     stages, geometry, sight, camera = viewed
     if not len(crossed):
@@ -229,7 +230,8 @@ def lanes(count: int, like: Tensor) -> Tensor:
     return torch.arange(count, dtype=torch.int32, device=like.device)
 
 
-def strengths(call: RenderCall, integrand: Integrand, viewed: Viewed, places: Places, seen: Seen) -> Jumping | None:
+def strengths(call: RenderCall, integrand: Integrand, viewed: ExaminedView, places: Places,
+              seen: SeenByCamera) -> JumpPlaces | None:
     """The places of which the camera sees the jump, and by how much what is seen changes there; None: no place counts.
 
     Args:
@@ -246,7 +248,7 @@ def strengths(call: RenderCall, integrand: Integrand, viewed: Viewed, places: Pl
     most = max(FEWEST, max(wavefront.lanes for wavefront in call.wavefronts) // 2)
     blocks = counted.split(max(FEWEST, -(-len(counted) // -(-len(counted) // most))))
 
-    found = InView(places, *viewed.stages(in_sight).taken(places=places), kinds_of(places))
+    found = InView(places, *viewed.stages(in_sight).taken(places=places), _kinds_of(places))
 
     def work(share: Iterable[int]) -> list[tuple[Tensor, Tensor]]:
         return [differences(call, integrand, viewed, found, blocks[block], seen) for block in share]
@@ -256,17 +258,17 @@ def strengths(call: RenderCall, integrand: Integrand, viewed: Viewed, places: Pl
     shown = torch.cat([own for own, _ in parts])
     if not len(shown):
         return None
-    return Jumping(places, shown, tuple(torch.cat([jump for _, jump in parts], 1)), found.kinds)
+    return JumpPlaces(places, shown, tuple(torch.cat([jump for _, jump in parts], 1)), found.kinds)
 
 
-def kinds_of(places: Places) -> tuple[int, ...]:
+def _kinds_of(places: Places) -> tuple[int, ...]:
     """The kinds of curves inside of triangles that move on these, among some places."""
     counts = torch.bincount(places.kind, minlength=INTERSECTION + 1).tolist()
     return tuple(kind for kind in (RIM, NEAR, FAR, TEXTURE, INTERSECTION) if counts[kind])
 
 
-def differences(call: RenderCall, integrand: Integrand, viewed: Viewed, found: InView, asked: Tensor,
-                seen: Seen) -> tuple[Tensor, Tensor]:
+def differences(call: RenderCall, integrand: Integrand, viewed: ExaminedView, found: InView, asked: Tensor,
+                seen: SeenByCamera) -> tuple[Tensor, Tensor]:
     """Of some places, `asked` (M,) int32, those that nothing hides, (K,) int32, and what is seen behind less what is seen
     ahead of the curve, (C, K) float64; the rest as for `strengths`."""
     stages, geometry, sight, _ = viewed

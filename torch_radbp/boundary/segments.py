@@ -25,9 +25,9 @@ from torch_radbp.boundary.places import (
     counts_somewhere,
     depth_of,
     length_in_view,
-    numbers_of,
     on_film,
     picked,
+    place_numbers,
     velocities_on_film,
 )
 from torch_radbp.tensors.lookup import lookup
@@ -66,7 +66,7 @@ class Segments(NamedTuple):
         return positions(geometry, Between(*lookup(geometry.triangles.corners, self.triangle)), self.instance)
 
 
-def joined(parts: list[Segments]) -> Segments | None:
+def joined_segments(parts: list[Segments]) -> Segments | None:
     """All of several segments; None: there are none."""
     if len(parts) > 1 and any(part.seen_from is not None for part in parts):
         parts = [part if part.seen_from is not None else part._replace(seen_from=from_everywhere(part)) for part in parts]
@@ -106,7 +106,7 @@ def segment_place(geometry: Geometry, sight: Sight, segments: Segments, lot: Lot
         lot: of the segments.
         place: (N,) int32, numbers of the places.
     """
-    camera, numbers = sight.camera, numbers_of(sight, place, TEXTURE)
+    camera, numbers = sight.camera, place_numbers(sight, place, TEXTURE)
     aperture = numbers.aperture
     segment, share, times = picked(lot, place, numbers.along)
     own = rows(segments, segment)
@@ -199,7 +199,7 @@ def drift_of(rise: Vec2, pace: list[Vec2], normal: Vec2) -> Tensor:
     return -volume * (normal.x * m.x + normal.y * m.y) / (m.x * m.x + m.y * m.y).clamp_min(TINY)
 
 
-def crossings(f0: Tensor, f1: Tensor, f2: Tensor) -> tuple[Vec2, Vec2]:
+def zero_crossings(f0: Tensor, f1: Tensor, f2: Tensor) -> tuple[Vec2, Vec2]:
     """The two places on the sides of triangles where a linear function, given at the corners, is 0; barycentric.
 
     They are one if it is 0 in a corner alone, or nowhere.

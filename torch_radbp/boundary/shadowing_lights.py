@@ -44,7 +44,7 @@ def lights_of(rendering: Rendering) -> Iterator[ShadowingLight]:
             yield ShadowingLight(*shape.emitter.kind().source(middle, axis), shape, rendering.moving(shape, MOVE_SHAPES))
 
 
-def scattering(rendering: Rendering) -> Tensor:
+def _scattering(rendering: Rendering) -> Tensor:
     """The triangles of the caster, (T,) bool, whose material scatters light into more than single directions."""
     smooth = [any(bsdf.kind().smooth for bsdf in one_sided([shape.bsdf])) for shape in rendering.shapes]
     return torch.tensor(smooth, device=rendering.shape_of.device)[rendering.shape_of]
@@ -60,14 +60,14 @@ def soft_shadows(rendering: Rendering, cameras: list[list[str]]) -> set[str]:
     surrounded = any(emitter.kind().surround for emitter in rendering.scene.emitters)
     if not surrounded or not (any(rendering.movers) or any(cameras)):
         return set()
-    found = hidden_sky(rendering, scattering(rendering))
+    found = hidden_sky(rendering, _scattering(rendering))
     pairs = torch.stack([rendering.shape_of[found.blocker], rendering.shape_of[found.receiver]], 1).unique(dim=0)
     shapes = {shape for pair in pairs.tolist() for shape in pair}
     return {*(name for shape in shapes for name in rendering.movers[shape]),
             *(name for view in found.view.unique().tolist() for name in cameras[view])}
 
 
-def some_of(lights: list[ShadowingLight]) -> list[ShadowingLight]:
+def some_lights(lights: list[ShadowingLight]) -> list[ShadowingLight]:
     """At most `MOST_LIGHTS` of the lights that move and as many of the others, spread over the scene."""
     groups = [light for light in lights if light.moving], [light for light in lights if not light.moving]
     return [light for group in groups for light in group[::max(1, -(-len(group) // MOST_LIGHTS))]]

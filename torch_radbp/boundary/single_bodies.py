@@ -13,14 +13,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.edges import Edges, joined
+from torch_radbp.boundary.edges import Edges, joined_edges
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.moving import Moving, chosen_instances
 from torch_radbp.boundary.pierced import BodyEdges, edges_looked_at, probes, self_intersections, shape_of
 from torch_radbp.boundary.segments import Segments
-from torch_radbp.boundary.segments import joined as joined_segments
+from torch_radbp.boundary.segments import joined_segments as joined_segments
 from torch_radbp.call.render_call import RenderCall
-from torch_radbp.raycast.caster_cache import same
+from torch_radbp.raycast.caster_cache import same_values
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.vec import rows
@@ -73,7 +73,7 @@ def bodies_once(scene: SceneTensors, counts: Sequence[int], meshes: Sequence[Mes
         parts.append(edges if own.all() else rows(edges, own.nonzero().squeeze(1)))
         first = 0 if group < 0 else first_shown(scene, group)
         shown_by.append(torch.full_like(parts[-1].count, first))
-    return BodyEdges(joined(parts), None if instances is None else torch.cat(shown_by))
+    return BodyEdges(joined_edges(parts), None if instances is None else torch.cat(shown_by))
 
 
 def shape_ends(scene: SceneTensors, counts: Sequence[int]) -> Tensor:
@@ -99,7 +99,7 @@ def self_crossings(call: RenderCall, scene: SceneTensors, counts: Sequence[int],
     count, vertices = len(known.bodies.edges.a), tuple(scene.triangles.vertices.p)
     most = edges_looked_at(call) if any_differentiated(call.scene.triangles.vertices.p) else MOST_STILL
     chosen_by, last = None if count <= most else seed, known.found
-    if last is not None and last.seed == chosen_by and all(map(same, last.vertices, vertices)):
+    if last is not None and last.seed == chosen_by and all(map(same_values, last.vertices, vertices)):
         return last
     looked_at = probes(count, most, torch.Generator("cpu").manual_seed(seed % (1 << 63)))
     found = self_intersections(call.caster, call.stages, geometry_of(scene), known.bodies, looked_at,

@@ -39,14 +39,14 @@ def lamps_of(call: RenderCall) -> tuple[Eye, ...]:
     places = [source.place for emitter in call.module.emitters
               for source in [emitter.source()] if source is not None]
     eyes = [Eye.of(place.to(scene.device)) for place in places]
-    eyes += [around(table) for kind, table in zip(scene.layout.lights, scene.lights.tables) if kind.on_surface]
+    eyes += [_around(table) for kind, table in zip(scene.layout.lights, scene.lights.tables) if kind.on_surface]
     if len(eyes) > MOST_LAMPS:
         nowhere = torch.zeros(4, dtype=torch.float64, device=scene.device)
         return (Eye.of(nowhere, torch.full_like(nowhere[0], torch.inf)),)
     return tuple(eyes)
 
 
-def around(table: EmittingTriangles) -> Eye:
+def _around(table: EmittingTriangles) -> Eye:
     """A ball around triangles that emit light."""
     corners = torch.cat([corner.stack() for corner in table.p]).double()
     low, high = corners.amin(0), corners.amax(0)

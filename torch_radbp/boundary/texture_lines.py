@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.rendering import Rendering
-from torch_radbp.boundary.segments import Segments, crossings
+from torch_radbp.boundary.segments import Segments, zero_crossings
 from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.scene.attributes import textures_of
 from torch_radbp.scene.tensors import SceneTensors
@@ -51,12 +51,12 @@ def texture_segments(scene: SceneTensors, faces: Faces, sizes: Sequence[int],
         chosen = rows(faces, rows(like, shape).nonzero().squeeze(1))
         if len(chosen.triangle):
             uv = [rows(triangles.vertices.uv, rows(corner, chosen.triangle)) for corner in triangles.corners]
-            found += [segments_along(chosen, tuple(across(one, place) for place in uv), one) for one in own]
+            found += [segments_along(chosen, tuple(_across(one, place) for place in uv), one) for one in own]
     found = [own for own in found if len(own.triangle)]
     return joined(found) if found else None
 
 
-def across(lines: JumpLines, uv: Vec2) -> Tensor:
+def _across(lines: JumpLines, uv: Vec2) -> Tensor:
     """The number that is an integer on the lines, (N,) float64."""
     return lines.x * uv.x.double() + lines.y * uv.y.double() + lines.z
 
@@ -86,7 +86,7 @@ def segments_along(faces: Faces, level: tuple[Tensor, Tensor, Tensor], lines: Ju
     step = (ASIDE + ROUNDED * (number.abs() + abs(lines.z) + 1.0)) / steep
     step = step * (LARGEST_STEP / (step * torch.sqrt(steep))).clamp_max(1.0)
     step = torch.where(runs_along, 0.0, step)
-    start, end = crossings(f0, f1, f2)
+    start, end = zero_crossings(f0, f1, f2)
     none = torch.full_like(own.triangle, -1)
     slope = Vec2(*(torch.full_like(by_u, float(number)) for number in (lines.x, lines.y)))
     return Segments(own.triangle, own.instance, start, end, Vec2(by_u * step, by_v * step), Vec2(by_u, by_v), slope, none,

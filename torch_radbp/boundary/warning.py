@@ -21,12 +21,12 @@ from torch_radbp.boundary.edges import Edges, edges_of, spread
 from torch_radbp.boundary.inward import inward_faces
 from torch_radbp.boundary.rendering import Rendering, listed
 from torch_radbp.boundary.shadow import shadows_in_view
-from torch_radbp.boundary.shadowing_lights import MOVE_LIGHTS, ShadowingLight, lights_of, soft_shadows, some_of
+from torch_radbp.boundary.shadowing_lights import MOVE_LIGHTS, ShadowingLight, lights_of, soft_shadows, some_lights
 from torch_radbp.boundary.silhouette import CameraSight, silhouettes_in_view
 from torch_radbp.boundary.unmapped import unmapped_textures
 from torch_radbp.boundary.without_rays import views_without_rays
 from torch_radbp.plugin.errors import level_of_the_caller
-from torch_radbp.raycast.caster_cache import same
+from torch_radbp.raycast.caster_cache import same_values
 from torch_radbp.scene.material import followed, sampling_at
 from torch_radbp.scene.material_tables import one_sided
 
@@ -126,7 +126,7 @@ class JumpWatch:
         if not looks or rendering.has_area and looks <= self.looked_at:
             return None
         self.looked_at |= looks
-        lights = some_of([light for light in lights_of(rendering) if not (sharp if light.shape is None else soft)])
+        lights = some_lights([light for light in lights_of(rendering) if not (sharp if light.shape is None else soft)])
         of_lights = self.borders_of_shadows(rendering, lights, cameras) if lights else set()
         of_sky = set() if soft else soft_shadows(rendering, cameras)
         named = self.missing(rendering).keys()
@@ -312,7 +312,7 @@ class JumpWatch:
             counts: the number of triangles of each.
         """
         known = self.edges_of_shapes.get(key)
-        if known is None or not same(known[0], faces):  # a caster's faces are never written into
+        if known is None or not same_values(known[0], faces):  # a caster's faces are never written into
             known = self.edges_of_shapes[key] = (faces, edges_of(vertices, faces, spread(counts, faces.device)))
         return known[1]
 

@@ -120,7 +120,7 @@ def checked_kind(bsdf: BSDF) -> CheckedKind:
     """The kind of a material, held to its contract; raises as `check_described`."""
     kind = bsdf.kind()
     check_described(bsdf, kind, bsdf.textures())
-    return CheckedKind(kind, name_of(bsdf))
+    return CheckedKind(kind, material_name(bsdf))
 
 
 def check_described(bsdf: BSDF, kind: Any, textures: Any) -> None:
@@ -130,7 +130,7 @@ def check_described(bsdf: BSDF, kind: Any, textures: Any) -> None:
         TypeError: if one is of another type.
         ValueError: if the number of textures is not that of the kind's `slots`.
     """
-    plugin = name_of(bsdf)
+    plugin = material_name(bsdf)
     if not isinstance(kind, Kind):
         raise TypeError(f"the bsdf {plugin!r}: kind() must return a Kind, got a {type(kind).__name__}")
     try:
@@ -146,7 +146,7 @@ def check_described(bsdf: BSDF, kind: Any, textures: Any) -> None:
                          f"{len(textures)}, got {kind.slots}")
 
 
-def name_of(bsdf: BSDF) -> str:
+def material_name(bsdf: BSDF) -> str:
     """The name under which a material is registered, else that of its class."""
     return bsdf.type or type(bsdf).__name__
 
@@ -162,7 +162,7 @@ def check_contract(bsdf: BSDF, kind: Kind, textures: Sequence[Texture], dtype: t
     Raises: as `check_described` and the methods of `CheckedKind`.
     """
     check_described(bsdf, kind, textures)
-    call_each(kind, name_of(bsdf), dtype, device)
+    call_each(kind, material_name(bsdf), dtype, device)
 
 
 @lru_cache(maxsize=256)

@@ -127,7 +127,7 @@ class PrincipledThinKind(FeaturedKind):
             value = value + self.reflectance(values, cosine, reflectance) * (
                 clear * glossy * reflecting.masking(w) * reflecting.masking(wo) * wo.z)
             pdf = pdf + chances[GLOSSY_REFLECTION] * glossy / reflecting.projected_area(w)
-            glossy = 0.25 * transmitting.density(m) * behind * crosses(m, opposite)
+            glossy = 0.25 * transmitting.density(m) * behind * _crosses(m, opposite)
             value = value + colour * (
                 clear * (1.0 - reflectance) * glossy * transmitting.masking(w) * transmitting.masking(wo) * wo.z)
             pdf = pdf + chances[GLOSSY_TRANSMISSION] * glossy / transmitting.projected_area(w)
@@ -156,13 +156,13 @@ class PrincipledThinKind(FeaturedKind):
             m = facets.sample_visible(w, u, v)
             mirrored = m * (2.0 * dot(w, m)) - w
             usable = (lobe >= DIFFUSE_REFLECTION) | (mirrored.z > 0) & (~rough | (
-                crosses(m, mirrored._replace(z=-mirrored.z)) > 0))
+                _crosses(m, mirrored._replace(z=-mirrored.z)) > 0))
             wo = where(lobe < DIFFUSE_REFLECTION, mirrored, wo)
         wo = wo._replace(z=torch.where(through, -wo.z, wo.z))
         return on_horizon_unless(usable, wo) * side
 
 
-def crosses(m: Vec3, wo: Vec3) -> Tensor:
+def _crosses(m: Vec3, wo: Vec3) -> Tensor:
     """1 where `wo`, below the surface, lies on the far side of the microfacet, else 0."""
     return (dot(wo, m) < 0).to(m.z.dtype)
 

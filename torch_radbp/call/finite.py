@@ -34,7 +34,7 @@ class NonFiniteError(FloatingPointError):
     """
 
 
-def finite(tensors: list[Tensor]) -> bool:
+def all_finite(tensors: list[Tensor]) -> bool:
     """True if every value is finite."""
     # The extremes of a tensor are infinite or NaN if any value is, and are found in one pass over it.
     extremes = [torch.stack(tensor.detach().aminmax()).double() for tensor in tensors if tensor.numel()]
@@ -46,7 +46,7 @@ def count_of_bad(tensor: Tensor) -> str:
     return f"{int((~torch.isfinite(tensor)).sum())} of {tensor.numel()} values"
 
 
-class Finding:
+class FirstNonFinite:
     """The first bounce, in the order of computation, at which numbers were not finite."""
 
     def __init__(self) -> None:
@@ -70,7 +70,7 @@ class Finding:
             return "in no bounce alone: sums or products of finite numbers overflow"
         start = f"first at bounce {self.depth + 1}, in {self.lanes} of {self.of} paths, "
         if self.in_light and scene is not None:
-            sources = " or ".join(described(scene, emitter) for emitter in scene.emitters)
+            sources = " or ".join(_described(scene, emitter) for emitter in scene.emitters)
             return f"{start}in the light of {sources}, which is too bright"
         return start + most_frequent_surface(self.prim, tensors, scene)
 
@@ -82,10 +82,10 @@ def most_frequent_surface(prim: Tensor, tensors: SceneTensors, scene: Scene | No
         return "of which none hit a surface" if not len(prim) else "on some surface"
     bsdfs = list(scene.bsdfs())
     row = Counter((tensors.triangles.material[prim.long()] % len(bsdfs)).tolist()).most_common(1)[0][0]
-    return f"on {described(scene, bsdfs[row])}"
+    return f"on {_described(scene, bsdfs[row])}"
 
 
-def described(scene: Scene, plugin: Plugin) -> str:
+def _described(scene: Scene, plugin: Plugin) -> str:
     """A plugin by its type and its name in the scene."""
     return f"the {plugin.type} `{scene.name_of(plugin)}`"
 
@@ -98,8 +98,8 @@ def owner_of(scene: Scene, parameter: str) -> str:
     for length in range(len(path), 0, -1):
         plugin = scene.get_submodule(".".join(path[:length]))
         if isinstance(plugin, Plugin) and not isinstance(plugin, Texture):
-            return described(scene, plugin)
-    return described(scene, scene.get_submodule(".".join(path)))
+            return _described(scene, plugin)
+    return _described(scene, scene.get_submodule(".".join(path)))
 
 
 def network_of(scene: Scene | None, parameter: str) -> str | None:
@@ -113,7 +113,7 @@ def plain_name(parameter: str) -> str:
     return parameter.replace("parametrizations.", "").removesuffix(".original")
 
 
-def checked_stages(finding: Finding) -> PlainStages:
+def checked_stages(finding: FirstNonFinite) -> PlainStages:
     """Stages in plain torch that note the first bounce whose terms are not finite; for one chunk."""
     depth, counter = -1, None
 
@@ -141,8 +141,8 @@ def light_is_finite(scene: SceneTensors, proposal: SceneTensors, arrival: Arriva
     return torch.isfinite(torch.stack(sent)).all(0)
 
 
-def image_error(images: Tensor, integrand: Integrand, scene: Scene | None, trace_again: Callable[[Integrand, Finding], None]
-                ) -> NonFiniteError:
+def image_error(images: Tensor, integrand: Integrand, scene: Scene | None,
+                trace_again: Callable[[Integrand, FirstNonFinite], None]) -> NonFiniteError:
     """The error about an image.
 
     Args:
@@ -151,14 +151,14 @@ def image_error(images: Tensor, integrand: Integrand, scene: Scene | None, trace
         scene: gives names; None: there are none.
         trace_again: traces all chunks in turn until the finding has found something.
     """
-    finding = Finding()
+    finding = FirstNonFinite()
     trace_again(integrand, finding)
     return NonFiniteError(f"the image is NaN or infinite in {count_of_bad(images)}: "
                           f"{finding.place(integrand.scene, scene)}; {ADVICE}")
 
 
 def gradient_error(bad: list[tuple[Tensor, Tensor]], integrand: Integrand, scene: Scene | None,
-                   parameters: dict[str, Tensor], sweep_again: Callable[[Finding], None]) -> NonFiniteError:
+                   parameters: dict[str, Tensor], sweep_again: Callable[[FirstNonFinite], None]) -> NonFiniteError:
     """The error about a gradient.
 
     Args:
@@ -168,7 +168,7 @@ def gradient_error(bad: list[tuple[Tensor, Tensor]], integrand: Integrand, scene
         parameters: by name, those that derivatives are wanted of, attached to the leaves.
         sweep_again: sweeps all chunks in turn until the finding has found something.
     """
-    finding = Finding()
+    finding = FirstNonFinite()
     sweep_again(finding)
     names = parameters_behind(bad, parameters)
     if scene is not None and names:

@@ -89,7 +89,7 @@ def samples_of_chunks(call: RenderCall, wavefront: Wavefront, which: int) -> lis
     """As `camera_samples`, chunk by chunk."""
     def of_chunk(chunk: Chunk) -> CameraSample:
         view = call.views[chunk.sensor]
-        return call.stages(sample_camera)(view.camera, view.orders[which], *numbers_of(call, chunk),
+        return call.stages(sample_camera)(view.camera, view.orders[which], *_numbers_of(call, chunk),
                                          view.sample_keys[which], call.scene.layout.traces_cones)
 
     return [of_chunk(chunk) for chunk in wavefront.chunks]
@@ -99,20 +99,20 @@ def film_places(call: RenderCall, wavefront: Wavefront, which: int) -> Vec2:
     """Where in their pixels a wavefront's lanes lie, (N,) in [0, 1). `which` as for `start_paths`."""
     def of_chunk(chunk: Chunk) -> Vec2:
         view = call.views[chunk.sensor]
-        return call.stages(film_place)(view.camera.film.size_x, view.orders[which], *numbers_of(call, chunk),
+        return call.stages(film_place)(view.camera.film.size_x, view.orders[which], *_numbers_of(call, chunk),
                                       view.sample_keys[which])
 
     return joined([of_chunk(chunk) for chunk in wavefront.chunks])
 
 
-def numbers_of(call: RenderCall, chunk: Chunk) -> tuple[Tensor, Tensor]:
+def _numbers_of(call: RenderCall, chunk: Chunk) -> tuple[Tensor, Tensor]:
     """The numbers of a chunk's lanes' pixels, pixel by pixel, and those of their samples; (N,) int32."""
     find = lane_numbers if chunk.lanes > FEW else known_lane_numbers
     return find(chunk.rows, chunk.first_sample, chunk.samples, call.views[chunk.sensor].window, call.scene.device)
 
 
 def lane_numbers(rows: Rows, first_sample: int, samples: int, window: Window, device: torch.device) -> tuple[Tensor, Tensor]:
-    """`numbers_of` some samples of some rows of a window."""
+    """`_numbers_of` some samples of some rows of a window."""
     with torch.inference_mode(False):  # they may be kept, for renderings that are differentiated
         pixel = rows.numbers(device, window.numbered) + window.numbers(0, 0)
         sample = torch.arange(samples, dtype=torch.int32, device=device) + first_sample

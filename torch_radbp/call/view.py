@@ -82,10 +82,10 @@ def view_of(shot: Shot, seeds: tuple[int, int], own: bool, spp: int, scene: Scen
 
 def camera_of(cache: PackCache, sensor: Sensor) -> Camera:
     """The camera of a sensor with its whole film, attached."""
-    return cache(tensors_of, cache.twin("sensor", sensor))
+    return cache(_tensors_of, cache.twin("sensor", sensor))
 
 
-def tensors_of(sensor: Sensor) -> Camera:
+def _tensors_of(sensor: Sensor) -> Camera:
     """`camera_of` a twin."""
     return sensor.tensors()
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torch_radbp.bsdf.contract import CheckedKind
 from torch_radbp.bsdf.kind import Kind, Values
-from torch_radbp.check.lanes import Numbers, choices, direction, directions, numbers, sampled, weight_of
+from torch_radbp.check.lanes import LaneNumbers, choices, direction, directions, random_numbers, sampled, weight_of
 from torch_radbp.check.report import Finding
 from torch_radbp.check.scattering import SIGMAS, VIEWERS, Subject
 from torch_radbp.check.sphere import AZIMUTH
@@ -68,7 +68,7 @@ def smooth_balance(subject: Subject, count: int, seed: int) -> Balance:
 
 def delta_balance(subject: Subject, count: int, seed: int) -> Balance:
     """Of the delta lobes: light that is sent back the way that it came."""
-    kind, wi, random = subject.kind, directions(count, seed), numbers(count, seed)
+    kind, wi, random = subject.kind, directions(count, seed), random_numbers(count, seed)
     wi = Vec3(wi.x, wi.y, wi.z.abs())
     values = subject.values(wi.z)
     choice, wo = sampled(kind, values, wi, random)
@@ -77,7 +77,7 @@ def delta_balance(subject: Subject, count: int, seed: int) -> Balance:
     return compared(there, back, (wi.z * wo.z < 0)[ideal], True)
 
 
-def ideal_weight(kind: CheckedKind | Kind, values: Values, wi: Vec3, wo: Vec3, random: Numbers) -> Tensor:
+def ideal_weight(kind: CheckedKind | Kind, values: Values, wi: Vec3, wo: Vec3, random: LaneNumbers) -> Tensor:
     """(N, 3) the weight of all delta lobes that send from wi to wo."""
     weight = torch.zeros(len(wi.z), 3, dtype=wi.z.dtype)
     for choice in choices(kind, values, wi, random):
@@ -100,11 +100,11 @@ def reciprocity(found: list[Balance], claimed: bool) -> Finding:
     return Finding("reciprocity", off <= SAME or not claimed, figures if claimed else f"not claimed; {figures}")
 
 
-def power(subject: Subject, z: float, squared_index: float, count: int, seed: int) -> tuple[Tensor, Tensor]:
+def _power(subject: Subject, z: float, squared_index: float, count: int, seed: int) -> tuple[Tensor, Tensor]:
     """The share of the power that leaves, (3,), seen from the cosine z, and its standard error."""
     kind, wi = subject.kind, direction(z, AZIMUTH, count)
     values = subject.values(wi.z)
-    found = sampled(kind, values, wi, numbers(count, seed))
+    found = sampled(kind, values, wi, random_numbers(count, seed))
     weight = weight_of(kind, values, wi, found).stack().detach()
     change = squared_index if z > 0 else 1.0 / squared_index
     weight = weight * torch.where(wi.z * found.wo.z < 0, change, 1.0).detach()[:, None]
@@ -117,7 +117,7 @@ def energy(subjects: dict[str, Subject], found: list[Balance], claimed: bool, co
     squared_index = crossing[0] if crossing else 1.0
     excess, words = [], []
     for name, subject in subjects.items():
-        shares = [power(subject, z, squared_index, count, seed) for z in VIEWERS.values()]
+        shares = [_power(subject, z, squared_index, count, seed) for z in VIEWERS.values()]
         means, errors = (torch.stack(parts) for parts in zip(*shares))
         words.append(f"{name} at most {float(means.max()):.4f} of the light leaves")
         excess += ((means - 1.0) / (LEEWAY + SIGMAS * errors)).flatten().tolist()

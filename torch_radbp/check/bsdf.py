@@ -13,18 +13,18 @@ from typing import Any
 
 import torch
 
-from torch_radbp.bsdf.contract import checked_kind, name_of
+from torch_radbp.bsdf.contract import checked_kind, material_name
 from torch_radbp.check.balance import balances, claims, energy, reciprocity
 from torch_radbp.check.ends import at_ends, standing_alone, white
 from torch_radbp.check.finite import (
     COSINE,
-    attached,
+    differentiable_copy,
     random_corners,
     troubles_of_evaluation,
     troubles_of_samples,
     viewers,
 )
-from torch_radbp.check.lanes import directions, numbers, sampled, values_at
+from torch_radbp.check.lanes import directions, random_numbers, sampled, values_at
 from torch_radbp.check.report import Finding, PluginCheck, worst
 from torch_radbp.check.scattering import LENGTH, Subject, methods_off, scattering_findings
 from torch_radbp.io.build import build_plugin
@@ -82,8 +82,8 @@ def check_bsdf(bsdf: BSDF | dict[str, Any], *, samples: int = 50_000, seed: int 
                   energy({"as given": subject, "with white reflectances": subject_of(white(bsdf))}, light,
                          claims(subject.kind, "conserves"), samples, seed)]
     with torch.enable_grad():
-        found += [statements(subject, seed), finite_everywhere(bsdf)]
-    return PluginCheck(f"bsdf {name_of(bsdf)}", tuple(found))
+        found += [statements(subject, seed), _finite_everywhere(bsdf)]
+    return PluginCheck(f"bsdf {material_name(bsdf)}", tuple(found))
 
 
 def subject_of(bsdf: BSDF) -> Subject:
@@ -93,8 +93,8 @@ def subject_of(bsdf: BSDF) -> Subject:
 
 def statements(subject: Subject, seed: int) -> Finding:
     """The finding on what a kind says of itself: `transmits`, `oriented` and `steering`."""
-    kind, wi, wo, random = subject.kind, directions(PAIRS, seed), directions(PAIRS, seed + 1), numbers(PAIRS, seed)
-    values = tuple(attached(value) for value in subject.values(wi.z))
+    kind, wi, wo, random = subject.kind, directions(PAIRS, seed), directions(PAIRS, seed + 1), random_numbers(PAIRS, seed)
+    values = tuple(differentiable_copy(value) for value in subject.values(wi.z))
     wrong = []
     choice, sample = sampled(kind, values, wi, random)
     value, pdf = kind.eval_pdf(values, wi, wo)
@@ -123,14 +123,14 @@ def turn(w: Vec3) -> Vec3:
     return Vec3(c * w.x - s * w.y, s * w.x + c * w.y, w.z)
 
 
-def finite_everywhere(bsdf: BSDF) -> Finding:
+def _finite_everywhere(bsdf: BSDF) -> Finding:
     """The finding on values and derivatives at grazing angles and at the ends of parameters."""
     variants = {"as given": bsdf, **dict(at_ends(bsdf))}
     for words, variant in variants.items():
         for dtype in (torch.float32, torch.float64):
             own = standing_alone(variant).to(dtype)
-            kind, wi = checked_kind(own), attached(viewers(torch.tensor(COSINE, dtype=dtype)))
-            values = tuple(attached(value) for value in values_at(own, PLACE, wi.z))
+            kind, wi = checked_kind(own), differentiable_copy(viewers(torch.tensor(COSINE, dtype=dtype)))
+            values = tuple(differentiable_copy(value) for value in values_at(own, PLACE, wi.z))
             trouble = next(chain(troubles_of_evaluation(kind, values, wi),
                                  troubles_of_samples(kind, values, wi, random_corners(kind), LENGTH)), None)
             if trouble is not None:

@@ -61,7 +61,7 @@ class Lit(NamedTuple):
     caster: Any
 
 
-class Seen(NamedTuple):
+class SeenLight(NamedTuple):
     """What rays see of the light, (N,)."""
 
     radiance: Vec3
@@ -110,12 +110,12 @@ def check_emitter(emitter: Light | dict[str, Any], *, samples: int = 50_000, see
         vertices, faces = tensors.triangles.vertices.p.stack(), torch.stack(tensors.triangles.corners, 1)
         lit = Lit(tensors, kind.on_surface, make_caster(None, vertices, faces))
         lights = {where: light_from(lit, place, samples, seed) for where, place in PLACES.items()}
-        found.append(worst("samples", [samples_off(where, light, PLACES[where]) for where, light in lights.items()], ""))
+        found.append(worst("samples", [_samples_off(where, light, PLACES[where]) for where, light in lights.items()], ""))
         whole = "without extent: only samples find it"
         cases = {} if kind.delta else lights
         found.append(worst("weights", [weights_off(lit, where, light) for where, light in cases.items()], whole))
         found.append(worst("light", [light_off(lit, where, light, seed) for where, light in cases.items()], whole))
-    return PluginCheck(f"emitter {emitter.type}", (*found, finite_everywhere(scene)))
+    return PluginCheck(f"emitter {emitter.type}", (*found, _finite_everywhere(scene)))
 
 
 def scene_of(emitter: Light) -> Scene:
@@ -135,17 +135,17 @@ def light_from(lit: Lit, place: tuple[float, float, float], count: int, seed: in
     return sample_light(lit.tensors, lit.tensors, p, bits)
 
 
-def seen(lit: Lit, where: str, d: Vec3) -> Seen:
+def _seen(lit: Lit, where: str, d: Vec3) -> SeenLight:
     """What rays from a place see of the light."""
     ray = Ray(Vec3(*(torch.full_like(d.x, c) for c in PLACES[where])), d)
     if not lit.on_surface:
-        return Seen(emitted_by_surround(lit.tensors, ray), pdf_of_surround(lit.tensors, ray))
+        return SeenLight(emitted_by_surround(lit.tensors, ray), pdf_of_surround(lit.tensors, ray))
     si = surface_interaction(lit.tensors, ray, lit.caster.intersect(ray))
     radiance, weighing = emitted_by_surface(lit.tensors, si), pdf_of_surface(lit.tensors, si, lit.tensors)
-    return Seen(radiance, torch.where(si.valid & si.front, weighing, 0.0))
+    return SeenLight(radiance, torch.where(si.valid & si.front, weighing, 0.0))
 
 
-def samples_off(where: str, light: LightSample, place: tuple[float, float, float]) -> tuple[float, str]:
+def _samples_off(where: str, light: LightSample, place: tuple[float, float, float]) -> tuple[float, str]:
     """How far directions of samples are off what they should be, in units of what is allowed, and the figures."""
     used = (light.pdf > 0).nonzero()[:, 0]
     d = rows(light.d, used)
@@ -162,7 +162,7 @@ def weights_off(lit: Lit, where: str, light: LightSample) -> tuple[float, str]:
     used = (light.pdf > 0).nonzero()[:, 0]
     if not len(used):
         return 0.0, f"{where}: no sample can be used"
-    own, of_rays = light.weighing[used], seen(lit, where, rows(light.d, used)).weighing
+    own, of_rays = light.weighing[used], _seen(lit, where, rows(light.d, used)).weighing
     off = ((own - of_rays).abs() / own.abs().clamp_min(1e-30)).sort().values[int(EXACT_ENOUGH * (len(used) - 1))]
     return float(off) / SAME, f"{where}: the density of samples and that of rays differ by up to {float(off):.2g}"
 
@@ -172,18 +172,18 @@ def light_off(lit: Lit, where: str, light: LightSample, seed: int) -> tuple[floa
     count, used = len(light.pdf), light.pdf > 0
     own = rows(light.d, used.nonzero()[:, 0])
     cells = Cells.around(own, max(count // 200, 1))
-    integral = cells.integrals(lambda w: [brightness(seen(lit, where, w).radiance)])[0]
+    integral = cells.integrals(lambda w: [_brightness(_seen(lit, where, w).radiance)])[0]
 
     # The two ways in which a path may find the light, each with its weight.
     density = light.pdf.clamp_min(1e-30)
-    by_light = brightness(light.radiance) / density * used * power_heuristic(
+    by_light = _brightness(light.radiance) / density * used * power_heuristic(
         light.weighing.clamp_min(1e-30), torch.full_like(density, UNIFORM_SPHERE_PDF) * light.findable)
     even = directions(count, seed)
-    ray = seen(lit, where, even)
-    by_chance = brightness(ray.radiance) / UNIFORM_SPHERE_PDF * power_heuristic(
+    ray = _seen(lit, where, even)
+    by_chance = _brightness(ray.radiance) / UNIFORM_SPHERE_PDF * power_heuristic(
         torch.full_like(density, UNIFORM_SPHERE_PDF), ray.weighing)
     found = []
-    groups = part_of_cell(cells), part_of(light.d), part_of(even)
+    groups = part_of_cell(cells), _part_of(light.d), _part_of(even)
     for part in (*groups[0].unique().tolist(), None):
         inside = [torch.ones_like(group, dtype=torch.bool) if part is None else group == part for group in groups]
         total, error = float(integral.value[inside[0]].sum()), float(integral.error[inside[0]].sum())
@@ -196,7 +196,7 @@ def light_off(lit: Lit, where: str, light: LightSample, seed: int) -> tuple[floa
     return max(found)
 
 
-def brightness(radiance: Vec3) -> Tensor:
+def _brightness(radiance: Vec3) -> Tensor:
     """The mean of the channels."""
     return (radiance.x + radiance.y + radiance.z) / 3
 
@@ -207,14 +207,14 @@ def part_of_cell(cells: Cells) -> Tensor:
     return row // PARTS * (COLUMNS // PARTS) + column // PARTS
 
 
-def part_of(d: Vec3) -> Tensor:
+def _part_of(d: Vec3) -> Tensor:
     """Which part of the sphere each direction is in."""
     polar, longitude = angles(d)
     row = (polar * (ROWS / PARTS / math.pi)).long().clamp_max(ROWS // PARTS - 1)
     return row * (COLUMNS // PARTS) + (longitude * (COLUMNS / PARTS / (2 * math.pi))).long().clamp_max(COLUMNS // PARTS - 1)
 
 
-def finite_everywhere(scene: Scene) -> Finding:
+def _finite_everywhere(scene: Scene) -> Finding:
     """The finding on values and derivatives, from places at all distances."""
     for dtype in (torch.float32, torch.float64):
         own = copy.deepcopy(scene).to(dtype).requires_grad_()

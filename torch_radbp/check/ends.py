@@ -26,7 +26,7 @@ def standing_alone(plugin: Made) -> Made:
     return alone.to("cpu", torch.float64)
 
 
-def ends_of(domains: list[Domain]) -> list[float]:
+def _ends_of(domains: list[Domain]) -> list[float]:
     """The numbers at which the range of a parameter ends, of reflectances 1 as well."""
     if any(domain.is_pose or domain.is_index for domain in domains):
         return []
@@ -36,7 +36,7 @@ def ends_of(domains: list[Domain]) -> list[float]:
     return [*([max(low)] if low else []), *([min(high)] if high else [])]
 
 
-def parameters_of(plugin: Plugin) -> dict[str, tuple[Held, Tensor]]:
+def _parameters_of(plugin: Plugin) -> dict[str, tuple[Held, Tensor]]:
     """Everything with a domain that can be set, by name, with its value."""
     found = {name.removeprefix("."): held for name, held in held_in(plugin).items() if held.attribute is not None}
     return {name: (held, held.value) for name, held in found.items() if isinstance(held.value, nn.Parameter)}
@@ -44,11 +44,11 @@ def parameters_of(plugin: Plugin) -> dict[str, tuple[Held, Tensor]]:
 
 def at_ends(plugin: Made) -> Iterator[tuple[str, Made]]:
     """Copies of a plugin with one parameter at one of its ends, in words what."""
-    for name, (held, _) in parameters_of(plugin).items():
-        for end in ends_of(held.domains):
+    for name, (held, _) in _parameters_of(plugin).items():
+        for end in _ends_of(held.domains):
             other = copy.deepcopy(plugin)
             with torch.no_grad():
-                parameters_of(other)[name][1].fill_(end)
+                _parameters_of(other)[name][1].fill_(end)
             yield f"{name} = {end:g}", other
 
 
@@ -56,7 +56,7 @@ def white(plugin: Made) -> Made:
     """A copy all of whose reflectances are 1."""
     other = copy.deepcopy(plugin)
     with torch.no_grad():
-        for held, value in parameters_of(other).values():
+        for held, value in _parameters_of(other).values():
             if any(domain.is_reflectance for domain in held.domains):
                 value.fill_(1.0)
     return other

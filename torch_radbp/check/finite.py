@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torch_radbp.bsdf.contract import CheckedKind
 from torch_radbp.bsdf.kind import Kind, Values
-from torch_radbp.check.lanes import Numbers
+from torch_radbp.check.lanes import LaneNumbers
 from torch_radbp.tensors.vec import Vec3
 
 COSINE = (1.0, 1 - 1e-7, 0.75**0.5, 0.5, 1e-3, 1e-7, 0.0, -1e-7, -1e-3, -0.5, -1.0)
@@ -22,7 +22,7 @@ ACROSS = (math.cos(0.9), math.sin(0.9))  # azimuth of wi
 ROUNDINGS = 200  # of the squared length of a sampled direction
 
 
-def attached(vector: Vec3) -> Vec3:
+def differentiable_copy(vector: Vec3) -> Vec3:
     """A copy whose components require gradients."""
     return vector.map(lambda c: c.detach().clone().requires_grad_())
 
@@ -45,16 +45,17 @@ class Lanes(NamedTuple):
 
     values: Values
     wi: Vec3
-    other: Vec3 | Numbers  # wo, attached, or random numbers, of every lane
+    other: Vec3 | LaneNumbers  # wo, attached, or random numbers, of every lane
 
     @staticmethod
-    def of(values: Values, wi: Vec3, others: Sequence[Vec3 | Numbers]) -> Lanes:
+    def of(values: Values, wi: Vec3, others: Sequence[Vec3 | LaneNumbers]) -> Lanes:
         """The lanes of all pairs of a lane (of values and wi) with one of `others`."""
         def repeated(vector: Vec3) -> Vec3:
-            return attached(vector.map(lambda c: c.detach().repeat(len(others))))
+            return differentiable_copy(vector.map(lambda c: c.detach().repeat(len(others))))
 
         joined = type(others[0])(*(torch.cat(parts) for parts in zip(*others)))
-        return Lanes(tuple(map(repeated, values)), repeated(wi), attached(joined) if isinstance(joined, Vec3) else joined)
+        return Lanes(tuple(map(repeated, values)), repeated(wi),
+                     differentiable_copy(joined) if isinstance(joined, Vec3) else joined)
 
     def named(self) -> dict[str, Tensor]:
         """All numbers of the lanes."""
@@ -100,7 +101,7 @@ def troubles_of_samples(kind: Kind | CheckedKind, values: Values, wi: Vec3,
 
     Nor may squared lengths of samples be off one by more than `length_error`, and some rounding.
     """
-    lanes = Lanes.of(values, wi, [Numbers(*(torch.full_like(wi.z, number).detach() for number in corner))
+    lanes = Lanes.of(values, wi, [LaneNumbers(*(torch.full_like(wi.z, number).detach() for number in corner))
                                   for corner in corners])
     values, wi, random = lanes.values, lanes.wi, lanes.other
     choice = kind.choose(values, wi, *random)

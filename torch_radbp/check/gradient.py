@@ -36,8 +36,8 @@ from typing_extensions import Unpack
 
 from torch_radbp.boundary import SilhouetteWarning
 from torch_radbp.check.outcome import BIASED, TOO_LARGE, GradientCheck, Question, judge, said_of_floor, said_of_step
-from torch_radbp.check.statistics import Cotangent, Samples, compare
-from torch_radbp.check.stencil import Place, floor_of, inside
+from torch_radbp.check.statistics import Cotangent, Estimates, compare
+from torch_radbp.check.stencil import ParameterMove, floor_of, inside
 from torch_radbp.plugin import finite, integer
 from torch_radbp.public_call import passing_on, public_call
 from torch_radbp.rendering.jvp import rendering_with_tangent
@@ -124,12 +124,12 @@ def outcome(measurement: Measurement, name: str, batches: int) -> GradientCheck:
     # The rounding of the pixels makes their difference uncertain, even where there is no noise.
     eps = torch.finfo(image.dtype).eps
     rounding = eps * sum(map(abs, stencil.weights)) * torch.stack([found.size for found in differences]).amax(0) / step
-    samples = Samples(torch.stack([found.value for found in differences]), torch.stack(tangents), rounding,
-                      torch.stack([found.bend for found in differences]) if measurement.bends else None)
+    samples = Estimates(torch.stack([found.value for found in differences]), torch.stack(tangents), rounding,
+                        torch.stack([found.bend for found in differences]) if measurement.bends else None)
     cotangents = informative_cotangents(reference, measurement.seed)
     backward = measurement.backward(batches + 1, [cotangent.image for cotangent in cotangents])
     question = Question(name, direction, step, stencil.words, measurement.spp * batches, batches, measurement.seed,
-                        measurement.bends, left_out(measurement.renderer))
+                        measurement.bends, _left_out(measurement.renderer))
     result = judge(question, compare(samples, cotangents, backward, eps))
     if result.verdict != BIASED:
         return result
@@ -139,7 +139,7 @@ def outcome(measurement: Measurement, name: str, batches: int) -> GradientCheck:
         samples._replace(difference=halved, rounding=2 * rounding), samples.changed(halved))))
 
 
-class Difference(NamedTuple):
+class ImageDifference(NamedTuple):
     """What the images of one batch differ by, (B, 3, H, W) float64 each."""
 
     value: Tensor  # the difference quotient
@@ -150,7 +150,7 @@ class Difference(NamedTuple):
 class Measurement:
     """Renderings of a scene with one of its parameters moved."""
 
-    def __init__(self, renderer: Renderer, name: str, value: Tensor, place: Place, bends: bool, spp: int, seed: int,
+    def __init__(self, renderer: Renderer, name: str, value: Tensor, place: ParameterMove, bends: bool, spp: int, seed: int,
                  sensors: SensorChoice, progress: Callable[[int, int], None] | None):
         self.renderer, self.name, self.value = renderer, name, value
         self.step, stencil, self.direction = self.place = place
@@ -173,7 +173,7 @@ class Measurement:
         if self.progress is not None:
             self.progress(self.done, self.total)
 
-    def difference(self, number: int) -> Difference:
+    def difference(self, number: int) -> ImageDifference:
         """The differences of a batch."""
         parameters = {f"scene.{name}": value.detach() for name, value in self.renderer.scene.named_parameters()}
         images = {}
@@ -188,7 +188,7 @@ class Measurement:
         if self.bends:
             before, middle, after = images.values()
             bend = (before - 2 * middle + after) / (2 * self.step)
-        return Difference(value, torch.stack([image.abs() for image in images.values()]).amax(0), bend)
+        return ImageDifference(value, torch.stack([image.abs() for image in images.values()]).amax(0), bend)
 
     def forward(self, number: int) -> tuple[Tensor, Tensor]:
         """The image of a batch in the scene's dtype, and its derivative by forward mode in float64."""
@@ -263,7 +263,7 @@ def checked_step(parameter: Tensor, direction: Tensor, step: float | None) -> fl
     return float(step)
 
 
-def left_out(renderer: Renderer) -> list[str]:
+def _left_out(renderer: Renderer) -> list[str]:
     """What the derivatives of a renderer that has rendered are known to lack: by its settings, and by its warnings."""
     found = [f"terms={tuple(renderer.terms)!r} leaves out {term!r}" for term in TERMS if term not in renderer.terms]
     return found + [str(said).partition(". ")[0] for said in renderer.jump_watch.said.values()

@@ -19,7 +19,7 @@ ATTRIBUTE = 0.5  # what attributes of meshes are, since there is no mesh
 FINE = -30.0  # logarithm of a footprint without extent
 
 
-class Numbers(NamedTuple):
+class LaneNumbers(NamedTuple):
     """Random numbers of a lane."""
 
     choice: Tensor
@@ -27,10 +27,10 @@ class Numbers(NamedTuple):
     v: Tensor
 
 
-def numbers(count: int, seed: int = 7, dtype: torch.dtype = torch.float64) -> Numbers:
+def random_numbers(count: int, seed: int = 7, dtype: torch.dtype = torch.float64) -> LaneNumbers:
     """Uniform in [0, 1), multiples of 2^-24 as in the tracer."""
     generator = torch.Generator().manual_seed(seed)
-    return Numbers(*(torch.randint(2**24, (3, count), generator=generator).to(dtype) / 2**24).unbind())
+    return LaneNumbers(*(torch.randint(2**24, (3, count), generator=generator).to(dtype) / 2**24).unbind())
 
 
 def directions(count: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> Vec3:
@@ -45,20 +45,20 @@ def direction(z: float, phi: float, count: int, dtype: torch.dtype = torch.float
     return Vec3(*(torch.full((count,), float(c), dtype=dtype) for c in (r * math.cos(phi), r * math.sin(phi), z)))
 
 
-class Sampled(NamedTuple):
+class SampledDirection(NamedTuple):
     """What a vertex samples."""
 
     choice: LobeChoice
     wo: Vec3
 
 
-def sampled(kind: Kind | CheckedKind, values: Values, wi: Vec3, random: Numbers) -> Sampled:
+def sampled(kind: Kind | CheckedKind, values: Values, wi: Vec3, random: LaneNumbers) -> SampledDirection:
     """Choice and direction."""
     choice = kind.choose(values, wi, *random)
-    return Sampled(choice, kind.sample(values, wi, choice, random.u, random.v))
+    return SampledDirection(choice, kind.sample(values, wi, choice, random.u, random.v))
 
 
-def choices(kind: Kind | CheckedKind, values: Values, wi: Vec3, random: Numbers, most: int = 64) -> list[LobeChoice]:
+def choices(kind: Kind | CheckedKind, values: Values, wi: Vec3, random: LaneNumbers, most: int = 64) -> list[LobeChoice]:
     """Each choice that there is on some lane, with its probability there, which may be zero; in order of the number.
 
     `most`: after so many it ends, should the probabilities not add up to 1.
@@ -71,7 +71,7 @@ def choices(kind: Kind | CheckedKind, values: Values, wi: Vec3, random: Numbers,
     return found
 
 
-def weight_of(kind: Kind | CheckedKind, values: Values, wi: Vec3, found: Sampled) -> Vec3:
+def weight_of(kind: Kind | CheckedKind, values: Values, wi: Vec3, found: SampledDirection) -> Vec3:
     """What a path that goes on in a sampled direction is multiplied by; 0 where the direction cannot be used.
 
     That is eval / pdf, or of delta lobes specular / probability.

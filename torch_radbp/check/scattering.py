@@ -20,7 +20,7 @@ from torch import Tensor
 from torch_radbp.bsdf.contract import CheckedKind
 from torch_radbp.bsdf.kind import Kind, LobeChoice, Values
 from torch_radbp.check.chi_square import SIGNIFICANCE, p_value
-from torch_radbp.check.lanes import direction, directions, numbers, sampled, unit_length_error, weight_of
+from torch_radbp.check.lanes import direction, directions, random_numbers, sampled, unit_length_error, weight_of
 from torch_radbp.check.report import Finding, worst
 from torch_radbp.check.sphere import AZIMUTH, Cells, Integral
 from torch_radbp.tensors.vec import Vec3, rows
@@ -40,7 +40,7 @@ class Subject(NamedTuple):
     values: Callable[[Tensor], Values]  # on as many lanes as the argument has
 
 
-class Viewed(NamedTuple):
+class ViewerSamples(NamedTuple):
     """What a viewer's samples and the integrals over the sphere say; float64."""
 
     where: str
@@ -53,9 +53,9 @@ class Viewed(NamedTuple):
     scattered: list[Integral]  # of each channel
 
 
-def viewed(subject: Subject, where: str, count: int, seed: int) -> Viewed:
+def viewed(subject: Subject, where: str, count: int, seed: int) -> ViewerSamples:
     """Samples for one of `VIEWERS`, and integrals."""
-    kind, wi, random = subject.kind, direction(VIEWERS[where], AZIMUTH, count), numbers(count, seed)
+    kind, wi, random = subject.kind, direction(VIEWERS[where], AZIMUTH, count), random_numbers(count, seed)
     values = subject.values(wi.z)
     found = sampled(kind, values, wi, random)
     delta = found.choice.is_delta(kind)
@@ -71,17 +71,17 @@ def viewed(subject: Subject, where: str, count: int, seed: int) -> Viewed:
 
         cells = Cells.around(rows(wo, keep[:count // 2].nonzero()[:, 0]), max(count // SHARE, 1))
         density, *scattered = cells.integrals(functions)
-    return Viewed(where, wo, keep, weight, delta, cells, density, scattered)
+    return ViewerSamples(where, wo, keep, weight, delta, cells, density, scattered)
 
 
-def density_off(view: Viewed) -> tuple[float, str]:
+def density_off(view: ViewerSamples) -> tuple[float, str]:
     """How far the integral of the density is off, in units of what is allowed, and the figures."""
     share, total = view.keep.double().mean().item(), view.density.value.sum().item()
     allowed = SIGMAS * math.sqrt(share * (1 - share) / len(view.keep)) + view.density.error.sum().item() + QUADRATURE
     return abs(total - share) / allowed, f"{view.where}: pdf integrates to {total:.4f}, of the samples {share:.4f} have one"
 
 
-def fit(view: Viewed) -> float:
+def fit(view: ViewerSamples) -> float:
     """The probability that samples of the density fall into the cells as these do, or worse; 1 if there are none.
 
     0 if the density is not finite.
@@ -96,7 +96,7 @@ def fit(view: Viewed) -> float:
     return p_value(view.cells.counts(rows(view.wo, own)), number * view.density.value, 0, number * view.density.error)
 
 
-def samples_off(view: Viewed) -> tuple[float, str]:
+def _samples_off(view: ViewerSamples) -> tuple[float, str]:
     """How unlikely the directions of the samples are by their density, likewise."""
     p, length = fit(view), unit_length_error(rows(view.wo, (view.keep | view.delta).nonzero()[:, 0]))
     if not length <= LENGTH:
@@ -104,7 +104,7 @@ def samples_off(view: Viewed) -> tuple[float, str]:
     return (1.0 if p >= SIGNIFICANCE else math.inf), f"{view.where}: chi-square, p = {p:.2g} (fails below {SIGNIFICANCE:g})"
 
 
-def weight_off(view: Viewed) -> tuple[float, str]:
+def weight_off(view: ViewerSamples) -> tuple[float, str]:
     """How far the mean of eval / pdf is off the integral of eval, likewise; of the worst channel."""
     smooth = view.weight * (~view.delta).double()[:, None]
     means, errors = smooth.mean(0), smooth.std(0) / len(smooth) ** 0.5
@@ -143,7 +143,7 @@ def scattering_findings(subject: Subject, count: int, seed: int) -> list[Finding
     smooth = [view for view in views if view.density is not None]
     ideal = "only delta lobes, whose pdf is 0"
     found = [worst("density", [density_off(view) for view in smooth], ideal),
-             worst("samples", [samples_off(view) for view in smooth], ideal),
+             worst("samples", [_samples_off(view) for view in smooth], ideal),
              worst("weight", [weight_off(view) for view in smooth], ideal)]
     return [*found, worst("lobes", [lobes_off(subject, where, seed) for where in VIEWERS], "")]
 

@@ -44,7 +44,7 @@ class Cells(NamedTuple):
             torch.arange(ROWS), torch.arange(COLUMNS), indexing="ij"))
         found = []
         while len(row):
-            full = (counted(w, level, row, column) > most) & (level < DEEPEST)
+            full = (_counted(w, level, row, column) > most) & (level < DEEPEST)
             found.append(Cells(torch.full_like(row[~full], level), row[~full], column[~full]))
             halves = torch.tensor([0, 0, 1, 1]), torch.tensor([0, 1, 0, 1])
             row, column = ((2 * each[full][:, None] + half).flatten() for each, half in zip((row, column), halves))
@@ -56,7 +56,7 @@ class Cells(NamedTuple):
         found = torch.zeros_like(self.row)
         for level in self.level.unique().tolist():
             own = self.level == level
-            found[own] = counted(w, level, self.row[own], self.column[own])
+            found[own] = _counted(w, level, self.row[own], self.column[own])
         return found
 
     def integrals(self, functions: Callable[[Vec3], Sequence[Tensor]]) -> list[Integral]:
@@ -94,7 +94,7 @@ def angles(w: Vec3) -> tuple[Tensor, Tensor]:
     return torch.atan2(torch.hypot(ahead, w.z), side), torch.atan2(w.z, ahead).remainder(2 * math.pi)
 
 
-def counted(w: Vec3, level: int, row: Tensor, column: Tensor) -> Tensor:
+def _counted(w: Vec3, level: int, row: Tensor, column: Tensor) -> Tensor:
     """How many directions fall into cells of one level."""
     rows, columns = ROWS << level, COLUMNS << level
     polar, longitude = angles(w)

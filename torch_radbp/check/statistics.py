@@ -25,7 +25,7 @@ KINK, KINK_OF_TILE = 4.0, 2.0  # standard errors from which on a bend is none of
 BRIGHTEST = 0.995  # the quantile taken for the maximum of an image, because of fireflies
 
 
-class Samples(NamedTuple):
+class Estimates(NamedTuple):
     """R independent estimates of each kind, float64."""
 
     difference: Tensor  # (R, B, 3, H, W) by finite differences
@@ -33,9 +33,9 @@ class Samples(NamedTuple):
     rounding: Tensor  # (B, 3, H, W) standard error of `difference` by rounding
     bend: Tensor | None = None  # (R, B, 3, H, W) what differences to one side are off by on average; None: not looked at
 
-    def changed(self, halved: Tensor) -> Samples:
+    def changed(self, halved: Tensor) -> Estimates:
         """Zero, and beside it the change of differences by half of the step, whose images share their samples."""
-        return Samples(torch.zeros_like(halved), halved - self.difference, 3 * self.rounding)
+        return Estimates(torch.zeros_like(halved), halved - self.difference, 3 * self.rounding)
 
 
 class Cotangent(NamedTuple):
@@ -65,12 +65,12 @@ class Projection(NamedTuple):
     @property
     def z(self) -> float:
         """`error` in standard errors."""
-        return quotient(self.error, self.standard_error)
+        return _quotient(self.error, self.standard_error)
 
     @property
     def relative_error(self) -> float:
         """`error` relative to `scale`."""
-        return quotient(self.error, self.scale)
+        return _quotient(self.error, self.scale)
 
     @property
     def size(self) -> float:
@@ -138,7 +138,7 @@ def bends(samples: Tensor | None, rounding: Tensor, least: float = KINK) -> Tens
     return torch.where(mean > least * noise, mean, 0.0)
 
 
-def beyond(error: Tensor, bend: Tensor) -> Tensor:
+def _beyond(error: Tensor, bend: Tensor) -> Tensor:
     """What of errors is not put down to the step."""
     return error.sign() * (error.abs() - bend).clamp_min(0.0)
 
@@ -148,7 +148,7 @@ def expected_square(samples: int) -> float:
     return (samples - 1) / (samples - 3)
 
 
-def compare(samples: Samples, cotangents: list[Cotangent], backward: list[float], eps: float) -> Comparison:
+def compare(samples: Estimates, cotangents: list[Cotangent], backward: list[float], eps: float) -> Comparison:
     """Compares the two estimates.
 
     Args:
@@ -160,7 +160,7 @@ def compare(samples: Samples, cotangents: list[Cotangent], backward: list[float]
     broken = int((~torch.isfinite(samples.jvp)).sum())
     samples = samples._replace(jvp=samples.jvp.nan_to_num(0.0, 0.0, 0.0))
     mean = mean_error(*samples[:3])
-    mean = mean._replace(error=beyond(mean.error, bends(samples.bend, samples.rounding)))
+    mean = mean._replace(error=_beyond(mean.error, bends(samples.bend, samples.rounding)))
     difference, jvp = samples.difference.mean(0), samples.jvp.mean(0)
     projections = [project(samples, cotangent, value) for cotangent, value in zip(cotangents, backward)]
     return Comparison(difference, jvp, mean.standard_error, mean.z, over_pixels(mean, difference), over_tiles(samples),
@@ -177,12 +177,12 @@ def over_pixels(mean: Mean, difference: Tensor) -> Pixels:
                   float(relative.mean()), half / len(squared) if squared.any() else 0.0)
 
 
-def over_tiles(samples: Samples) -> Tiles:
+def over_tiles(samples: Estimates) -> Tiles:
     rounding = tile_sums(samples.rounding.square()).sqrt()
     difference, jvp = tile_sums(samples.difference), tile_sums(samples.jvp)
     mean = mean_error(difference, jvp, rounding)
     bend = bends(None if samples.bend is None else tile_sums(samples.bend), rounding, KINK_OF_TILE)
-    mean = mean._replace(error=beyond(mean.error, bend))
+    mean = mean._replace(error=_beyond(mean.error, bend))
     batch, _, height, width = samples.rounding.shape
     own = mean.standard_error.square()
     noise = steadied(own.view(batch, min(TILES, height), min(TILES, width))).flatten()
@@ -195,7 +195,7 @@ def over_tiles(samples: Samples) -> Tiles:
     size = difference.mean(0).square()
     weight = 1 / (noise + STEP_ERROR**2 * size + 1e-12 * size.mean()).clamp_min(1e-300)
     bias = float((weight * (mean.error.square() - own)).sum().clamp_min(0))
-    return Tiles(float(z.square().mean()), limit, math.sqrt(quotient(bias, float((weight * size).sum()))))
+    return Tiles(float(z.square().mean()), limit, math.sqrt(_quotient(bias, float((weight * size).sum()))))
 
 
 def steadied(variance: Tensor) -> Tensor:
@@ -221,7 +221,7 @@ def tile_sums(images: Tensor) -> Tensor:
     return sums.flatten(-2)
 
 
-def project(samples: Samples, cotangent: Cotangent, backward: float) -> Projection:
+def project(samples: Estimates, cotangent: Cotangent, backward: float) -> Projection:
     """The two estimates projected onto a cotangent, and the error of the backward pass against forward mode."""
     w = cotangent.image
     difference, jvp = ((w * images).flatten(1).sum(1) for images in samples[:2])
@@ -230,7 +230,7 @@ def project(samples: Samples, cotangent: Cotangent, backward: float) -> Projecti
     # What edges at the borders of pixels take from one pixel its neighbour gets, of the derivative as of the differences.
     bend = (bends(samples.bend, samples.rounding) * spread_around(w)).sum() / 2
     first = samples.jvp[0]
-    backward_error = quotient(abs(float(jvp[0]) - backward), float((w * first).abs().sum()))
+    backward_error = _quotient(abs(float(jvp[0]) - backward), float((w * first).abs().sum()))
     return Projection(cotangent.name, float(difference.mean()), float(jvp.mean()), float(mean.standard_error),
                       float(tile_sums(w * samples.difference.mean(0)).abs().sum()), backward_error, float(bend))
 
@@ -247,7 +247,7 @@ def quantile(values: Tensor, share: float) -> Tensor:
     return ascending[max(1, round(share * len(ascending))) - 1]
 
 
-def quotient(value: float, unit: float) -> float:
+def _quotient(value: float, unit: float) -> float:
     """value / unit; 0 / 0 is 0, and anything else over 0 is infinite."""
     if unit == 0:
         return 0.0 if value == 0 else math.copysign(math.inf, value)

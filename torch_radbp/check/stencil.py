@@ -32,7 +32,7 @@ STENCILS = (BOTH_SIDES, Stencil("to one side", (0, 1, 2), (-1.5, 2.0, -0.5)),
             Stencil("to one side", (-2, -1, 0), (0.5, -2.0, 1.5)))
 
 
-class Place(NamedTuple):
+class ParameterMove(NamedTuple):
     """How a parameter moves for differences: `step` times `direction`, at the places of the stencil."""
 
     step: float
@@ -40,7 +40,7 @@ class Place(NamedTuple):
     direction: Tensor
 
 
-def inside(scene: Scene, name: str, direction: Tensor, step: float, *, chosen: bool, turns: bool) -> Place:
+def inside(scene: Scene, name: str, direction: Tensor, step: float, *, chosen: bool, turns: bool) -> ParameterMove:
     """How a parameter moves without leaving its domain.
 
     Args:
@@ -56,18 +56,18 @@ def inside(scene: Scene, name: str, direction: Tensor, step: float, *, chosen: b
     """
     parameter, first, floor = scene.get_parameter(name), None, floor_of(scene, name)
     floor = floor if bool((parameter >= floor).all()) else -torch.inf  # differences do not cross it
-    if (why := outside(scene, name, parameter, LEEWAY)) is not None:
+    if (why := _outside(scene, name, parameter, LEEWAY)) is not None:
         raise ValueError(why)
     # A scene that is a little outside already, as a rendering tolerates it, has no better places.
-    leeway = ROUNDING if outside(scene, name, parameter, ROUNDING) is None else LEEWAY
+    leeway = ROUNDING if _outside(scene, name, parameter, ROUNDING) is None else LEEWAY
     for h in [step * part for part in ((1.0,) if chosen else PARTS)]:
         for d in (direction, turned_inwards(scene, parameter, direction, h)) if turns else (direction,):
             for stencil in STENCILS:
                 places = [parameter.detach() + offset * h * d for offset in stencil.offsets]
-                out = [why for place in places if (why := outside(scene, name, place, leeway)) is not None]
+                out = [why for place in places if (why := _outside(scene, name, place, leeway)) is not None]
                 first = first or (out[0] if out else None)
                 if not out and bool((torch.stack(places) >= floor - ROUNDING * abs(floor)).all()):
-                    return Place(h, stencil, d)
+                    return ParameterMove(h, stencil, d)
     advice = "give a smaller step" if chosen else "give another direction, which leads into it"
     raise ValueError(f"differences of {name!r} by steps of {step:.3g} along this direction leave its domain to both "
                      f"sides; {advice} ({first})")
@@ -92,7 +92,7 @@ def domains_of(scene: Scene, parameter: Tensor) -> list[Domain]:
                     for name, domain, _ in attributes_read(owner) if getattr(shape, name, None) is parameter]
 
 
-def outside(scene: Scene, name: str, value: Tensor, leeway: float) -> str | None:
+def _outside(scene: Scene, name: str, value: Tensor, leeway: float) -> str | None:
     """Why a value of a parameter is further outside of its domain than by a share of its numbers; None: it is not."""
     with torch.no_grad(), warnings.catch_warnings():
         warnings.simplefilter("ignore")

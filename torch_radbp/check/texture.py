@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 from torch_radbp.check.ends import standing_alone
-from torch_radbp.check.finite import attached
+from torch_radbp.check.finite import differentiable_copy
 from torch_radbp.check.lanes import texture_at
 from torch_radbp.check.report import Finding, PluginCheck
 from torch_radbp.io.build import build_plugin
@@ -57,7 +57,7 @@ def check_texture(texture: Texture | torch.nn.Module | dict[str, Any], *, low: f
     places, seed = integer("places", places, FEWEST_PLACES), checked_seed("seed", seed)
     found: dict[str, Finding] = {}
     for dtype in (torch.float32, torch.float64):
-        own, p = standing_alone(texture).to(dtype).requires_grad_(), attached(places_of(places, seed, dtype))
+        own, p = standing_alone(texture).to(dtype).requires_grad_(), differentiable_copy(_places_of(places, seed, dtype))
         with torch.enable_grad():
             for finding in findings(own, p, low, high):
                 if finding.check not in found or found[finding.check].agrees:
@@ -65,7 +65,7 @@ def check_texture(texture: Texture | torch.nn.Module | dict[str, Any], *, low: f
     return PluginCheck(f"texture {texture.type or type(texture).__name__}", tuple(found.values()))
 
 
-def places_of(count: int, seed: int, dtype: torch.dtype) -> Vec3:
+def _places_of(count: int, seed: int, dtype: torch.dtype) -> Vec3:
     """Random places, and corners."""
     random = (torch.rand(count, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64) * 2 - 1) * SPREAD
     corners = torch.cartesian_prod(torch.tensor(CORNERS, dtype=torch.float64), torch.tensor(CORNERS, dtype=torch.float64))

@@ -56,7 +56,7 @@ class Screen(NamedTuple):
     @staticmethod
     def of(to_local: Frame, to_uv: Vec2, d: Vec3) -> Screen:
         """The view of world directions `d`; `to_uv` are factors from x / z and y / z to texture coordinates."""
-        local = direction(to_local, d)
+        local = direction_to_local(to_local, d)
         ahead = local.z.clamp_min(FLATTEST)
         uv = Vec2(0.5 + to_uv.x * local.x / ahead, 0.5 + to_uv.y * local.y / ahead)
         inside = (local.z > FLATTEST) & (uv.x >= 0) & (uv.x <= 1) & (uv.y >= 0) & (uv.y <= 1)
@@ -72,7 +72,7 @@ class Screen(NamedTuple):
         return (cross(t, n) * x + cross(n, s) * y + upright) / dot(upright, n)
 
 
-def direction(to_local: Frame, d: Vec3) -> Vec3:
+def direction_to_local(to_local: Frame, d: Vec3) -> Vec3:
     """World directions in a light's own coordinates, unit length whatever its scale."""
     local = to_local.to_local(d)
     return local * torch.rsqrt(dot(local, local).clamp_min(NEAREST**2))

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch_radbp.emitter.attributes import Scaled, colour, weight
 from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.emitter.kind import NEAREST, Light, ShadowSource
-from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes, direction
+from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes, direction_to_local
 from torch_radbp.plugin import Matrix4, Texture, register, warn_of_radians
 from torch_radbp.plugin.domain import AMOUNT, NUMBER, POSE, Domain
 from torch_radbp.plugin.jump_lines import JumpLines
@@ -50,7 +50,7 @@ class SpotKind(PositionalKind):
 
     def profile(self, light: SpotTable, d: Vec3) -> tuple[Tensor, Vec2 | None]:
         if light.to_uv is None:
-            local, uv = direction(light.to_local, d), None
+            local, uv = direction_to_local(light.to_local, d), None
         else:
             local, _, uv, _ = Screen.of(light.to_local, light.to_uv, d)
         sine = torch.sqrt((local.x * local.x + local.y * local.y).clamp_min(NEAREST**2))

@@ -82,17 +82,17 @@ class SunskyKind(SurroundKind):
         rest = torch.where(at_sky, 0.5, (u - share) / (1.0 - share).clamp_min(1e-9))
         d = where(at_sky, to_sky, direction_in_disc(proposal, rest.to(p.x.dtype), v.to(p.x.dtype)))
         met = ~at_sky | in_disc(proposal, d)
-        return Aim(d, pick.pmf * mixed(proposal, density(proposal.image, d), met), radiance=light(table, d, met),
-                   weighing=pick.pmf * mixed(proposal, EnvmapKind().weighing(proposal.image, d), met))
+        return Aim(d, pick.pmf * _mixed(proposal, density(proposal.image, d), met), radiance=_light(table, d, met),
+                   weighing=pick.pmf * _mixed(proposal, EnvmapKind().weighing(proposal.image, d), met))
 
     def radiance(self, table: SunskyTable, d: Vec3) -> Vec3:
-        return light(table, d, in_disc(table, d))
+        return _light(table, d, in_disc(table, d))
 
     def weighing(self, proposal: SunskyTable, d: Vec3) -> Tensor:
-        return mixed(proposal, EnvmapKind().weighing(proposal.image, d), in_disc(proposal, d))
+        return _mixed(proposal, EnvmapKind().weighing(proposal.image, d), in_disc(proposal, d))
 
 
-def mixed(table: SunskyTable, of_sky: Tensor, met: Tensor) -> Tensor:
+def _mixed(table: SunskyTable, of_sky: Tensor, met: Tensor) -> Tensor:
     """The density of both ways to pick directions together; `met`: they meet the sun's disc."""
     of_sun = 1.0 / (math.pi * table.squared_radius)
     return table.share * of_sky + (1.0 - table.share) * of_sun * met.to(of_sky.dtype)
@@ -112,7 +112,7 @@ def direction_in_disc(table: SunskyTable, u: Tensor, v: Tensor) -> Vec3:
     return table.to_world.to_local(local)
 
 
-def light(table: SunskyTable, d: Vec3, met: Tensor) -> Vec3:
+def _light(table: SunskyTable, d: Vec3, met: Tensor) -> Vec3:
     """Radiance that arrives from world directions; attached to them and to the table.
 
     Args:
@@ -121,11 +121,12 @@ def light(table: SunskyTable, d: Vec3, met: Tensor) -> Vec3:
     local = table.to_local.to_local(d)
     first = torch.zeros_like(d.x, dtype=torch.int32)
     above = ((local.z >= 0) & (table.towards.z >= 0)).to(d.x.dtype)
-    sky = formula(tuple(lookup(each, first) for each in table.coefficients), local, table.towards) * lookup(table.sky, first)
+    coefficients = tuple(lookup(each, first) for each in table.coefficients)
+    sky = _formula(coefficients, local, table.towards) * lookup(table.sky, first)
     return (sky + lookup(table.sun, first) * met.to(d.x.dtype)) * above
 
 
-def formula(coefficients: tuple[Vec3, ...], local: Vec3, towards: Vec3) -> Vec3:
+def _formula(coefficients: tuple[Vec3, ...], local: Vec3, towards: Vec3) -> Vec3:
     """Hosek and Wilkie's equation 8, of each channel; above the horizon."""
     a, b, c, d, e, f, g, h, sharpness = coefficients
     cosine = local.z.clamp_min(NEAR_HORIZON)
@@ -143,7 +144,7 @@ def formula(coefficients: tuple[Vec3, ...], local: Vec3, towards: Vec3) -> Vec3:
     return Vec3(*(of_channel(*channel) for channel in zip(a, b, c, d, e, f, g, h, sharpness)))
 
 
-def between(table: Tensor, place: Tensor) -> Tensor:
+def _between(table: Tensor, place: Tensor) -> Tensor:
     """Linear interpolation along the first axis of a table, attached to the place, ()."""
     lower = int(place.detach().clamp(0, len(table) - 2))
     return table[lower] + (table[lower + 1] - table[lower]) * (place - lower)
@@ -159,12 +160,12 @@ def coefficients_of(emitter: Sunsky) -> tuple[Tensor, Tensor, Tensor]:
     powers = [math.comb(5, k) * (1 - x) ** (5 - k) * x**k for k in range(6)]
 
     def interpolated(table: Tensor) -> Tensor:
-        dark, bright = (sum(share * point for share, point in zip(powers, each)) for each in between(table, turbidity))
+        dark, bright = (sum(share * point for share, point in zip(powers, each)) for each in _between(table, turbidity))
         mix = albedo.reshape(3, *[1] * (dark.dim() - 1))
         return dark + (bright - dark) * mix
 
     place = torch.tensor((math.degrees(elevation) - ELEVATIONS[0]) / (ELEVATIONS[1] - ELEVATIONS[0]), dtype=torch.float64)
-    sun = between(between(tables["sun_radiance"], turbidity), place.clamp(0.0, len(ELEVATIONS) - 1.0))
+    sun = _between(_between(tables["sun_radiance"], turbidity), place.clamp(0.0, len(ELEVATIONS) - 1.0))
     usual, own = (math.sin(math.radians(0.25 * angle)) ** 2 for angle in (USUAL_APERTURE, emitter.sun_aperture))
     return (interpolated(tables["sky_params"]), interpolated(tables["sky_radiance"]) * SCALE * emitter.sky_scale,
             sun * (usual / own) * emitter.sun_scale)
@@ -182,7 +183,7 @@ def sunsky_table(emitter: Sunsky, like: Tensor) -> SunskyTable:
     with torch.no_grad():
         pose = torch.eye(4, dtype=torch.float64)
         pose[:3, :3] = emitter.rotation().double().cpu()
-        image = image_of(table, like)
+        image = _image_of(table, like)
         picked = envmap_table(Envmap(data=image.to("cpu"), to_world=pose @ UPRIGHT).to(like), like)
         polar = torch.linspace(0, math.pi, ROWS, dtype=torch.float64)
         solid = (torch.sin(polar) * (2 * math.pi**2 / (ROWS * COLUMNS))).to(like)[:, None]
@@ -194,7 +195,7 @@ def sunsky_table(emitter: Sunsky, like: Tensor) -> SunskyTable:
     return table._replace(image=picked, share=like.new_tensor(share))
 
 
-def image_of(table: SunskyTable, like: Tensor) -> Tensor:
+def _image_of(table: SunskyTable, like: Tensor) -> Tensor:
     """(ROWS, COLUMNS, 3) the sky without the sun by latitude and longitude, as an environment map has it; detached."""
     theta = torch.linspace(0, math.pi, ROWS, dtype=torch.float64, device=like.device)[:, None]
     phi = (torch.arange(COLUMNS, dtype=torch.float64, device=like.device)[None] + 0.5) * (2 * math.pi / COLUMNS)
@@ -202,7 +203,7 @@ def image_of(table: SunskyTable, like: Tensor) -> Tensor:
     y = torch.where(y.abs() < 1e-9, 0.0, y)
     # `UPRIGHT` turns y to the zenith.
     local = Vec3(*(part.reshape(-1).to(like) for part in (x, -z, y)))
-    sky = light(table, table.to_world.to_local(local), torch.zeros_like(local.x, dtype=torch.bool))
+    sky = _light(table, table.to_world.to_local(local), torch.zeros_like(local.x, dtype=torch.bool))
     return torch.stack([part.detach() for part in sky], -1).clamp_min(0.0).reshape(ROWS, COLUMNS, 3)
 
 

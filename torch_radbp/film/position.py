@@ -47,13 +47,13 @@ class FilmTensors(NamedTuple):
             For each pixel around them its row-major number in the window, (N,) int32, and what a point counts there, (N,)
             float64, 0 where it does not.
         """
-        columns = counted(self.kernel, self.inside_x, self.columns, self.before.x, self.after.x, place.x)
-        rows = counted(self.kernel, self.inside_y, self.rows, self.before.y, self.after.y, place.y)
+        columns = _counted(self.kernel, self.inside_x, self.columns, self.before.x, self.after.x, place.x)
+        rows = _counted(self.kernel, self.inside_y, self.rows, self.before.y, self.after.y, place.y)
         return [(row * self.columns + column, down * across) for row, down in rows for column, across in columns]
 
 
-def counted(kernel: Kernel, inside: Tensor, size: Tensor, before: Tensor, after: Tensor,
-            place: Tensor) -> list[tuple[Tensor, Tensor]]:
+def _counted(kernel: Kernel, inside: Tensor, size: Tensor, before: Tensor, after: Tensor,
+             place: Tensor) -> list[tuple[Tensor, Tensor]]:
     """The columns (or rows) of pixels in which points count, (N,) int32, and how much; from the first to the last.
 
     Args:

@@ -140,13 +140,13 @@ def sums_of(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block: Blo
         if not values:
             return filters
         return torch.cat([filters, sums_in_pairs(torch.stack(values).view(1, 1, len(values), -1, samples), 4)], 2)
-    first, left, count = parts_of(stage, block)
+    first, left, count = _parts_of(stage, block)
     lanes = first.t().flatten(), left.t().flatten(), count  # part by part, so that parts lie apart and are quickly added
     found = results_of(stage, size * size * (1 + len(values)), kernel, values, place, *lanes)
     return sums_in_pairs(found.view(size, size, 1 + len(values), -1, len(place.x) // samples), 3)
 
 
-def parts_of(stage: Stage, block: Block) -> tuple[Tensor, Tensor, int]:
+def _parts_of(stage: Stage, block: Block) -> tuple[Tensor, Tensor, int]:
     """`first` and `left`, (P, parts of a pixel), and `count` of lanes that take all samples of a block; see `deposited`."""
     (place, samples, spp), count = block, 1
     # The same for all samples of a pixel: a compiled sum of products rounds otherwise if there are more of them.
@@ -179,7 +179,7 @@ def asked_of(stage: Stage, kernel: Kernel, pixels: tuple[Tensor, ...], block: Bl
         entry: (P,) int32, that of the upper left pixel in which the samples of each pixel count.
         down, across: entries from one row of pixels to the next, and from one column.
     """
-    first, left, count = parts_of(stage, block)
+    first, left, count = _parts_of(stage, block)
     parts = first.shape[1]
     steps = (torch.full((), entries, dtype=torch.int32, device=entry.device) for entries in (down, across))
     lanes = entry.repeat_interleave(parts), first.flatten(), left.flatten(), *steps, count

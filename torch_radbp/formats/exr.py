@@ -41,7 +41,7 @@ def read_exr_with_alpha(path: str | os.PathLike,
         low, high = header["dataWindow"]
         width, height = (int(b) - int(a) + 1 for a, b in zip(low, high))
         check_size(width, height)
-        check_held(header, width, height, os.path.getsize(path))
+        _check_held(header, width, height, os.path.getsize(path))
     parts = OpenEXR.File(str(path), separate_channels=True).parts
     if len(parts) < len(headers):  # which it prints and leaves out
         raise ValueError("its pixels are damaged or cut short")
@@ -85,7 +85,7 @@ def read_headers(path: str | os.PathLike) -> list[dict[str, Any]]:
         raise ValueError("its header is damaged, or the file is cut short") from error
 
 
-def check_held(header: dict[str, Any], width: int, height: int, held: int) -> None:
+def _check_held(header: dict[str, Any], width: int, height: int, held: int) -> None:
     """Raises ValueError if a file of `held` bytes is too short for the pixels of one of its parts."""
     kind = header["compression"].name.removesuffix("_COMPRESSION")
     least = width * height // DEFLATION if kind in DEFLATED else 0

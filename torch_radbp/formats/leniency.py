@@ -78,10 +78,10 @@ class Repairs:
         if self.strict and self.places:
             raise SceneError("; ".join(self))
         for sentence in self:
-            warnings.warn(sentence, self.category, stacklevel=level_of_the_caller())
+            warnings.warn(sentence, self.category, stacklevel=_level_of_the_caller())
 
 
-def level_of_the_caller() -> int:
+def _level_of_the_caller() -> int:
     """The stack level of the nearest caller outside of this package, as `warnings.warn` counts it."""
     frame, level = sys._getframe(1), 1
     while frame.f_back is not None and frame.f_globals.get("__name__", "").split(".")[0] in ("torch", "torch_radbp"):

@@ -65,26 +65,26 @@ def usable_positions(vertices: np.ndarray, used: np.ndarray, place: Callable[[in
     """
     check_finite("vertices", np.where(used[:, None], vertices, 0.0), place)
     bad = ~np.isfinite(vertices).all(axis=1)
-    return replaced(vertices, bad, vertices[np.argmax(used)], bad, place,
-                    "the position is not finite; no face uses the vertex, and it is moved to another")
+    return _replaced(vertices, bad, vertices[np.argmax(used)], bad, place,
+                     "the position is not finite; no face uses the vertex, and it is moved to another")
 
 
 def usable_normals(normals: np.ndarray, used: np.ndarray, place: Callable[[int], str]) -> np.ndarray:
     """The normals, 0 where one has no direction; tells those that faces use, at their `place`."""
     length = np.linalg.norm(normals, axis=1)
     bad = ~((length >= SHORTEST_NORMAL) & (length <= LONGEST_NORMAL))
-    return replaced(normals, bad, np.zeros(3), bad & used, place,
-                    "the normal has no direction (zero or not finite), and is made from the triangles around")
+    return _replaced(normals, bad, np.zeros(3), bad & used, place,
+                     "the normal has no direction (zero or not finite), and is made from the triangles around")
 
 
 def usable_uv(uv: np.ndarray, used: np.ndarray, place: Callable[[int], str]) -> np.ndarray:
     """Texture coordinates, (0, 0) where they are not finite; tells those that faces use, at their `place`."""
     bad = ~np.isfinite(uv).all(axis=1)
-    return replaced(uv, bad, np.zeros(2), bad & used, place, "the texture coordinate is not finite, and read as (0, 0)")
+    return _replaced(uv, bad, np.zeros(2), bad & used, place, "the texture coordinate is not finite, and read as (0, 0)")
 
 
-def replaced(values: np.ndarray, bad: np.ndarray, by: np.ndarray, told: np.ndarray, place: Callable[[int], str],
-             what: str) -> np.ndarray:
+def _replaced(values: np.ndarray, bad: np.ndarray, by: np.ndarray, told: np.ndarray, place: Callable[[int], str],
+              what: str) -> np.ndarray:
     """`values` with `by` in the `bad` rows; tells the rows `told`."""
     if told.any():
         with Repairs() as repairs:

@@ -35,7 +35,7 @@ SLASH = ord("/")
 LARGEST_INDEX = 2**31
 
 
-class Faces(NamedTuple):
+class Polygons(NamedTuple):
     """Polygons: what `f` lines say, indices from 0."""
 
     counts: np.ndarray  # (P,) int32 corners of each
@@ -128,7 +128,7 @@ def _rows(lines: Lines, chosen: np.ndarray, keyword: str, place: str) -> np.ndar
     return values[(np.cumsum(counts) - counts)[:, None] + np.arange(WIDTHS[keyword])]
 
 
-def _faces(lines: Lines, chosen: np.ndarray, before: dict[str, np.ndarray], place: str) -> Faces:
+def _faces(lines: Lines, chosen: np.ndarray, before: dict[str, np.ndarray], place: str) -> Polygons:
     """The `f` lines among `lines`; `before`: how many rows of each kind come before each, for relative indices."""
     words, counts = _words_after_keyword(lines, chosen)
     whole = counts >= 3
@@ -165,7 +165,7 @@ def _faces(lines: Lines, chosen: np.ndarray, before: dict[str, np.ndarray], plac
             result[given] = _indices(parts, part[given], lines, words[given], place, keyword,
                                      np.repeat(before[keyword], counts)[given])
         corners[keyword] = result
-    return Faces(counts.astype(np.int32), lines.numbers[chosen].astype(np.int32), corners)
+    return Polygons(counts.astype(np.int32), lines.numbers[chosen].astype(np.int32), corners)
 
 
 def _indices(parts: Lines, numbers: np.ndarray, lines: Lines, words: np.ndarray, place: str, keyword: str,
@@ -192,14 +192,14 @@ def _indices(parts: Lines, numbers: np.ndarray, lines: Lines, words: np.ndarray,
     return index
 
 
-def _merged(faces: list[Faces]) -> Faces:
+def _merged(faces: list[Polygons]) -> Polygons:
     """The faces of all blocks."""
     counts, lines, corners = zip(*faces, strict=True)
-    return Faces(np.concatenate(counts), np.concatenate(lines),
-                 {keyword: np.concatenate([block[keyword] for block in corners]) for keyword in WIDTHS})
+    return Polygons(np.concatenate(counts), np.concatenate(lines),
+                    {keyword: np.concatenate([block[keyword] for block in corners]) for keyword in WIDTHS})
 
 
-def _check_range(faces: Faces, keyword: str, count: int, place: str) -> None:
+def _check_range(faces: Polygons, keyword: str, count: int, place: str) -> None:
     """Raises ValueError if an index is `count` or above."""
     index = faces.corners[keyword]
     if index.max() >= count:
@@ -209,7 +209,7 @@ def _check_range(faces: Faces, keyword: str, count: int, place: str) -> None:
                          f"has {count} ({keyword})")
 
 
-def _completed(faces: Faces, keyword: str, values: np.ndarray, place: str) -> np.ndarray:
+def _completed(faces: Polygons, keyword: str, values: np.ndarray, place: str) -> np.ndarray:
     """`values` with a row of zeros for the corners that have no index into them, which is set; tells their faces."""
     index = faces.corners[keyword]
     lacking = index < 0
@@ -222,7 +222,7 @@ def _completed(faces: Faces, keyword: str, values: np.ndarray, place: str) -> np
     return np.concatenate([values, np.zeros((1, values.shape[1]))])
 
 
-def _mesh(faces: Faces, values: dict[str, np.ndarray]) -> MeshArrays:
+def _mesh(faces: Polygons, values: dict[str, np.ndarray]) -> MeshArrays:
     """One vertex for each combination of position, normal and uv, numbered in the order of first use."""
     vertex = faces.corners["v"]
     for keyword in ("vt", "vn"):

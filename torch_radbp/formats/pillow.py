@@ -70,7 +70,7 @@ def _pixels(path: str | os.PathLike, kind: str, held: int) -> np.ndarray:
                 grey = (4095 if raw == "I;12" else 65535) - grey
             return with_key(grey[:, :, None], file, 4095 if raw == "I;12" else 65535)
         if kind not in WIDE or ";16" not in raw:
-            return bytes_of(file, kind) / np.float32(255)
+            return _bytes_of(file, kind) / np.float32(255)
         if not raw.startswith(("RGB;", "RGBA;", "RGBX;")):
             raise ValueError(f"16 bits in the layout {raw} are not supported; write RGB, or RGBA that is not multiplied by "
                              f"alpha")
@@ -106,7 +106,7 @@ def with_key(words: np.ndarray, file: Image.Image, most: int) -> np.ndarray:
     return np.concatenate([values, alpha.astype(np.float32)], axis=2)
 
 
-def bytes_of(file: Image.Image, kind: str) -> np.ndarray:
+def _bytes_of(file: Image.Image, kind: str) -> np.ndarray:
     """(H, W, C) bytes, alpha last if there is one."""
     grey = file.mode in ("1", "L", "LA")
     alpha = kind in WITH_ALPHA and (file.mode in ALPHA_MODES or "transparency" in file.info)
@@ -157,14 +157,14 @@ def open_picture(source: Source, kind: str, held: int) -> Image.Image:
             raise ValueError(f"an image may have 1 to {MAX_PIXELS} pixels, this one has more") from None
     try:
         check_size(*picture.size)
-        check_held(kind, *picture.size, held)
+        _check_held(kind, *picture.size, held)
     except ValueError:
         picture.close()
         raise
     return picture
 
 
-def check_held(kind: str, width: int, height: int, held: int) -> None:
+def _check_held(kind: str, width: int, height: int, held: int) -> None:
     """Raises ValueError if a JPEG file of `held` bytes is too short for its pixels; the decoder would fill in grey."""
     if kind == "JPEG" and width * height > JPEG_PIXELS * held:
         raise ValueError(f"its {width} x {height} pixels cannot be in {held} bytes; is the file cut short?")

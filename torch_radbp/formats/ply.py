@@ -27,7 +27,7 @@ from torch_radbp.formats.mesh_arrays import (
     used_by,
 )
 from torch_radbp.formats.ply_ascii import AsciiTables
-from torch_radbp.formats.ply_attributes import attributes_in, channels_of, linear_colours
+from torch_radbp.formats.ply_attributes import attributes_in, linear_colours, property_names
 from torch_radbp.formats.ply_binary import BinaryTables
 from torch_radbp.formats.ply_header import Header, read_header
 
@@ -159,7 +159,7 @@ def write_ply(path: str | os.PathLike, mesh: MeshArrays) -> None:
     of_faces: dict[tuple[str, ...], np.ndarray] = {}
     for name, values in mesh.attributes.items():
         element, _, own = name.partition("_")
-        (columns if element == "vertex" else of_faces)[channels_of(own, values.shape[1])] = values
+        (columns if element == "vertex" else of_faces)[property_names(own, values.shape[1])] = values
 
     def table(rows: int, columns: dict, fields: list) -> np.ndarray:
         made = np.empty(rows, dtype=[*fields, *((name, kind) for names in columns for name in names)])

@@ -7,7 +7,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from torch_radbp.formats.ply_header import Element
+from torch_radbp.formats.ply_header import PLYElement
 from torch_radbp.formats.text_lines import Lines, read_lines
 
 
@@ -30,7 +30,7 @@ class AsciiTables:
             if lines is not None and lines.rows > 0:
                 raise ValueError(f"{self.place}, line {lines.numbers[0]}: follows after the last element of the header")
 
-    def take(self, element: Element) -> Iterator[Lines]:
+    def take(self, element: PLYElement) -> Iterator[Lines]:
         """The lines of an element."""
         missing, numbers = element.rows, [np.empty(0, np.int64)]
         while missing > 0:
@@ -45,7 +45,7 @@ class AsciiTables:
             yield taken
         self.numbers[element.name] = np.concatenate(numbers)
 
-    def columns(self, element: Element) -> dict[str, np.ndarray]:
+    def columns(self, element: PLYElement) -> dict[str, np.ndarray]:
         """The properties of an element without lists."""
         width = len(element.properties)
         blocks = [np.empty((0, width))]
@@ -56,7 +56,7 @@ class AsciiTables:
         table = np.concatenate(blocks)
         return {p.name: table[:, column] for column, p in enumerate(element.properties)}
 
-    def lists(self, element: Element, wanted: str | None) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    def lists(self, element: PLYElement, wanted: str | None) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
         """The entries of the list `wanted` of all rows, (rows,) their numbers, and the other properties; nothing if None."""
         entries, counts = [np.empty(0)], [np.empty(0, np.int64)]
         others = {p.name: [np.empty(0)] for p in element.properties if p.count is None and wanted is not None}
@@ -90,7 +90,7 @@ class AsciiTables:
         return (np.concatenate(entries), np.concatenate(counts),
                 {name: np.concatenate(parts) for name, parts in others.items()})
 
-    def check_width(self, element: Element, lines: Lines, words: np.ndarray, wanted: np.ndarray) -> None:
+    def check_width(self, element: PLYElement, lines: Lines, words: np.ndarray, wanted: np.ndarray) -> None:
         """Raises ValueError with the line of the first row that has not as many numbers as `wanted`."""
         if (words != wanted).any():
             row = int(np.argmax(words != wanted))

@@ -41,7 +41,7 @@ def attributes_in(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
     return found
 
 
-def channels_of(name: str, count: int) -> tuple[str, ...]:
+def property_names(name: str, count: int) -> tuple[str, ...]:
     """Names of the properties of an element, one or three, by which `attributes_in` finds the attribute `name`."""
     if name == "color" and count == 3:
         return COLOURS[0]

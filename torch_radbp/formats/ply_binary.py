@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 
-from torch_radbp.formats.ply_header import Element
+from torch_radbp.formats.ply_header import PLYElement
 
 STRUCT_CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
 
@@ -28,12 +28,12 @@ class BinaryTables:
         if left:
             raise ValueError(f"{self.place}: {left} bytes follow after the last element of the header")
 
-    def columns(self, element: Element) -> dict[str, np.ndarray]:
+    def columns(self, element: PLYElement) -> dict[str, np.ndarray]:
         """The properties of an element without lists."""
         table = self.table(element, self.dtype(element, {}))
         return {p.name: table[p.name] for p in element.properties}
 
-    def lists(self, element: Element, wanted: str | None) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    def lists(self, element: PLYElement, wanted: str | None) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
         """The entries of the list `wanted` of all rows, (rows,) their numbers, and the other properties; nothing if None."""
         begin, none = self.offset, np.empty(0, np.int64)
         scalars = [p.name for p in element.properties if p.count is None]
@@ -62,7 +62,7 @@ class BinaryTables:
         """The numbers that begin at some bytes."""
         return np.frombuffer(self.data, np.uint8)[places[:, None] + np.arange(kind.itemsize)].view(kind).reshape(-1)
 
-    def dtype(self, element: Element, lengths: dict[str, int]) -> np.dtype:
+    def dtype(self, element: PLYElement, lengths: dict[str, int]) -> np.dtype:
         """The layout of a row whose lists have these lengths."""
         fields = []
         for name, kind, count in element.properties:
@@ -72,7 +72,7 @@ class BinaryTables:
                 fields += [(f"{name} count", self.order + count), (name, self.order + kind, (lengths[name],))]
         return np.dtype(fields)
 
-    def table(self, element: Element, dtype: np.dtype) -> np.ndarray:
+    def table(self, element: PLYElement, dtype: np.dtype) -> np.ndarray:
         """(rows,) of a structured dtype."""
         needed, left = element.rows * dtype.itemsize, len(self.data) - self.offset
         if needed > left:
@@ -81,7 +81,7 @@ class BinaryTables:
         self.offset += needed
         return table
 
-    def lengths_of_first_row(self, element: Element) -> dict[str, int]:
+    def lengths_of_first_row(self, element: PLYElement) -> dict[str, int]:
         """The lengths of the lists in the row that comes next."""
         offset, lengths = self.offset, {}
         for name, kind, count in element.properties:
@@ -94,7 +94,7 @@ class BinaryTables:
             raise self.cut_short(element, 0)
         return lengths
 
-    def walk(self, element: Element, wanted: str | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def walk(self, element: PLYElement, wanted: str | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The place and length of the list `wanted` in each row, and the places of the properties that are no lists.
 
         For rows of different sizes, one after the other.
@@ -124,7 +124,7 @@ class BinaryTables:
         self.offset = offset
         return starts, counts, places
 
-    def length(self, element: Element, row: int, offset: int, count: struct.Struct) -> int:
+    def length(self, element: PLYElement, row: int, offset: int, count: struct.Struct) -> int:
         """The number in front of a list."""
         if offset + count.size > len(self.data):
             raise self.cut_short(element, row)
@@ -133,7 +133,7 @@ class BinaryTables:
             raise ValueError(f"{self.where(element.name, row)}: a list cannot have {length} entries")
         return int(length)
 
-    def cut_short(self, element: Element, row: int) -> ValueError:
+    def cut_short(self, element: PLYElement, row: int) -> ValueError:
         """The error to raise where the file ends inside of an element."""
         return ValueError(f"{self.place}: cut short, it ends in row {row} of the {element.rows} rows of element "
                           f"{element.name!r}")

@@ -23,7 +23,7 @@ class Property(NamedTuple):
     count: str | None  # kind of the number in front of a list
 
 
-class Element(NamedTuple):
+class PLYElement(NamedTuple):
     """A table of a PLY file."""
 
     name: str
@@ -35,7 +35,7 @@ class Header(NamedTuple):
     """The header of a PLY file."""
 
     order: str  # "" for ascii, "<" or ">"
-    elements: list[Element]
+    elements: list[PLYElement]
     lines: int  # how many it has
 
 
@@ -83,16 +83,16 @@ def _byte_order(words: list[str]) -> str:
     return BYTE_ORDERS[words[1]]
 
 
-def _element(words: list[str], before: list[Element]) -> Element:
+def _element(words: list[str], before: list[PLYElement]) -> PLYElement:
     rows = ROWS.fullmatch(words[2]) if len(words) == 3 else None
     if rows is None:
         raise ValueError(f"expected \"element name rows\", got {' '.join(words)!r}")
     if words[1] in [element.name for element in before]:
         raise ValueError(f"the element {words[1]!r} is given twice")
-    return Element(words[1], int(rows[1]), [])
+    return PLYElement(words[1], int(rows[1]), [])
 
 
-def _add_property(words: list[str], elements: list[Element]) -> None:
+def _add_property(words: list[str], elements: list[PLYElement]) -> None:
     is_list = words[1:2] == ["list"]
     if not elements:
         raise ValueError("a property must follow after the element that it belongs to")

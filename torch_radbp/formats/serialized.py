@@ -68,11 +68,11 @@ def read_serialized(file: BinaryIO, place: str, want_normals: bool = True, shape
               for name, is_there in present.items() if is_there}
     faces = stream.table("faces", face_count, 3, "<u4")
     stream.finish()
-    return checked(tables, faces, want_normals, lambda element, row: f"{place}, {element} {row} (from 0)")
+    return _checked(tables, faces, want_normals, lambda element, row: f"{place}, {element} {row} (from 0)")
 
 
-def checked(tables: dict[str, np.ndarray], faces: np.ndarray, want_normals: bool,
-            where: Callable[[str, int], str]) -> MeshArrays:
+def _checked(tables: dict[str, np.ndarray], faces: np.ndarray, want_normals: bool,
+             where: Callable[[str, int], str]) -> MeshArrays:
     """The mesh of the tables of its vertices, (V, 2 or 3) each, and its faces, (F, 3); errors say `where`."""
     tables = {name: values.astype(np.float64) for name, values in tables.items() if name != "normals" or want_normals}
     bad, last = faces >= len(tables["vertices"]), len(tables["vertices"]) - 1

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 RESERVED = ("positions", "normals", "texcoords", "color")  # names of attributes that mean something else here
 
 
-class Placed(NamedTuple):
+class PlacedMesh(NamedTuple):
     """A mesh of a `trimesh.Scene`, where a node shows it."""
 
     name: str
@@ -39,7 +39,7 @@ def is_trimesh(value: Any) -> bool:
     return trimesh is not None and isinstance(value, trimesh.Trimesh | trimesh.Scene)
 
 
-def placed_meshes(source: trimesh.Trimesh | trimesh.Scene) -> list[Placed]:
+def placed_meshes(source: trimesh.Trimesh | trimesh.Scene) -> list[PlacedMesh]:
     """The meshes of a scene, node by node, or a mesh by itself; point clouds and paths are left out, which is told.
 
     Raises:
@@ -47,13 +47,13 @@ def placed_meshes(source: trimesh.Trimesh | trimesh.Scene) -> list[Placed]:
     """
     import trimesh
     if isinstance(source, trimesh.Trimesh):
-        return [Placed("mesh", source, np.eye(4))]
+        return [PlacedMesh("mesh", source, np.eye(4))]
     placed, left_out = [], {}
     for node in source.graph.nodes_geometry:
         to_world, name = source.graph[node]
         mesh = source.geometry[name]
         if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
-            placed.append(Placed(str(node), mesh, np.array(to_world, dtype=np.float64)))
+            placed.append(PlacedMesh(str(node), mesh, np.array(to_world, dtype=np.float64)))
         else:
             kind = "Trimesh without faces" if isinstance(mesh, trimesh.Trimesh) else type(mesh).__name__
             left_out[str(node)] = kind
@@ -67,7 +67,7 @@ def placed_meshes(source: trimesh.Trimesh | trimesh.Scene) -> list[Placed]:
 
 def arrays_of(source: trimesh.Trimesh | trimesh.Scene) -> MeshArrays:
     """A mesh or all meshes of a scene where its nodes show them, as one; see `mesh_arrays`."""
-    return joined([transformed(mesh_arrays(placed.mesh), placed.to_world) for placed in placed_meshes(source)])
+    return joined_meshes([transformed_mesh(mesh_arrays(placed.mesh), placed.to_world) for placed in placed_meshes(source)])
 
 
 def mesh_arrays(mesh: trimesh.Trimesh) -> MeshArrays:
@@ -81,7 +81,7 @@ def mesh_arrays(mesh: trimesh.Trimesh) -> MeshArrays:
     for kind, rows, values in (("vertex", len(mesh.vertices), mesh.vertex_attributes),
                                ("face", len(mesh.faces), mesh.face_attributes)):
         for name, array in values.items():
-            numbers = column(array, rows)
+            numbers = _column(array, rows)
             own = str(name).lstrip("_").replace(".", "_")
             if numbers is None or not own or own in RESERVED:
                 note(f"the {kind} attribute {name!r} of trimesh", f"is left out: one of numbers, with one or three for each "
@@ -101,7 +101,7 @@ def mesh_arrays(mesh: trimesh.Trimesh) -> MeshArrays:
                       attributes)
 
 
-def column(values: Any, rows: int) -> np.ndarray | None:
+def _column(values: Any, rows: int) -> np.ndarray | None:
     """(rows, 1 or 3) float64 of an attribute; None if it is another thing."""
     array = np.asarray(values)
     array = array[:, None] if array.ndim == 1 else array
@@ -128,7 +128,7 @@ def normals_of(mesh: trimesh.Trimesh) -> np.ndarray | None:
     return normals
 
 
-def joined(parts: list[MeshArrays]) -> MeshArrays:
+def joined_meshes(parts: list[MeshArrays]) -> MeshArrays:
     """Several meshes as one; what only some of them have is left out, which is told."""
     if len(parts) == 1:
         return parts[0]
@@ -145,7 +145,7 @@ def joined(parts: list[MeshArrays]) -> MeshArrays:
                       together.pop("normals", None), together.pop("uv", None), together)
 
 
-def transformed(arrays: MeshArrays, to_world: np.ndarray) -> MeshArrays:
+def transformed_mesh(arrays: MeshArrays, to_world: np.ndarray) -> MeshArrays:
     """A mesh under an affine transform; one that mirrors leaves it facing outwards, as `trimesh.apply_transform` does."""
     linear, normals = to_world[:3, :3], arrays.normals
     if np.array_equal(to_world, np.eye(4)):

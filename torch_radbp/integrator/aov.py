@@ -25,13 +25,13 @@ class ArbitraryOutputVariables(Nesting):
         super().__init__(integrators=integrators, hide_emitters=hide_emitters, block_size=block_size,
                          samples_per_pass=samples_per_pass, timeout=timeout)
         self.aovs = aovs
-        self.listed = listed(aovs)
+        self.listed = _listed(aovs)
 
     def outputs(self) -> dict[str, str]:
         return {**self.nested_outputs(), **dict(self.listed)}
 
 
-def listed(aovs: str) -> tuple[tuple[str, str], ...]:
+def _listed(aovs: str) -> tuple[tuple[str, str], ...]:
     """The names and quantities in a list such as "dd.y:depth,nn:sh_normal"; raises ValueError as the class says."""
     pairs: dict[str, str] = {}
     for item in aovs.replace(",", " ").split():

@@ -67,7 +67,7 @@ def convert(name: str, value: Any, annotation: Any) -> Any:
     plugins = [f"{with_article(category)}, a dict with a \"type\"" for category in plugin_categories(annotation)
                if category != "texture"]
     expected = " or ".join(dict.fromkeys([*(expected for expected, _ in rules), *plugins]))
-    raise TypeError(f"{name} must be {expected}, got {shown(value)}")
+    raise TypeError(f"{name} must be {expected}, got {value_text(value)}")
 
 
 def live(name: str, value: Tensor, members: tuple[Any, ...]) -> nn.Parameter:
@@ -81,7 +81,7 @@ def live(name: str, value: Tensor, members: tuple[Any, ...]) -> nn.Parameter:
     return value
 
 
-def shown(value: Any) -> str:
+def value_text(value: Any) -> str:
     """A value as messages print it, a long one by its beginning."""
     if hasattr(value, "shape") and len(value.shape) > 0:
         dtype = str(getattr(value, "dtype", ""))
@@ -127,7 +127,7 @@ def _integer(name: str, value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError
     if abs(value) > LARGEST_INTEGER:
-        raise ValueError(f"{name} must be between -{LARGEST_INTEGER} and {LARGEST_INTEGER}, got {shown(value)}")
+        raise ValueError(f"{name} must be between -{LARGEST_INTEGER} and {LARGEST_INTEGER}, got {value_text(value)}")
     return int(value)
 
 

@@ -17,7 +17,7 @@ from torch import nn
 import torch_radbp.io.absent  # noqa: F401 (registers why plugins are missing)
 from torch_radbp.formats.files import otherwise_spelled
 from torch_radbp.formats.leniency import Repairs
-from torch_radbp.io.attribute_values import convert, is_list, is_named, options, plugin_categories, shown, with_article
+from torch_radbp.io.attribute_values import convert, is_list, is_named, options, plugin_categories, value_text, with_article
 from torch_radbp.io.bitmap_object import is_bitmap_object, linear_values
 from torch_radbp.io.colour_values import colour_value, is_colour
 from torch_radbp.io.gltf.document import Losses
@@ -100,8 +100,8 @@ class _Builder:
             if name == "type":
                 continue
             if not _is_object(value):
-                raise self.error((name,), value, f"a scene takes only objects, dicts with a \"type\", got {shown(value)}"
-                                 f"{_advice(value)}")
+                raise self.error((name,), value, f"a scene takes only objects, dicts with a \"type\", got "
+                                 f"{value_text(value)}{_advice(value)}")
             if _is_reference(value):
                 raise self.error((name,), value, "a reference cannot stand directly in the scene; put it inside the "
                                  "object that uses it")
@@ -140,7 +140,7 @@ class _Builder:
                 continue
             name = _given_id(value) or (key if not path else None)
             if name is not None and not isinstance(name, str):
-                raise self.error((*path, key), value, f"an id must be a string, got {shown(name)}")
+                raise self.error((*path, key), value, f"an id must be a string, got {value_text(name)}")
             if name in self.ids:
                 other = self.place(self.ids[name][0], self.ids[name][1])
                 raise self.error((*path, key), value, f"the id {name!r} is already taken by {other}; use another")
@@ -190,7 +190,7 @@ class _Builder:
         name = value.get("id")
         if unknown or not isinstance(name, str):
             raise self.error(path, value, "a reference has the entries type and id, a string, got "
-                             f"{', '.join([f'id {shown(name)}', *unknown])}")
+                             f"{', '.join([f'id {value_text(name)}', *unknown])}")
         if name not in self.ids:
             raise self.error(path, value, f"no object has the id {name!r}; {nearest(name, self.ids)}")
         if name in self.open:
@@ -298,7 +298,8 @@ class _Builder:
         if found is None:
             looked = ", ".join(str(folder.resolve()) for folder in folders)
             like = next(filter(None, (otherwise_spelled(folder / name) for folder in folders)), None)
-            raise ValueError(f"{key} {shown(name)} not found; looked in {looked}{f'; did you mean {like}?' if like else ''}")
+            raise ValueError(f"{key} {value_text(name)} not found; looked in {looked}"
+                             f"{f'; did you mean {like}?' if like else ''}")
         return str(found)
 
     def colour(self, key: str, value: dict[str, Any], node: dict[str, Any], cls: type[Plugin]) -> Any:
@@ -329,9 +330,9 @@ def warn_of_poles(children: dict[str, Plugin]) -> None:
         pole = child.up() if isinstance(child, Emitter) else None
         for up in ups if pole is not None else ():
             if float(pole @ pole.new_tensor(up)) < 0.5 * float(pole.norm()):
-                warnings.warn(f"{name}: its pole is {shown(pole.tolist())}, but in the world of the cameras {shown(up)} "
-                              "points up; turn it, with to_world=[[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]] "
-                              "from y to z", stacklevel=5)
+                warnings.warn(f"{name}: its pole is {value_text(pole.tolist())}, but in the world of the cameras "
+                              f"{value_text(up)} points up; turn it, with "
+                              "to_world=[[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]] from y to z", stacklevel=5)
 
 
 def _is_object(value: Any) -> bool:

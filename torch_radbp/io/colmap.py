@@ -186,10 +186,10 @@ def read_images(lines: Iterable[Line]) -> Iterator[tuple[Line, np.ndarray, str, 
         values = line.numbers(1, 8, "rotation and translation")
         if not 1e-6 < np.linalg.norm(values[:4]) < 1e6:
             raise line.fail(f"the rotation must be a quaternion of length 1, got {values[:4]}")
-        yield line, pose_of(rotation(np.array(values[:4])), np.array(values[4:])), line.words[8], name
+        yield line, pose_of(_rotation(np.array(values[:4])), np.array(values[4:])), line.words[8], name
 
 
-def rotation(quaternion: np.ndarray) -> np.ndarray:
+def _rotation(quaternion: np.ndarray) -> np.ndarray:
     """(3, 3) of a quaternion w, x, y, z of any length."""
     w, x, y, z = quaternion / np.linalg.norm(quaternion)
     return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

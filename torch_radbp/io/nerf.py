@@ -87,7 +87,7 @@ def nerf_cameras(path: Path, names: Collection[str] | None, *, width: int | None
     document = read_json(path)
     frames = [frame for frame in frames_of(path, document) if names is None or frame.name in names]
     given = {frame.name: given_of(document, frame) for frame in frames}
-    sizes = {frame.name: size_of(frame, given[frame.name], path.parent, (width, height)) for frame in frames}
+    sizes = {frame.name: _size_of(frame, given[frame.name], path.parent, (width, height)) for frame in frames}
     absent = [frame for frame in frames if sizes[frame.name] is None]
     if absent and (missing == "error" or len(absent) == len(frames)):
         raise SceneError(f"{absent[0].place}: the size of the image is not known: neither w and h are given nor is there a "
@@ -119,7 +119,7 @@ def missing_of(missing: str) -> str:
     return missing
 
 
-class Frame(NamedTuple):
+class NerfFrame(NamedTuple):
     """An entry of "frames"."""
 
     path: Path  # of the document
@@ -128,7 +128,7 @@ class Frame(NamedTuple):
     entry: dict[str, Any]
 
 
-def frames_of(path: Path, document: dict[str, Any]) -> list[Frame]:
+def frames_of(path: Path, document: dict[str, Any]) -> list[NerfFrame]:
     """The frames of a document, each with a name of its own.
 
     Raises:
@@ -137,7 +137,7 @@ def frames_of(path: Path, document: dict[str, Any]) -> list[Frame]:
     entries = document.get("frames")
     if not isinstance(entries, list) or not entries:
         raise SceneError(f"{path}: must have \"frames\", a list with one object for each image, got {entries!r:.80}")
-    frames: dict[str, Frame] = {}
+    frames: dict[str, NerfFrame] = {}
     for number, entry in enumerate(entries):
         place = f"{path}: frames[{number}]"
         if not isinstance(entry, dict):
@@ -148,11 +148,11 @@ def frames_of(path: Path, document: dict[str, Any]) -> list[Frame]:
         name = name.removeprefix("./")
         if name in frames:
             raise SceneError(f"{place}.file_path: a second frame has the image {name!r}")
-        frames[name] = Frame(path, place, name, entry)
+        frames[name] = NerfFrame(path, place, name, entry)
     return list(frames.values())
 
 
-def given_of(document: dict[str, Any], frame: Frame) -> dict[str, Any]:
+def given_of(document: dict[str, Any], frame: NerfFrame) -> dict[str, Any]:
     """What is said of a frame's camera: what the frame says, and what the document says of other things."""
     of_frame = {key: frame.entry[key] for key in INTRINSICS if frame.entry.get(key) is not None}
     said = {*of_frame}.union(*(keys for keys in TOGETHER if any(key in of_frame for key in keys)))
@@ -173,7 +173,7 @@ def read_json(path: Path) -> dict[str, Any]:
     return document
 
 
-def number(place: str, given: dict[str, Any], key: str) -> float | None:
+def _number(place: str, given: dict[str, Any], key: str) -> float | None:
     """The finite number under a key, or None."""
     value = given.get(key)
     if value is None:
@@ -183,11 +183,12 @@ def number(place: str, given: dict[str, Any], key: str) -> float | None:
     return float(value)
 
 
-def size_of(frame: Frame, given: dict[str, Any], folder: Path, other: tuple[int | None, int | None]) -> list[int] | None:
+def _size_of(frame: NerfFrame, given: dict[str, Any], folder: Path,
+             other: tuple[int | None, int | None]) -> list[int] | None:
     """Width and height as the file says them, or the caller, or the image does; None if that is not there."""
-    size = [number(frame.place, given, key) for key in ("w", "h")]
+    size = [_number(frame.place, given, key) for key in ("w", "h")]
     if None in size:
-        image = image_of(folder, frame.name)
+        image = image_file(folder, frame.name)
         if None in other and image is None:
             return None
         size = list(other) if None not in other else size_of_image(image)
@@ -199,7 +200,7 @@ def size_of(frame: Frame, given: dict[str, Any], folder: Path, other: tuple[int 
     return [int(side) for side in size]
 
 
-def image_of(folder: Path, name: str) -> Path | None:
+def image_file(folder: Path, name: str) -> Path | None:
     """The file of an image, whose name may lack its extension, and have backslashes; None if there is none."""
     suffixes = ("",) if Path(name).suffix.lower() in READABLE else ("", *SUFFIXES)  # view.jpg.png is the mask of view.jpg
     images = [folder / f"{each}{suffix}" for each in (name, name.replace("\\", "/")) for suffix in suffixes]
@@ -222,7 +223,7 @@ def size_of_image(path: Path) -> list[int]:
         raise SceneError(f"{path}: its size cannot be read: {error}; give width= and height=") from error
 
 
-def intrinsics(frame: Frame, given: dict[str, Any], size: list[int]) -> Intrinsics:
+def intrinsics(frame: NerfFrame, given: dict[str, Any], size: list[int]) -> Intrinsics:
     """What a frame says of its camera, with what is said of all."""
     place, fisheye = frame.place, given.get("is_fisheye")
     if fisheye is not None and not isinstance(fisheye, bool):
@@ -236,7 +237,7 @@ def intrinsics(frame: Frame, given: dict[str, Any], size: list[int]) -> Intrinsi
                                     f"beside it")
     (width, height), focal = size, []
     for key, angle, side in (("fl_x", "camera_angle_x", width), ("fl_y", "camera_angle_y", height)):
-        length, wide = number(place, given, key), number(place, given, angle)
+        length, wide = _number(place, given, key), _number(place, given, angle)
         if length is None and wide is not None:
             if not 0 < wide < math.pi:
                 raise SceneError(f"{place}: {angle} must be between 0 and pi radians, got {wide:g}")
@@ -248,9 +249,9 @@ def intrinsics(frame: Frame, given: dict[str, Any], size: list[int]) -> Intrinsi
         raise SceneError(f"{place}: the focal length is missing: give fl_x (pixels) or camera_angle_x (radians)")
     fx, fy = (own if own is not None else other for own, other in (focal, reversed(focal)))
     cx, cy = (0.5 * side if middle is None else middle
-              for side, middle in ((width, number(place, given, "cx")), (height, number(place, given, "cy"))))
+              for side, middle in ((width, _number(place, given, "cx")), (height, _number(place, given, "cy"))))
     known = COEFFICIENTS.get(model, ())
-    values = {key: number(place, given, key) for key in ("k1", "k2", "k3", "k4", "p1", "p2")}
+    values = {key: _number(place, given, key) for key in ("k1", "k2", "k3", "k4", "p1", "p2")}
     stray = [key for key, value in values.items() if value and key not in known]
     if stray:
         raise SceneError(f"{place}: {stray[0]} = {values[stray[0]]:g} is no coefficient of the camera_model {model}; "
@@ -259,7 +260,7 @@ def intrinsics(frame: Frame, given: dict[str, Any], size: list[int]) -> Intrinsi
     return Intrinsics(width, height, fx, fy, cx - 0.5, cy - 0.5, model=LENSES[model], coefficients=coefficients)
 
 
-def pose(frame: Frame) -> np.ndarray:
+def pose(frame: NerfFrame) -> np.ndarray:
     """(4, 4) float64 `to_world` of a frame."""
     place, given = frame.place, frame.entry.get("transform_matrix")
     try:

@@ -44,7 +44,7 @@ def rotate_unchecked(axis: Sequence[float], angle: float) -> np.ndarray:
     return matrix
 
 
-def affine(values: Sequence[float]) -> np.ndarray:
+def affine_matrix(values: Sequence[float]) -> np.ndarray:
     """A matrix from its 9 (linear part) or 16 entries, row by row.
 
     Raises:

@@ -15,7 +15,7 @@ from PIL import Image
 from torch import Tensor, nn
 
 from torch_radbp.io.gltf import lamp_out
-from torch_radbp.io.gltf.appearance import Appearance, Appearances
+from torch_radbp.io.gltf.appearance import Appearances, PrimitiveMaterial
 from torch_radbp.io.gltf.document import Losses
 from torch_radbp.io.gltf.image_slot import LINEAR, WRAPS
 from torch_radbp.io.gltf.lamp_out import matrix_of
@@ -69,7 +69,7 @@ class Meshes:
         mesh.visual = self.visual(name, surface, appearance)
         return mesh
 
-    def visual(self, name: str, surface: Triangles, appearance: Appearance) -> Any:
+    def visual(self, name: str, surface: Triangles, appearance: PrimitiveMaterial) -> Any:
         """The colours of a mesh if they are its base colour, or its material."""
         from trimesh.visual import ColorVisuals, TextureVisuals
         material = self.material(appearance.material)
@@ -173,7 +173,7 @@ def scene_of_scene(scene: Scene) -> trimesh.Scene:
 def look_through(scene: trimesh.Scene, name: str, sensor: Sensor, losses: Losses) -> None:
     """Gives a scene of trimesh the camera that a sensor is, if it has none yet."""
     import trimesh
-    written = None if scene.has_camera else lamp_out.camera(sensor, name, losses)
+    written = None if scene.has_camera else lamp_out.camera_of_sensor(sensor, name, losses)
     if written is None or "perspective" not in written[0]:
         losses.add(name, "is left out: a trimesh.Scene has one camera, a perspective one")
         return

@@ -11,11 +11,11 @@ import torch
 
 from torch_radbp.formats.trimesh_arrays import is_trimesh, placed_meshes
 from torch_radbp.integrator.path import Path
-from torch_radbp.io.attribute_values import shown
-from torch_radbp.io.gltf.document import Losses, Part
-from torch_radbp.io.gltf.lamp import camera as camera_of
+from torch_radbp.io.attribute_values import value_text
+from torch_radbp.io.gltf.document import DocumentPart, Losses
+from torch_radbp.io.gltf.lamp import sensor_of_camera as camera_of
 from torch_radbp.io.gltf.names import Names
-from torch_radbp.io.gltf.read import Options, complete, options, said
+from torch_radbp.io.gltf.read import Options, complete, gltf_options, said
 from torch_radbp.io.load import built
 from torch_radbp.io.trimesh_shape import SOURCE, Looks, dress
 from torch_radbp.plugin import Plugin, SceneError, SceneWarning
@@ -54,15 +54,15 @@ def scene_from_trimesh(source: trimesh.Trimesh | trimesh.Scene, *, resolution: i
         SceneError: names the mesh, and what cannot be used of it.
     """
     if not is_trimesh(source):
-        raise TypeError(f"a scene is made of a trimesh.Scene or a trimesh.Trimesh, got {shown(source)}")
+        raise TypeError(f"a scene is made of a trimesh.Scene or a trimesh.Trimesh, got {value_text(source)}")
     if not isinstance(strict, bool):
-        raise TypeError(f"strict must be True or False, got {shown(strict)}")
+        raise TypeError(f"strict must be True or False, got {value_text(strict)}")
     given = {"resolution": resolution, "spp": spp, "max_depth": max_depth, "light": light, "camera": camera}
-    chosen = options(SOURCE, {name: value for name, value in given.items() if value is not None})
-    return built(lambda: read_scene(source, chosen, strict), strict)
+    chosen = gltf_options(SOURCE, {name: value for name, value in given.items() if value is not None})
+    return built(lambda: _read_scene(source, chosen, strict), strict)
 
 
-def read_scene(source: trimesh.Trimesh | trimesh.Scene, chosen: Options, strict: bool) -> Scene:
+def _read_scene(source: trimesh.Trimesh | trimesh.Scene, chosen: Options, strict: bool) -> Scene:
     """The scene, in torch's default dtype."""
     losses, names = Losses(), Names()
     children: dict[str, Plugin] = {}
@@ -80,7 +80,7 @@ def read_scene(source: trimesh.Trimesh | trimesh.Scene, chosen: Options, strict:
             corners = shape.vertex_positions.detach().double().numpy()
             low, high = np.minimum(low, corners.min(0)), np.maximum(high, corners.max(0))
         if chosen.camera and getattr(source, "has_camera", False):
-            children[names.free("camera")] = seen(source, chosen, float(np.abs([low, high]).max()))
+            children[names.free("camera")] = _camera_of(source, chosen, float(np.abs([low, high]).max()))
         added = complete(children, names, (low, high), chosen)
         said_of = [*losses, *added]
         if strict and list(losses):
@@ -94,11 +94,12 @@ def read_scene(source: trimesh.Trimesh | trimesh.Scene, chosen: Options, strict:
         raise SceneError(f"{SOURCE}: {error}") from error
 
 
-def seen(scene: trimesh.Scene, chosen: Options, reach: float) -> Plugin:
+def _camera_of(scene: trimesh.Scene, chosen: Options, reach: float) -> Plugin:
     """The camera of a scene, as of glTF: it looks along -z."""
     width, height = (int(side) for side in scene.camera.resolution)
-    part = Part(SOURCE, "camera", {"type": "perspective", "extras": {"width": width, "height": height}, "perspective": {
-        "yfov": math.radians(float(scene.camera.fov[1])), "aspectRatio": width / height,
-        "znear": float(scene.camera.z_near)}})
+    perspective = {"yfov": math.radians(float(scene.camera.fov[1])), "aspectRatio": width / height,
+                   "znear": float(scene.camera.z_near)}
+    part = DocumentPart(SOURCE, "camera", {"type": "perspective", "extras": {"width": width, "height": height},
+                                           "perspective": perspective})
     to_world = np.asarray(scene.camera_transform, dtype=np.float64)
     return camera_of(part, to_world, chosen.resolution, chosen.spp, 4 * (reach + float(np.abs(to_world[:3, 3]).max())))

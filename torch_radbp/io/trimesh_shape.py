@@ -16,14 +16,21 @@ import torch
 
 from torch_radbp.emitter.area import Area
 from torch_radbp.formats.mesh_arrays import MeshArrays
-from torch_radbp.formats.trimesh_arrays import colours_of, is_trimesh, joined, mesh_arrays, placed_meshes, transformed
+from torch_radbp.formats.trimesh_arrays import (
+    colours_of,
+    is_trimesh,
+    joined_meshes,
+    mesh_arrays,
+    placed_meshes,
+    transformed_mesh,
+)
 from torch_radbp.formats.trimesh_file import read_trimesh
-from torch_radbp.io.gltf.document import Document, Losses, Part
-from torch_radbp.io.gltf.material import Look, Materials
+from torch_radbp.io.gltf.document import Document, DocumentPart, Losses
+from torch_radbp.io.gltf.material import GltfMaterials, Look
 from torch_radbp.io.gltf.names import Names
 from torch_radbp.io.gltf.picture import bytes_of
 from torch_radbp.io.gltf.read import lies_mirrored, said
-from torch_radbp.io.gltf.texture import Textures
+from torch_radbp.io.gltf.texture import GltfTextures
 from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Plugin, SceneError, SceneWarning, attributes
 from torch_radbp.shape.mesh import TensorMesh
 
@@ -43,13 +50,13 @@ class Dressed(NamedTuple):
     look: Look | None  # None: trimesh says nothing about it
 
 
-class Images:
+class ImagesInMemory:
     """Pictures in memory, in the place of those of a glTF document."""
 
     def __init__(self) -> None:
         self.pictures: list[np.ndarray] = []
 
-    def pixels(self, index: int, user: Part) -> np.ndarray:
+    def pixels(self, index: int, user: DocumentPart) -> np.ndarray:
         """(H, W, 4) bytes of an image as they are coded."""
         return self.pictures[index]
 
@@ -64,10 +71,11 @@ class Looks:
     """
 
     def __init__(self, losses: Losses, names: Names, children: dict[str, Plugin]):
-        self.losses, self.images, self.numbers = losses, Images(), dict[int, int]()
+        self.losses, self.images, self.numbers = losses, ImagesInMemory(), dict[int, int]()
         empty: dict[str, Any] = {"asset": {"version": "2.0"}, "materials": [], "textures": []}
         self.document = Document(SOURCE, empty)
-        self.materials = Materials(self.document, Textures(self.document, self.images, losses), losses, names, children)
+        textures = GltfTextures(self.document, self.images, losses)
+        self.materials = GltfMaterials(self.document, textures, losses, names, children)
 
     def dressed(self, mesh: trimesh.Trimesh, place: str) -> Dressed:
         """A mesh with its look; `place` names it in messages."""
@@ -76,7 +84,7 @@ class Looks:
         material = getattr(visual, "material", None) if visual.kind == "texture" else None
         if colours is None and material is None:
             return Dressed(arrays, None)
-        part = Part(SOURCE, place, {} if material is None else {"material": self.number(material, place)})
+        part = DocumentPart(SOURCE, place, {} if material is None else {"material": self.number(material, place)})
         mirrored = False
         if arrays.uv is not None and self.materials.material(part).has("normalTexture"):
             mirrored = lies_mirrored(arrays.uv, arrays.faces, place, self.losses)
@@ -134,7 +142,7 @@ def shape_of_mesh(source: trimesh.Trimesh | trimesh.Scene) -> TensorMesh:
     return shape.to(torch.get_default_dtype())
 
 
-def shapes_of(name: str, value: Any, others: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+def _shapes_of(name: str, value: Any, others: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """A mesh of trimesh as the description of a shape, and a scene as one for each node that shows a mesh."""
     try:
         placed = placed_meshes(value)
@@ -154,7 +162,7 @@ def with_shapes(node: dict[str, Any]) -> Iterator[tuple[str, Any]]:
         if not is_trimesh(value) or (cls is not None and key in attributes(cls)):
             yield key, value
         else:
-            yield from shapes_of(str(key), value, node)
+            yield from _shapes_of(str(key), value, node)
 
 
 def with_arrays(arguments: dict[str, Any], looks: Looks) -> dict[str, Any]:
@@ -176,7 +184,7 @@ def with_arrays(arguments: dict[str, Any], looks: Looks) -> dict[str, Any]:
         raise ValueError(f"one shape has one material, and the {len(parts)} meshes have several: give a bsdf for all of "
                          "them, or put the trimesh.Scene (of a file: trimesh.load_scene(filename)) into the dict by itself, "
                          "which makes a shape of each")
-    found["mesh"] = joined([transformed(part.arrays, each.to_world) for part, each in zip(parts, placed)])
+    found["mesh"] = joined_meshes([transformed_mesh(part.arrays, each.to_world) for part, each in zip(parts, placed)])
     bsdf, emitter = dress(parts[0].look)
     if bsdf is not None:
         found["bsdf"] = bsdf

@@ -22,7 +22,7 @@ from typing import Any
 
 from torch_radbp.io.xml import MAX_DEPTH, Element, abridged, read_xml
 from torch_radbp.io.xml_upgrade import upgraded
-from torch_radbp.io.xml_values import PROPERTIES, check_attributes, property_value
+from torch_radbp.io.xml_values import PROPERTIES, check_element, property_value
 from torch_radbp.plugin import REGISTRY, nearest
 
 DIRECTIVES = ("default", "include", "path", "alias")
@@ -104,7 +104,7 @@ class _Reader:
 
     def scene(self, root: Element) -> XMLObject:
         """The whole scene; children without an id are called by their type: rectangle, rectangle_1, ..."""
-        check_attributes(root, ("version",), ("type", "id", "name"))
+        check_element(root, ("version",), ("type", "id", "name"))
         scene = XMLObject(root, self.folders)
         scene["type"] = "scene"
         children = []
@@ -123,7 +123,7 @@ class _Reader:
     def child(self, element: Element) -> XMLObject:
         """A plugin or a reference to one."""
         if element.tag == "ref":
-            check_attributes(element, ("id",), ("name",))
+            check_element(element, ("id",), ("name",))
             reference = XMLObject(element, self.folders)
             reference.update(type="ref", id=element.attributes["id"])
             self.references.append(reference)
@@ -138,7 +138,7 @@ class _Reader:
         if element.tag not in (*REGISTRY, "spectrum"):
             raise element.fail(f"this element is not supported; supported here: {_supported()}, "
                                f"{', '.join(PROPERTIES)}")
-        check_attributes(element, ("type",), ("id", "name", "version"))
+        check_element(element, ("type",), ("id", "name", "version"))
         self.depth += 1
         if self.depth > MAX_DEPTH:
             raise element.fail(f"objects are nested more than {MAX_DEPTH} deep, included files counted in")
@@ -186,7 +186,7 @@ class _Reader:
 
     def include(self, element: Element) -> Iterator[Element]:
         """The contents of a file: the children of its <scene>, or its only object."""
-        check_attributes(element, ("filename",), ("name",))
+        check_element(element, ("filename",), ("name",))
         filename = element.attributes["filename"]
         path = find_file(filename, self.folders)
         if path is None:
@@ -211,12 +211,12 @@ class _Reader:
 
     def default(self, element: Element) -> None:
         """A value for a variable that has none yet."""
-        check_attributes(element, ("name", "value"))
+        check_element(element, ("name", "value"))
         self.variables.setdefault(element.attributes["name"], element.attributes["value"])
 
     def path(self, element: Element) -> None:
         """One more folder in which files are looked for."""
-        check_attributes(element, ("value",))
+        check_element(element, ("value",))
         folder = find_file(element.attributes["value"], self.folders, os.path.isdir)
         if folder is None:
             raise element.fail(f"folder {element.attributes['value']!r} not found; looked in {_listed(self.folders)}")
@@ -224,7 +224,7 @@ class _Reader:
 
     def alias(self, element: Element) -> None:
         """A second id for an object that came before."""
-        check_attributes(element, ("id", "as"))
+        check_element(element, ("id", "as"))
         source, alias = element.attributes["id"], element.attributes["as"]
         if source not in self.ids and source not in self.aliases:
             raise element.fail(f"no object with the id {source!r} comes before; {nearest(source, self.ids)}")

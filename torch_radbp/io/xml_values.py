@@ -21,7 +21,7 @@ UNIT = 1e-3  # how far the length of a rotation axis may be from 1 by rounding
 INTEGER = re.compile(r"[+-]?\d{1,18}", re.ASCII)
 
 
-def check_attributes(element: Element, required: Iterable[str] = (), optional: Iterable[str] = ()) -> None:
+def check_element(element: Element, required: Iterable[str] = (), optional: Iterable[str] = ()) -> None:
     """Raises SceneError unless the element has all `required` attributes and no others than those and `optional`."""
     required = list(required)
     known = [*required, *optional]
@@ -33,7 +33,7 @@ def check_attributes(element: Element, required: Iterable[str] = (), optional: I
             raise element.fail(f"the attribute {name!r} is missing; expected {', '.join(known)}")
 
 
-def numbers(element: Element, attribute: str, counts: tuple[int, ...]) -> list[float]:
+def _numbers(element: Element, attribute: str, counts: tuple[int, ...]) -> list[float]:
     """The numbers in an attribute, separated by commas or blanks.
 
     Raises:
@@ -52,16 +52,16 @@ def numbers(element: Element, attribute: str, counts: tuple[int, ...]) -> list[f
 
 def vector(element: Element, default: float | None = None, extra: tuple[str, ...] = ()) -> list[float]:
     """Three numbers from value="1, 2, 3", value="1" or x= y= z=; `default` stands for a component not given."""
-    check_attributes(element, extra, ("value", "x", "y", "z"))
+    check_element(element, extra, ("value", "x", "y", "z"))
     axes = [axis for axis in "xyz" if axis in element.attributes]
     if "value" in element.attributes:
         if axes:
             raise element.fail("give either value or x, y, z, not both")
-        values = numbers(element, "value", (1, 3))
+        values = _numbers(element, "value", (1, 3))
         return values * 3 if len(values) == 1 else values
     if default is None and len(axes) < 3:
         raise element.fail("needs value=\"x, y, z\" or all of x, y and z")
-    return [numbers(element, axis, (1,))[0] if axis in axes else default for axis in "xyz"]
+    return [_numbers(element, axis, (1,))[0] if axis in axes else default for axis in "xyz"]
 
 
 def _integer(element: Element) -> int:
@@ -82,14 +82,14 @@ def _rgb(element: Element) -> dict[str, Any]:
     if element.attributes["value"].strip().startswith("#"):
         raise element.fail("hexadecimal colours are not part of Mitsuba 3; write three linear RGB numbers, "
                            "value=\"0.8, 0.2, 0.1\"")
-    values = numbers(element, "value", (1, 3))
+    values = _numbers(element, "value", (1, 3))
     return {"type": "rgb", "value": values * 3 if len(values) == 1 else values}
 
 
 def _spectrum(element: Element) -> dict[str, Any]:
     text = element.attributes["value"]
     if ":" not in text:
-        values = numbers(element, "value", (1, 3))
+        values = _numbers(element, "value", (1, 3))
         return {"type": "spectrum", "value": values[0]} if len(values) == 1 else {"type": "rgb", "value": values}
     pairs = [pair.split(":") for pair in text.replace(",", " ").split()]
     wrong = next((pair for pair in pairs if len(pair) != 2 or not all(map(NUMBER.fullmatch, pair))), None)
@@ -101,7 +101,7 @@ def _spectrum(element: Element) -> dict[str, Any]:
 
 SCALARS: dict[str, Callable[[Element], Any]] = {
     "integer": _integer,
-    "float": lambda element: numbers(element, "value", (1,))[0],
+    "float": lambda element: _numbers(element, "value", (1,))[0],
     "boolean": _boolean,
     "string": lambda element: element.attributes["value"],
     "rgb": _rgb,
@@ -113,22 +113,22 @@ PROPERTIES = (*SCALARS, "point", "vector", "transform")
 def property_value(element: Element) -> Any:
     """The value of a property element: int, float, bool, str, [x, y, z], {"type": "rgb", ...}, or a 4 x 4 array."""
     if element.tag == "transform":
-        check_attributes(element, ("name",))
+        check_element(element, ("name",))
         return transform_value(element)
     if element.children:
         raise element.children[0].fail(f"cannot stand inside <{element.tag}>, which is a plain value")
     if element.tag in ("point", "vector"):
         return vector(element, extra=("name",))
     if element.tag == "spectrum" and "filename" in element.attributes:
-        check_attributes(element, ("name", "filename"))
+        check_element(element, ("name", "filename"))
         return {"type": "spectrum", "filename": element.attributes["filename"]}
-    check_attributes(element, ("name", "value"))
+    check_element(element, ("name", "value"))
     return SCALARS[element.tag](element)
 
 
 def _rotation(element: Element) -> np.ndarray:
     """A rotation; one about an axis of another length than one is what Mitsuba makes of it, with a warning."""
-    axis, angle = vector(element, 0.0, extra=("angle",)), numbers(element, "angle", (1,))[0]
+    axis, angle = vector(element, 0.0, extra=("angle",)), _numbers(element, "angle", (1,))[0]
     length = math.hypot(*axis)
     if length == 0 or abs(length - 1.0) <= UNIT:
         return transform.rotate(axis, angle)
@@ -139,14 +139,14 @@ def _rotation(element: Element) -> np.ndarray:
 
 
 def _look_at(element: Element) -> np.ndarray:
-    check_attributes(element, ("origin", "target"), ("up",))
-    points = (numbers(element, name, (3,)) for name in ("origin", "target", "up") if name in element.attributes)
+    check_element(element, ("origin", "target"), ("up",))
+    points = (_numbers(element, name, (3,)) for name in ("origin", "target", "up") if name in element.attributes)
     return look_at(*(torch.tensor(point, dtype=torch.float64) for point in points)).numpy()
 
 
 def _matrix(element: Element) -> np.ndarray:
-    check_attributes(element, ("value",))
-    return transform.affine(numbers(element, "value", (9, 16)))
+    check_element(element, ("value",))
+    return transform.affine_matrix(_numbers(element, "value", (9, 16)))
 
 
 OPERATIONS: dict[str, Callable[[Element], np.ndarray]] = {

@@ -40,7 +40,7 @@ def tangent(x: Tensor, parts: Quadrant) -> Tensor:
     return torch.where(x == 0, x, torch.where(odd, -cosine, sine) / torch.where(odd, sine, cosine))
 
 
-def angle_of(y: Tensor, x: Tensor, series: Sequence[float]) -> Tensor:
+def _angle_of(y: Tensor, x: Tensor, series: Sequence[float]) -> Tensor:
     """atan2, by the series of (atan(t) - t) / t^3 in t^2 up to t = tan(pi / 8)."""
     ax, ay = x.abs(), y.abs()
     low, high = torch.minimum(ax, ay), torch.maximum(ax, ay)
@@ -60,10 +60,10 @@ def angle_functions(quadrant: Callable[[Tensor], Quadrant], series: Sequence[flo
 
     Args:
         quadrant: reduces an angle.
-        series: of `angle_of`.
+        series: of `_angle_of`.
     """
     def atan2(y: Tensor, x: Tensor) -> Tensor:
-        return angle_of(y, x, series)
+        return _angle_of(y, x, series)
 
     def other_leg(x: Tensor) -> Tensor:
         return torch.sqrt((1.0 - x) * (1.0 + x))

@@ -35,7 +35,7 @@ class Form:
         structure: as `flatten` tells it.
         number: by which the structure, and how columns lie, are told from others.
         table: whether tensors of shape (N,) are tables.
-        columns: as of `columns_of`.
+        columns: as of `_columns_of`.
     """
 
     __slots__ = ("structure", "number", "table", "columns", "unpack", "types", "dtypes", "itemsizes", "dimensions", "kinds",
@@ -56,7 +56,7 @@ class Form:
         leaves = self.unpack(argument)
         same = (leaves is not None and list(map(type, leaves)) == self.types
                 and [leaf.dtype for leaf in leaves] == self.dtypes and [leaf.dim() for leaf in leaves] == self.dimensions
-                and (not self.table or columns_of(leaves) == self.columns))
+                and (not self.table or _columns_of(leaves) == self.columns))
         return leaves if same else None
 
 
@@ -92,7 +92,7 @@ class Parameter:
         for leaf in leaves:
             if leaf.dim() > 1:
                 raise ValueError(f"{self.function} takes tensors of shape () and (N,), got {tuple(leaf.shape)}")
-        structure, types, columns = tuple(items), tuple(map(type, leaves)), columns_of(leaves) if self.table else ()
+        structure, types, columns = tuple(items), tuple(map(type, leaves)), _columns_of(leaves) if self.table else ()
         key = structure, types, self.table, columns
         form = FORMS.get(key)
         if form is None:
@@ -110,7 +110,7 @@ class Column(NamedTuple):
     place: int  # in a row
 
 
-def columns_of(leaves: Sequence[Tensor]) -> tuple[Column | None, ...]:
+def _columns_of(leaves: Sequence[Tensor]) -> tuple[Column | None, ...]:
     """Of each table the column that it is, None of one whose entries stand one after the other; () if so do all."""
     if all([leaf.is_contiguous() for leaf in leaves]):
         return ()
@@ -136,7 +136,7 @@ def column_of(leaf: Tensor, blocks: dict[tuple[int, int, int], int]) -> Column |
     return Column(blocks.setdefault((memory.data_ptr(), offset - place, width), len(blocks)), width, place)
 
 
-class Taken:
+class PreparedArgument:
     """An argument, taken apart: for one call, or for several that get the very same.
 
     Args:
@@ -203,17 +203,17 @@ class Arguments:
 
     Args:
         parameters: of the function, those that the arguments belong to.
-        arguments: each as it is, or `Taken`.
+        arguments: each as it is, or `PreparedArgument`.
         known: the arguments that stand before these.
 
     Raises:
-        ValueError, RuntimeError: as for `Taken`.
+        ValueError, RuntimeError: as for `PreparedArgument`.
     """
 
     __slots__ = ("given", "forms", "leaves", "read", "pointers", "sizes", "lanes", "shared", "device", "addresses")
 
     def __init__(self, parameters: Sequence[Parameter], arguments: Sequence, known: Arguments | None = None):
-        parts = [argument if type(argument) is Taken else Taken(parameter, argument)
+        parts = [argument if type(argument) is PreparedArgument else PreparedArgument(parameter, argument)
                  for parameter, argument in zip(parameters, arguments)]
         assert all([part.form.table == parameter.table for part, parameter in zip(parts, parameters)])
         self.given, self.forms = [part.argument for part in parts], [part.form for part in parts]

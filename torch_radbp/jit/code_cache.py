@@ -42,7 +42,7 @@ def folder() -> Path | None:
 
 
 @functools.cache
-def own(place: Path) -> bool:
+def belongs_to_user(place: Path) -> bool:
     """True if a folder, made now if there is none, belongs to this user and nobody else may write into it."""
     try:
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -52,19 +52,19 @@ def own(place: Path) -> bool:
     return not hasattr(os, "getuid") or (state.st_uid == os.getuid() and not state.st_mode & 0o022)
 
 
-def path_of(name: str) -> Path | None:
+def _path_of(name: str) -> Path | None:
     """The file of an entry; None: nothing is kept."""
     place = folder()
-    return place / f"{name}{SUFFIX}" if place is not None and own(place) else None
+    return place / f"{name}{SUFFIX}" if place is not None and belongs_to_user(place) else None
 
 
 def digest(name: str, contents: bytes) -> bytes:
     return hashlib.sha256(name.encode() + b"\n" + contents).digest()
 
 
-def read(name: str) -> bytes | None:
-    """What `write` kept under this name; None if there is nothing, or it is damaged."""
-    path = path_of(name)
+def read_code(name: str) -> bytes | None:
+    """What `write_code` kept under this name; None if there is nothing, or it is damaged."""
+    path = _path_of(name)
     if path is None:
         return None
     try:
@@ -79,9 +79,9 @@ def read(name: str) -> bytes | None:
     return zlib.decompress(found[start:])
 
 
-def write(name: str, code: bytes) -> None:
+def write_code(name: str, code: bytes) -> None:
     """Keeps code under a name; leaves it where the disk is full or read-only."""
-    path = path_of(name)
+    path = _path_of(name)
     if path is None:
         return
     try:
@@ -139,8 +139,8 @@ def machine_code(text: str, architecture: str, make: Callable[[str], bytes]) -> 
         make: makes the machine code of `text`. Where nothing can be written it is called in each process.
     """
     name = hashlib.sha256("\n".join([llvmlite.__version__, architecture, text]).encode()).hexdigest()
-    code = read(name)
+    code = read_code(name)
     if code is None:
         code = make(text)
-        write(name, code)
+        write_code(name, code)
     return code

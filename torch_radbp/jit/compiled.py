@@ -85,7 +85,7 @@ class Compiled:
                       first, lengths=True)
 
 
-def name_of(function: Callable, tables: tuple[str, ...], given: Arguments, target: Target) -> str | None:
+def code_name(function: Callable, tables: tuple[str, ...], given: Arguments, target: Target) -> str | None:
     """A digest of all that the code of a function depends on; None if that cannot be told.
 
     Args:
@@ -94,14 +94,14 @@ def name_of(function: Callable, tables: tuple[str, ...], given: Arguments, targe
         given: arguments of the structure in question.
         target: that it is compiled for.
     """
-    structures = tuple((form.structure, *map(plain, form.columns)) for form in given.forms)
+    structures = tuple((form.structure, *map(_plain, form.columns)) for form in given.forms)
     try:
         return fingerprint(function, tables, structures, given.shared, target.platform, compiler())
     except Opaque:
         return None
 
 
-def plain(column: Column | None) -> tuple[int, ...] | None:
+def _plain(column: Column | None) -> tuple[int, ...] | None:
     """How a table lies, as a tuple."""
     return None if column is None else tuple(column)
 
@@ -115,9 +115,9 @@ def compiler() -> tuple[str, ...]:
     return str(torch.__version__), llvmlite.__version__, sys.version, digest.hexdigest()
 
 
-def read(name: str, target: Target) -> Compiled | None:
-    """What `write` kept under this name, also in an earlier process; None if there is nothing."""
-    found = code_cache.read(name)
+def read_compiled(name: str, target: Target) -> Compiled | None:
+    """What `write_compiled` kept under this name, also in an earlier process; None if there is nothing."""
+    found = code_cache.read_code(name)
     if found is None:
         return None
     try:
@@ -127,12 +127,12 @@ def read(name: str, target: Target) -> Compiled | None:
     return ready(interface, Later(lambda: code), target)
 
 
-def made(name: str | None, interface: Interface, program: Program, target: Target) -> Compiled:
+def compiled_program(name: str | None, interface: Interface, program: Program, target: Target) -> Compiled:
     """The function of a program, whose code is made meanwhile, and kept for later processes under a name if it has one."""
     def code() -> bytes:
         found = target.code(program) if interface.dtypes else b""
         if name is not None:
-            write(name, interface, found)
+            write_compiled(name, interface, found)
         return found
 
     later = Later(code)
@@ -148,10 +148,10 @@ def ready(interface: Interface, code: Later[bytes], target: Target) -> Compiled:
     return Compiled(interface, Later(lambda: target.loop(code.result(), interface.searched)) if interface.dtypes else None)
 
 
-def write(name: str, interface: Interface, code: bytes) -> None:
-    """Keeps a function for `read`, if what it returns can be told to other processes."""
+def write_compiled(name: str, interface: Interface, code: bytes) -> None:
+    """Keeps a function for `read_compiled`, if what it returns can be told to other processes."""
     try:
         contents = pickle.dumps((interface, code))
     except (pickle.PicklingError, AttributeError, TypeError):  # constants that only this process has
         return
-    code_cache.write(name, contents)
+    code_cache.write_code(name, contents)

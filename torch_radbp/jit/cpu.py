@@ -42,7 +42,7 @@ class Cpu:
     def text(self, program: Program) -> str:
         """The module of a program."""
         width = self.width or host_width() * vectors(program)
-        return framed(emit(program, width, window_of(host_features())), width)
+        return loop_module(emit(program, width, window_of(host_features())), width)
 
     @property
     def platform(self) -> str:
@@ -61,13 +61,13 @@ class Cpu:
         """See `Target`."""
         return self.loop(self.code(program))
 
-    chosen = staticmethod(cpu_order.chosen)
-    partition = staticmethod(cpu_order.partition)
-    in_order = staticmethod(cpu_runs.in_order)
-    inverted = staticmethod(cpu_order.inverted)
-    nothing = staticmethod(cpu_order.nothing)
-    put = staticmethod(cpu_order.put)
-    scatter_add = staticmethod(cpu_scatter.scatter_add)
+    chosen = staticmethod(cpu_order.chosen_on_cpu)
+    partition = staticmethod(cpu_order.partition_on_cpu)
+    in_order = staticmethod(cpu_runs.in_order_on_cpu)
+    inverted = staticmethod(cpu_order.inverted_on_cpu)
+    nothing = staticmethod(cpu_order.nothing_on_cpu)
+    put = staticmethod(cpu_order.put_on_cpu)
+    scatter_add = staticmethod(cpu_scatter.scatter_add_on_cpu)
 
     def copies(self, entries: int) -> int:
         """See `Target`."""
@@ -94,7 +94,7 @@ class CpuLoop:
         run_lanes(self.address, lanes, array("q", [*inputs, *lengths]), array("q", outputs))
 
 
-def framed(body: Body, width: int) -> str:
+def loop_module(body: Body, width: int) -> str:
     """The module that runs `body` for blocks of `width` lanes."""
     outputs = [value for value in body.program.outputs if value is not None]
     hints = prefetches(body.program, body.names, width) if width > 1 else ()

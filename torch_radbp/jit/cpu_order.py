@@ -143,16 +143,16 @@ ZERO = array("q", [0])
 COUNTERS = "ptr %places, i64 %queues, i64 %first"
 
 
-def loop(name: str, arguments: str, body: str, result: str = "void", end: str = "  ret void") -> str:
+def _loop(name: str, arguments: str, body: str, result: str = "void", end: str = "  ret void") -> str:
     """The text of a function that runs `body` for each `%i` below its last argument, `%count`."""
     return LOOP.format(name=name, arguments=arguments, body=body, result=result, end=end)
 
 
-def text() -> str:
+def _text() -> str:
     """The module: how lanes are counted, partitioned and put into places, for each size of an element, and are chosen."""
     begins = "\n".join(BEGIN_RUN.format(k=k, after=k + 1) for k in range(ABREAST))
-    functions = [loop("choose", "ptr %flags, ptr %order", CHOOSE, "i64", CHOSEN),
-                 loop("begin", "ptr %places, ptr %found", BEGIN.format(runs=ABREAST, counters=begins))]
+    functions = [_loop("choose", "ptr %flags, ptr %order", CHOOSE, "i64", CHOSEN),
+                 _loop("begin", "ptr %places, ptr %found", BEGIN.format(runs=ABREAST, counters=begins))]
     for bits in BITS:
         scalar = f"i{bits}"
         wide, as_wide = ("add i64", ", 0") if bits == 64 else (f"zext {scalar}", " to i64")
@@ -160,16 +160,16 @@ def text() -> str:
             counts = [COUNT.format(scalar=scalar, wide=wide, as_wide=as_wide, k=k) for k in runs]
             stores = [STORE_LANE.format(k=k) for k in runs]
             functions += [
-                loop(f"count_{name}_{scalar}", f"ptr %numbers, {COUNTERS}", "\n".join(counts)),
-                loop(f"partition_{name}_{scalar}", f"ptr %order, ptr %numbers, {COUNTERS}", "\n".join([*counts, *stores]))]
+                _loop(f"count_{name}_{scalar}", f"ptr %numbers, {COUNTERS}", "\n".join(counts)),
+                _loop(f"partition_{name}_{scalar}", f"ptr %order, ptr %numbers, {COUNTERS}", "\n".join([*counts, *stores]))]
     return "\n".join(functions)
 
 
-class Code:
-    """The machine code of `text`: functions by the bytes of an element."""
+class _Code:
+    """The machine code of `_text`: functions by the bytes of an element."""
 
     def __init__(self) -> None:
-        self.module = cached_code(text(), entry="choose")
+        self.module = cached_code(_text(), entry="choose")
         self.choose, self.begin = self.function("choose", "ppn", ctypes.c_int64), self.function("begin", "ppn")
         self.count, self.count_rest, self.partition, self.partition_rest = (
             {bits // 8: self.function(f"{name}_i{bits}", arguments) for bits in BITS}
@@ -182,7 +182,7 @@ class Code:
         return ctypes.CFUNCTYPE(result, *(kinds[letter] for letter in arguments))(self.module.address_of(name))
 
 
-code = made_once(Code)
+code = made_once(_Code)
 
 
 @made_once
@@ -199,27 +199,27 @@ def inverting() -> MachineCode:
 
 @made_once
 def addresses() -> dict[str, int]:
-    """Where the functions of `text` lie, by their names."""
+    """Where the functions of `_text` lie, by their names."""
     names = ["choose", "begin", *(f"{name}_i{bits}" for bits in BITS for name in (
         "count_abreast", "count_rest", "partition_abreast", "partition_rest"))]
     return {name: code().module.address_of(name) for name in names}
 
 
-def inverted(flags: Tensor) -> Tensor:
+def inverted_on_cpu(flags: Tensor) -> Tensor:
     """See `order.inverted`."""
     if (listener := recording()) is not None:
         return listener.inverted(flags, True)
     return ~flags
 
 
-def nothing(flags: Tensor) -> Tensor:
+def nothing_on_cpu(flags: Tensor) -> Tensor:
     """See `order.nothing`."""
     if (listener := recording()) is not None:
         return listener.inverted(flags, False)
     return torch.zeros_like(flags)
 
 
-def chosen(flags: Tensor) -> Tensor:
+def chosen_on_cpu(flags: Tensor) -> Tensor:
     """See `order.chosen`."""
     if (listener := recording()) is not None:
         return listener.chosen(flags)
@@ -228,7 +228,7 @@ def chosen(flags: Tensor) -> Tensor:
     return order[:code().choose(flags.data_ptr(), order.data_ptr(), flags.numel())]
 
 
-def partition(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
+def partition_on_cpu(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
     """See `order.partition`."""
     if (listener := recording()) is not None:
         return listener.partition(number, queues)
@@ -249,7 +249,7 @@ def partition(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
 
 
 def partitioned_by_many(number: Tensor, queues: int, order: Tensor) -> tuple[Tensor, Sequence[int]]:
-    """`partition` into queues of few lanes, whose counters for several runs would not fit into a cache; writes `order`."""
+    """`partition_on_cpu` into queues of few lanes: counters for several runs would not fit into a cache; writes `order`."""
     size, found = number.element_size(), ZERO * queues
     code().count_rest[size](number.data_ptr(), found.buffer_info()[0], queues, 0, number.numel())
     counts = torch.frombuffer(found, dtype=torch.int64)
@@ -258,7 +258,7 @@ def partitioned_by_many(number: Tensor, queues: int, order: Tensor) -> tuple[Ten
     return order, found
 
 
-def put(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
+def put_on_cpu(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
     """See `order.put`; all is contiguous."""
     if (listener := recording()) is not None:
         listener.put(targets, place, entries)

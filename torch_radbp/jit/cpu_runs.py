@@ -7,7 +7,7 @@ import ctypes
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.cpu_order import partition
+from torch_radbp.jit.cpu_order import partition_on_cpu
 from torch_radbp.jit.machine import cached_code, made_once
 
 # Each run of lanes, one after the other, in the order of its keys: a key moves down past those that are greater. And the
@@ -78,7 +78,7 @@ done:
 LONGEST_RUN = 64  # that is sorted key by key
 
 
-class Code:
+class _Code:
     """The machine code of `SORT_RUNS`: takes addresses of lanes, of their keys, of the numbers of their runs, which are
     written, of the runs' lengths, and how many runs."""
 
@@ -87,16 +87,16 @@ class Code:
         self.sort_runs = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 4, ctypes.c_int64)(self.module.address)
 
 
-code = made_once(Code)
+code = made_once(_Code)
 
 
-def in_order(major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor, Tensor]:
+def in_order_on_cpu(major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor, Tensor]:
     """See `order.in_order`."""
-    order, found = partition(major, queues)
+    order, found = partition_on_cpu(major, queues)
     counts = torch.frombuffer(found, dtype=torch.int64)
     if int(counts.max()) > LONGEST_RUN:
-        order, _ = partition(minor, queues)
-        order = order.index_select(0, partition(major.index_select(0, order), queues)[0])
+        order, _ = partition_on_cpu(minor, queues)
+        order = order.index_select(0, partition_on_cpu(major.index_select(0, order), queues)[0])
         return order, major.index_select(0, order), minor.index_select(0, order)
     keys, numbers = minor.index_select(0, order), torch.empty_like(order)
     code().sort_runs(order.data_ptr(), keys.data_ptr(), numbers.data_ptr(), counts.data_ptr(), queues)

@@ -130,7 +130,7 @@ done:
 """
 
 
-def text() -> str:
+def _text() -> str:
     """The module: a loop over lanes for each dtype and number of tables, the loop over jobs in blocks of lanes, and that
     over groups of jobs."""
     functions = [TAKE_PARTS.format(width=1), FEW_LANES, JOBS.format(block=BLOCK, job=JOB), GROUPS.format(job=JOB)]
@@ -145,19 +145,19 @@ def text() -> str:
     return "\n".join(functions)
 
 
-class Code:
-    """The machine code of `text`."""
+class _Code:
+    """The machine code of `_text`."""
 
     def __init__(self) -> None:
-        self.module = cached_code(text())
+        self.module = cached_code(_text())
         self.loops = {(dtype, tables): self.module.address_of(f"scatter_{scalar}_{tables}")
                       for dtype, scalar in SCALARS.items() for tables in range(1, MOST_TABLES + 1)}
 
 
-code = made_once(Code)
+code = made_once(_Code)
 
 
-def scatter_add(additions: Sequence[Addition], lanes: int) -> None:
+def scatter_add_on_cpu(additions: Sequence[Addition], lanes: int) -> None:
     """See `scatter.scatter_add`; all is contiguous."""
     loops, groups = code().loops, side_by_side(additions)
     if (listener := recording()) is not None:

@@ -24,7 +24,7 @@ from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.torch_internals import inside_dual_level
 
 
-def parted(record: Any) -> tuple[Any, Any]:
+def values_and_tangents(record: Any) -> tuple[Any, Any]:
     """The values of a record of dual tensors, and their tangents: None of what has none."""
     leaves = leaves_of(record)
     tangents = [tangent_of(leaf) if isinstance(leaf, Tensor) else None for leaf in leaves]
@@ -32,9 +32,9 @@ def parted(record: Any) -> tuple[Any, Any]:
     return with_leaves(record, values), with_leaves(record, tangents)
 
 
-def tensors_of(record: Any) -> list[Tensor]:
+def tangents_and_tensors(record: Any) -> list[Tensor]:
     """The tangents in a record, in order, and then the tensors."""
-    values, tangents = parted(record) if inside_dual_level() else (record, ())
+    values, tangents = values_and_tangents(record) if inside_dual_level() else (record, ())
     return [leaf for leaf in (*leaves_of(tangents), *leaves_of(values)) if isinstance(leaf, Tensor)]
 
 
@@ -53,7 +53,7 @@ def with_tangents(function: Callable) -> Callable:
     def of_parts(*parts):
         *pairs, asked = parts
         with nullcontext() if inside_dual_level() else forward_ad.dual_level():
-            return completed(*parted(function(*map(dual, pairs[::2], pairs[1::2]))), asked)
+            return completed(*values_and_tangents(function(*map(dual, pairs[::2], pairs[1::2]))), asked)
 
     of_parts.__name__ = function.__name__
     of_parts.__module__ = function.__module__  # its meaning is that function's, see `fingerprint`
@@ -67,7 +67,7 @@ def completed(values: Any, tangents: Any, asked: tuple[bool, ...] | None) -> tup
     """Values and tangents, the latter 0 where there are none but some are asked for.
 
     Args:
-        values, tangents: as of `parted`.
+        values, tangents: as of `values_and_tangents`.
         asked: of each leaf, whether its tangent is; None: as they are.
 
     Raises:
@@ -87,18 +87,18 @@ def tangents_of(name: str) -> str:
     return f"tangents_of_{name}"
 
 
-class Parts(NamedTuple):
+class DualParts(NamedTuple):
     """Arguments of a dual function, taken apart."""
 
     arguments: tuple[Any, ...]  # values and tangents of each
     moving: bool  # there is a tangent
 
     @staticmethod
-    def of(arguments: tuple) -> Parts:
+    def of(arguments: tuple) -> DualParts:
         """Those of some arguments."""
-        pairs = [parted(argument) for argument in arguments]
+        pairs = [values_and_tangents(argument) for argument in arguments]
         moving = any([leaf is not None for _, tangents in pairs for leaf in leaves_of(tangents)])
-        return Parts(tuple([part for pair in pairs for part in pair]), moving)
+        return DualParts(tuple([part for pair in pairs for part in pair]), moving)
 
 
 class DualFunction:
@@ -107,7 +107,7 @@ class DualFunction:
     def __init__(self, function: Callable, tables: tuple[str, ...] = (), target: Target | None = None):
         self.fused = LaneFunction(with_tangents(function), (*tables, *map(tangents_of, tables)), target)
         self.known: tuple = ()  # the first arguments of all calls that are to be quick
-        self.known_parts: Parts | None = None
+        self.known_parts: DualParts | None = None
 
     def knowing(self, *arguments) -> DualFunction:
         """As of `LaneFunction`; for one dual level."""
@@ -115,24 +115,24 @@ class DualFunction:
         other.known, other.known_parts = arguments, None
         return other
 
-    def parts(self, arguments: tuple) -> Parts:
+    def parts(self, arguments: tuple) -> DualParts:
         """Arguments taken apart; known ones once."""
         if not self.known or not all(map(operator.is_, self.known, arguments)):
-            return Parts.of(arguments)
+            return DualParts.of(arguments)
         if self.known_parts is None:
-            self.known_parts = Parts.of(self.known)
+            self.known_parts = DualParts.of(self.known)
             self.fused = self.fused.knowing(*self.known_parts.arguments)
-        rest = Parts.of(arguments[len(self.known):])
-        return Parts((*self.known_parts.arguments, *rest.arguments), self.known_parts.moving or rest.moving)
+        rest = DualParts.of(arguments[len(self.known):])
+        return DualParts((*self.known_parts.arguments, *rest.arguments), self.known_parts.moving or rest.moving)
 
-    def of_parts(self, parts: Parts):
+    def of_parts(self, parts: DualParts):
         """What a call with arguments of these parts returns."""
         return dual(*self.fused(*parts.arguments, None))
 
-    def into(self, results, first: int, parts: Parts) -> None:
+    def into(self, results, first: int, parts: DualParts) -> None:
         """Writes what a call with arguments of these parts would return into a record of dual tensors, from the entry
         `first` on; the tangents that it has are asked for."""
-        values, tangents = parted(results)
+        values, tangents = values_and_tangents(results)
         asked = tuple([tangent is not None for tangent in leaves_of(tangents)])
         self.fused.into((values, tangents), first, *parts.arguments, asked)
 

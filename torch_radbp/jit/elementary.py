@@ -56,7 +56,7 @@ def exp(x: Tensor) -> Tensor:
     x = x.clamp(-104.0, 89.0)  # zero and infinity beyond
     exponent = torch.round(x * (1 / math.log(2)))
     rest = (x - exponent * LN2_HIGH) - exponent * LN2_LOW
-    return scaled(exp_near_zero(rest), exponent)
+    return _scaled(exp_near_zero(rest), exponent)
 
 
 def exp_near_zero(x: Tensor) -> Tensor:
@@ -64,7 +64,7 @@ def exp_near_zero(x: Tensor) -> Tensor:
     return 1.0 + (x + x * x * polynomial(x, EXP))
 
 
-def scaled(x: Tensor, exponent: Tensor) -> Tensor:
+def _scaled(x: Tensor, exponent: Tensor) -> Tensor:
     """x 2^exponent of exponents that are whole numbers; also where the result is subnormal."""
     whole = exponent.to(torch.int32)
     half = whole >> 1
@@ -78,7 +78,7 @@ def erfc(x: Tensor) -> Tensor:
     exponent = torch.round(square * (-1 / math.log(2)))
     rest = (-square - exponent * math.log(2)).float()
     tail = exp_near_zero(rest) * (polynomial((size - 2.0) / (size + 2.0), ERFC) / (1.0 + 2.0 * size))
-    tail = scaled(tail, exponent)
+    tail = _scaled(tail, exponent)
     return torch.where(x < 0, 2.0 - tail, tail)
 
 

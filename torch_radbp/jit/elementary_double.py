@@ -43,16 +43,16 @@ ERFC = (1.2329951186255526, -0.13962111684056253, 0.015379652102620118, 0.068097
         1.7040516462068893e-09, 2.1459153541118695e-09, 3.033156259574846e-10)
 
 
-def power_of_two(exponent: Tensor) -> Tensor:
+def _power_of_two(exponent: Tensor) -> Tensor:
     """2^exponent of int64 exponents from -1022 to 1023, by its bits."""
     return ((exponent + 1023) << 52).view(torch.float64)
 
 
-def scaled(x: Tensor, exponent: Tensor) -> Tensor:
+def _scaled(x: Tensor, exponent: Tensor) -> Tensor:
     """x 2^exponent of exponents that are whole numbers; also where the result is subnormal."""
     whole = exponent.to(torch.int64)
     half = whole >> 1
-    return x * power_of_two(half) * power_of_two(whole - half)
+    return x * _power_of_two(half) * _power_of_two(whole - half)
 
 
 def expm1_near_zero(x: Tensor) -> Tensor:
@@ -60,28 +60,28 @@ def expm1_near_zero(x: Tensor) -> Tensor:
     return x + x * x * polynomial(x, EXP)
 
 
-def reduced(x: Tensor) -> tuple[Tensor, Tensor]:
+def _reduced(x: Tensor) -> tuple[Tensor, Tensor]:
     """x less a multiple of ln 2, and which."""
     exponent = torch.round(x * (1 / math.log(2)))
     return (x - exponent * LN2_HIGH) - exponent * LN2_LOW, exponent
 
 
-def exp(x: Tensor) -> Tensor:
-    rest, exponent = reduced(x.clamp(-746.0, 710.0))  # zero and infinity beyond
-    return scaled(1.0 + expm1_near_zero(rest), exponent)
+def _exp(x: Tensor) -> Tensor:
+    rest, exponent = _reduced(x.clamp(-746.0, 710.0))  # zero and infinity beyond
+    return _scaled(1.0 + expm1_near_zero(rest), exponent)
 
 
 def exp2(x: Tensor) -> Tensor:
     x = x.clamp(-1076.0, 1025.0)
     exponent = torch.round(x)
-    return scaled(1.0 + expm1_near_zero((x - exponent) * math.log(2)), exponent)
+    return _scaled(1.0 + expm1_near_zero((x - exponent) * math.log(2)), exponent)
 
 
 def expm1(x: Tensor) -> Tensor:
-    rest, exponent = reduced(x.clamp(-38.0, 710.0))
+    rest, exponent = _reduced(x.clamp(-38.0, 710.0))
     part = expm1_near_zero(rest)
-    result = scaled(part, exponent) + (scaled(torch.ones_like(x), exponent) - 1.0)
-    return torch.where(x == 0, x, torch.where(exponent > 60, scaled(1.0 + part, exponent), result))
+    result = _scaled(part, exponent) + (_scaled(torch.ones_like(x), exponent) - 1.0)
+    return torch.where(x == 0, x, torch.where(exponent > 60, _scaled(1.0 + part, exponent), result))
 
 
 def parts_of_log(x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -104,7 +104,7 @@ def at_the_ends(x: Tensor, result: Tensor) -> Tensor:
     return torch.where(x == math.inf, x, result)
 
 
-def log(x: Tensor) -> Tensor:
+def _log(x: Tensor) -> Tensor:
     exponent, f, half, rest = parts_of_log(x)
     return at_the_ends(x, exponent * LN2_HIGH - ((half - (rest + exponent * LN2_LOW)) - f))
 
@@ -119,11 +119,11 @@ def log10(x: Tensor) -> Tensor:
     return at_the_ends(x, exponent * math.log10(2) + (f - (half - rest)) * (1 / math.log(10)))
 
 
-def log1p(x: Tensor) -> Tensor:
-    return log_beyond_1(x, log)
+def _log1p(x: Tensor) -> Tensor:
+    return log_beyond_1(x, _log)
 
 
-def quadrant(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _quadrant(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """sin and cos of x less a multiple of pi / 2, and which multiple, modulo 4."""
     turns = torch.round(x * (2 / math.pi))
     rest = ((x - turns * QUARTER_HIGH) - turns * QUARTER_MIDDLE) - turns * QUARTER_LOW
@@ -136,13 +136,13 @@ def quadrant(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 def sinh(x: Tensor) -> Tensor:
     size = x.abs()
     grown = expm1(size.clamp_max(40.0))
-    half = exp(0.5 * size)
+    half = _exp(0.5 * size)
     value = torch.where(size < 40.0, 0.5 * (grown + grown / (grown + 1.0)), 0.5 * half * half)
     return torch.where(x == x, torch.copysign(value, x), x)
 
 
 def cosh(x: Tensor) -> Tensor:
-    half = exp(0.5 * x.abs())
+    half = _exp(0.5 * x.abs())
     return 0.5 * half * half + 0.5 / half / half
 
 
@@ -151,10 +151,10 @@ def tanh(x: Tensor) -> Tensor:
     return torch.copysign(grown / (grown + 2.0), x)
 
 
-def erfc(x: Tensor) -> Tensor:
+def _erfc(x: Tensor) -> Tensor:
     size = x.abs().clamp_max(27.3)  # zero beyond
     high = (size.view(torch.int64) & -(1 << 27)).view(torch.float64)  # its square is exact
-    tail = exp(-high * high) * exp((high - size) * (high + size))
+    tail = _exp(-high * high) * _exp((high - size) * (high + size))
     tail = tail * (polynomial((size - 4.0) / (size + 4.0), ERFC) / (1.0 + 2.0 * size))
     square = x * x
     near = 1.0 - 2 / math.sqrt(math.pi) * (x + x * square * polynomial(square, ERF))
@@ -165,7 +165,7 @@ def erf(x: Tensor) -> Tensor:
     square = x * x
     near = 2 / math.sqrt(math.pi) * (x + x * square * polynomial(square, ERF))
     near = torch.where(x == 0, x, near)
-    return torch.where((-0.5 < x) & (x < 0.5), near, torch.copysign(1.0 - erfc(x.abs()), x))
+    return torch.where((-0.5 < x) & (x < 0.5), near, torch.copysign(1.0 - _erfc(x.abs()), x))
 
 
 def hypot(x: Tensor, y: Tensor) -> Tensor:
@@ -179,7 +179,7 @@ def hypot(x: Tensor, y: Tensor) -> Tensor:
 def pow(x: Tensor, y: Tensor) -> Tensor:  # noqa: A001 (the operation's name)
     whole = torch.floor(y) == y
     odd = whole & (torch.floor(0.5 * y) != 0.5 * y)
-    value = exp(y * log(x.abs()))
+    value = _exp(y * _log(x.abs()))
     negative = torch.copysign(torch.ones_like(x), x) < 0
     value = torch.where(negative & odd, -value, value)
     value = torch.where((x < 0) & ~whole & (x != -math.inf) & (y == y), math.nan, value)
@@ -188,5 +188,6 @@ def pow(x: Tensor, y: Tensor) -> Tensor:  # noqa: A001 (the operation's name)
 
 
 FORMULAS: dict[str, Callable[..., Tensor]] = {
-    "sinh": sinh, "cosh": cosh, "tanh": tanh, "exp": exp, "exp2": exp2, "expm1": expm1, "log": log, "log2": log2,
-    "log10": log10, "log1p": log1p, "erf": erf, "erfc": erfc, "pow": pow, "hypot": hypot, **angle_functions(quadrant, ATAN)}
+    "sinh": sinh, "cosh": cosh, "tanh": tanh, "exp": _exp, "exp2": exp2, "expm1": expm1, "log": _log, "log2": log2,
+    "log10": log10, "log1p": _log1p, "erf": erf, "erfc": _erfc, "pow": pow, "hypot": hypot,
+    **angle_functions(_quadrant, ATAN)}

@@ -40,7 +40,7 @@ from torch_radbp.jit.instructions import (
 from torch_radbp.jit.loops import SEARCH
 from torch_radbp.jit.row_reads import RowReading, in_rows
 from torch_radbp.jit.schedule import few_alive
-from torch_radbp.jit.window import Window, WindowReading, at_one_index
+from torch_radbp.jit.window import TableWindow, WindowReading, at_one_index
 
 
 class Body(NamedTuple):
@@ -53,10 +53,10 @@ class Body(NamedTuple):
     names: dict[Value, str]  # of all values
 
 
-class Emitter:
+class ProgramText:
     """The text of one program for blocks of `width` lanes; `window`: in which entries of tables may lie together."""
 
-    def __init__(self, program: Program, width: int, window: Window | None = None):
+    def __init__(self, program: Program, width: int, window: TableWindow | None = None):
         self.program, self.width = program, width
         self.window = window if window is not None and window.fits(width) else None
         self.near = at_one_index(program, self.window)  # gathers that are read together
@@ -333,6 +333,6 @@ def gathers_first(values: Sequence[Value]) -> list[Value]:
         value for value in values if value not in needed]
 
 
-def emit(program: Program, width: int, window: Window | None = None) -> Body:
-    """The instructions of `program` for blocks of `width` lanes; 1 is a lane at a time. `window`: as for `Emitter`."""
-    return Emitter(program, width, window).instructions()
+def emit(program: Program, width: int, window: TableWindow | None = None) -> Body:
+    """The instructions of `program` for blocks of `width` lanes; 1 is a lane at a time. `window`: as for `ProgramText`."""
+    return ProgramText(program, width, window).instructions()

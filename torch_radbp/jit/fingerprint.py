@@ -51,7 +51,7 @@ def fingerprint(*things: Any) -> str:
     Raises:
         Opaque: if they reach something whose meaning cannot be told, such as a lock.
     """
-    reader = Reader()
+    reader = DefinitionReader()
     lines = [reader.words(things)]
     for thing in reader.named:  # grows meanwhile
         lines.append(reader.definition(thing))
@@ -60,7 +60,7 @@ def fingerprint(*things: Any) -> str:
     return hashlib.sha256("\n".join(lines).encode(errors="surrogatepass")).hexdigest()
 
 
-class Reader:
+class DefinitionReader:
     """Puts things into words. Functions, classes and objects are named by number in place, and defined once."""
 
     def __init__(self) -> None:

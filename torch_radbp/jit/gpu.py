@@ -20,7 +20,7 @@ from torch_radbp.jit.emit import emit
 from torch_radbp.jit.graph import Program
 from torch_radbp.jit.lowered import without_library
 from torch_radbp.jit.machine import made_once
-from torch_radbp.jit.nvptx import BLOCK, framed
+from torch_radbp.jit.nvptx import BLOCK, kernel_module
 from torch_radbp.jit.nvptx_lanes import COPIES, SMALL, put_text, scatter_text
 
 
@@ -42,7 +42,7 @@ class Launcher(Protocol):
         """
 
 
-class Kernel:
+class LoadedKernel:
     """A kernel, loaded.
 
     Args:
@@ -62,7 +62,7 @@ class Kernel:
 class KernelLoop:
     """A program as a kernel; see `target.Loop`."""
 
-    def __init__(self, kernel: Kernel, searched: Sequence[int]):
+    def __init__(self, kernel: LoadedKernel, searched: Sequence[int]):
         self.kernel, self.searched = kernel, searched
 
     def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
@@ -80,12 +80,12 @@ class Gpu(AnyDevice):
     def __init__(self, launcher: Launcher):
         super().__init__()
         self.launcher = launcher
-        self.kernels: dict[tuple, Kernel] = {}  # of `put` and `scatter_add`, by name and dtypes
+        self.kernels: dict[tuple, LoadedKernel] = {}  # of `put` and `scatter_add`, by name and dtypes
         self.loading = Lock()
 
     def text(self, program: Program) -> str:
         """The module of a program, LLVM's text."""
-        return framed(emit(without_library(program), width=1))
+        return kernel_module(emit(without_library(program), width=1))
 
     @property
     def platform(self) -> str:
@@ -98,19 +98,19 @@ class Gpu(AnyDevice):
 
     def loop(self, code: bytes, searched: Sequence[int]) -> KernelLoop:
         """The kernel of a module."""
-        return KernelLoop(Kernel(self.launcher, code.decode(), "lanes"), searched)
+        return KernelLoop(LoadedKernel(self.launcher, code.decode(), "lanes"), searched)
 
     def compile(self, program: Program) -> KernelLoop:
         """The kernel of a program."""
         return self.loop(self.code(program), program.searched)
 
-    def kernel(self, name: str, case: tuple, text: Callable[[tuple], str]) -> Kernel:
+    def kernel(self, name: str, case: tuple, text: Callable[[tuple], str]) -> LoadedKernel:
         """A kernel for tensors of some dtypes, loaded once."""
         key = (name, *case)
         if key not in self.kernels:
             with self.loading:
                 if key not in self.kernels:
-                    self.kernels[key] = Kernel(self.launcher, text(case), name)
+                    self.kernels[key] = LoadedKernel(self.launcher, text(case), name)
         return self.kernels[key]
 
     def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:

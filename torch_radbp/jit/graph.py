@@ -92,7 +92,7 @@ class Builder:
 
     def constant(self, number: bool | int | float, dtype: torch.dtype) -> Value:
         """A number that is known now, rounded to `dtype`."""
-        return self.value("constant", (), dtype, NUMBER, rounded(number, dtype))
+        return self.value("constant", (), dtype, NUMBER, _rounded(number, dtype))
 
     def cast(self, value: Value, dtype: torch.dtype) -> Value:
         """The value in another dtype, as `Tensor.to` converts it."""
@@ -103,7 +103,7 @@ class Builder:
         return self.value("cast", (value,), dtype)
 
 
-def rounded(number: bool | int | float, dtype: torch.dtype) -> bool | int | float:
+def _rounded(number: bool | int | float, dtype: torch.dtype) -> bool | int | float:
     """A number as a tensor of a dtype holds it."""
     if type(number) is float and dtype == torch.float32:
         return ctypes.c_float(number).value

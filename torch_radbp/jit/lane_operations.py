@@ -8,14 +8,14 @@ from typing import NamedTuple, Protocol
 import torch
 
 
-class Span(NamedTuple):
+class LaneSpan(NamedTuple):
     """Lanes between two counts, by their numbers; count 0 is zero, count 1 all lanes."""
 
     first: int
     last: int
 
 
-class Place(NamedTuple):
+class MemoryPlace(NamedTuple):
     """Where a loop reads or writes."""
 
     made: bool  # a tensor that was made while recording; else one that is given
@@ -24,7 +24,7 @@ class Place(NamedTuple):
     size: int = 4  # bytes of an entry
 
 
-class Body(Protocol):
+class LoopBody(Protocol):
     """A loop's body that may not have been compiled yet."""
 
     @property
@@ -32,85 +32,85 @@ class Body(Protocol):
         """Where it lies, once it has been; see `team.LaneLoop`."""
 
 
-class Loop(NamedTuple):
+class RecordedLoop(NamedTuple):
     """A loop over lanes."""
 
-    body: int | Body  # or its address
-    lanes: Span
+    body: int | LoopBody  # or its address
+    lanes: LaneSpan
     part: int
-    inputs: tuple[Place, ...]
-    lengths: tuple[Span, ...] | None  # of those that were made; None: lengths are not read
-    outputs: tuple[Place, ...]
+    inputs: tuple[MemoryPlace, ...]
+    lengths: tuple[LaneSpan, ...] | None  # of those that were made; None: lengths are not read
+    outputs: tuple[MemoryPlace, ...]
 
 
 class Partition(NamedTuple):
     """`order.partition`."""
 
-    number: Place
-    lanes: Span
+    number: MemoryPlace
+    lanes: LaneSpan
     queues: int
-    order: Place
+    order: MemoryPlace
     first: int  # the number of the first count that it finds: where the queue 1 begins
 
 
 class Chosen(NamedTuple):
     """`order.chosen`."""
 
-    flags: Place
-    lanes: Span
-    order: Place
+    flags: MemoryPlace
+    lanes: LaneSpan
+    order: MemoryPlace
     count: int  # the number of the count that it finds
 
 
 class Put(NamedTuple):
     """`order.put`, of entries of one size."""
 
-    place: Place
-    lanes: Span
-    pairs: tuple[tuple[Place, Place], ...]  # entry and target
+    place: MemoryPlace
+    lanes: LaneSpan
+    pairs: tuple[tuple[MemoryPlace, MemoryPlace], ...]  # entry and target
 
 
 class Inverted(NamedTuple):
     """`order.inverted`, or `order.nothing` where there are no flags."""
 
-    flags: Place | None
-    lanes: Span
-    result: Place
+    flags: MemoryPlace | None
+    lanes: LaneSpan
+    result: MemoryPlace
 
 
 class Copy(NamedTuple):
     """Entries of one tensor, to another: a result that is the same as one before, see `LaneFunction.into`."""
 
-    source: Place
-    target: Place
-    lanes: Span
+    source: MemoryPlace
+    target: MemoryPlace
+    lanes: LaneSpan
 
 
 class Added(NamedTuple):
     """An `Addition` of `scatter.scatter_add`."""
 
     loop: int  # address of the function
-    index: Place
-    touched: Place
+    index: MemoryPlace
+    touched: MemoryPlace
     step: int  # from entry to entry of the totals
     mask: int  # the number of copies less 1
-    numbers: tuple[Place, ...]
-    totals: tuple[Place, ...]
+    numbers: tuple[MemoryPlace, ...]
+    totals: tuple[MemoryPlace, ...]
 
 
 class Scattered(NamedTuple):
     """`scatter.scatter_add`."""
 
     groups: tuple[tuple[Added, ...], ...]  # that may run side by side
-    lanes: Span
+    lanes: LaneSpan
 
 
-class Given(NamedTuple):
+class OutsideWork(NamedTuple):
     """What is given outside of some lanes, and handed back for them."""
 
-    lanes: Span
-    inputs: tuple[Place, ...]
-    outputs: tuple[Place, ...]
+    lanes: LaneSpan
+    inputs: tuple[MemoryPlace, ...]
+    outputs: tuple[MemoryPlace, ...]
 
 
 class Outside(NamedTuple):
@@ -118,19 +118,19 @@ class Outside(NamedTuple):
 
     work: Callable
     context: int  # which of those that the recording is told
-    parts: tuple[Given, ...]
+    parts: tuple[OutsideWork, ...]
 
     @property
-    def outputs(self) -> tuple[Place, ...]:
+    def outputs(self) -> tuple[MemoryPlace, ...]:
         """Of all parts."""
         return tuple(place for part in self.parts for place in part.outputs)
 
 
-class Made(NamedTuple):
+class NewTensor(NamedTuple):
     """A tensor that was made while recording."""
 
     dtype: torch.dtype
-    lanes: Span
+    lanes: LaneSpan
 
 
-Operation = Loop | Partition | Chosen | Put | Inverted | Copy | Scattered | Outside
+Operation = RecordedLoop | Partition | Chosen | Put | Inverted | Copy | Scattered | Outside

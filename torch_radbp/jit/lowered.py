@@ -13,14 +13,14 @@ import torch
 
 from torch_radbp.jit.elementary_double import FORMULAS
 from torch_radbp.jit.graph import LANES, Builder, Program, Value, program
-from torch_radbp.jit.trace import trace
+from torch_radbp.jit.trace import traced_program
 
 
 @functools.cache
-def formula(operation: str) -> Program:
+def _formula(operation: str) -> Program:
     """The program of a function of the C library in basic operations."""
     arguments = 2 if operation in ("pow", "atan2", "hypot") else 1
-    return trace(lambda *x: [FORMULAS[operation](*x)], [torch.float64] * arguments, [LANES] * arguments)
+    return traced_program(lambda *x: [FORMULAS[operation](*x)], [torch.float64] * arguments, [LANES] * arguments)
 
 
 def without_library(given: Program) -> Program:
@@ -38,14 +38,14 @@ def inlined(builder: Builder, given: Program, made: dict[Value, Value]) -> dict[
         if value in made:
             continue
         arguments = tuple(made[argument] for argument in value.arguments)
-        made[value] = expanded(builder, value.operation, arguments) if value.operation in FORMULAS else builder.value(
+        made[value] = _expanded(builder, value.operation, arguments) if value.operation in FORMULAS else builder.value(
             value.operation, arguments, value.dtype, kind_of(value), value.static)
     return made
 
 
-def expanded(builder: Builder, operation: str, arguments: Sequence[Value]) -> Value:
+def _expanded(builder: Builder, operation: str, arguments: Sequence[Value]) -> Value:
     """A function of the C library by its formula."""
-    body = formula(operation)
+    body = _formula(operation)
     inputs = {value: arguments[value.static] for value in body.inputs}
     return inlined(builder, body, inputs)[body.outputs[0]]
 

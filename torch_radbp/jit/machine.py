@@ -49,7 +49,7 @@ def host_features() -> llvm.FeatureMap:
 
 
 @made_once
-def initialized() -> llvm.Target:
+def _initialized() -> llvm.Target:
     """LLVM's target for this machine, ready for use."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
@@ -64,8 +64,8 @@ def host() -> str:
 
 def target_machine(optimizes: bool = True) -> llvm.TargetMachine:
     """What makes machine code for this processor."""
-    return initialized().create_target_machine(cpu=llvm.get_host_cpu_name(),
-                                               features=host_features().flatten(), opt=2 if optimizes else 0)
+    return _initialized().create_target_machine(cpu=llvm.get_host_cpu_name(),
+                                                features=host_features().flatten(), opt=2 if optimizes else 0)
 
 
 def object_code(text: str, optimized: bool = True) -> bytes:

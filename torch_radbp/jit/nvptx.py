@@ -72,7 +72,7 @@ def kernel(name: str, parameters: Sequence[str], body: Sequence[str], functions:
                          body="\n".join(f"  {line}" for line in body), functions="\n".join(functions))
 
 
-def framed(body: Body) -> str:
+def kernel_module(body: Body) -> str:
     """The kernel of a program."""
     program = body.program
     parameters = [*(f"ptr noalias readonly %in{number}" for number in range(len(program.inputs))),
@@ -82,7 +82,7 @@ def framed(body: Body) -> str:
 
 
 @made_once
-def initialized() -> llvm.Target:
+def _initialized() -> llvm.Target:
     """LLVM's target for NVIDIA's GPUs, ready for use.
 
     Raises:
@@ -105,7 +105,7 @@ def ptx(text: str, architecture: str) -> str:
         text: LLVM's, from `kernel`.
         architecture: such as "sm_90".
     """
-    machine = initialized().create_target_machine(cpu=architecture, features=features(architecture), opt=2)
+    machine = _initialized().create_target_machine(cpu=architecture, features=features(architecture), opt=2)
     module = llvm.parse_assembly(text)
     module.verify()
     options = llvm.create_pipeline_tuning_options(speed_level=2)

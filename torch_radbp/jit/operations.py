@@ -131,7 +131,7 @@ def bound(tracer, result: Tensor, a, b, *, name: str) -> Value:
 
 
 @decomposes("clamp")
-def clamp(x: Tensor, min=None, max=None) -> Tensor:
+def _clamp(x: Tensor, min=None, max=None) -> Tensor:
     x = x if min is None else x.clamp_min(min)
     return x if max is None else x.clamp_max(max)
 

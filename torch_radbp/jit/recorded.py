@@ -12,17 +12,17 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.board import Board
-from torch_radbp.jit.lane_operations import Outside, Place, Span
+from torch_radbp.jit.lane_operations import LaneSpan, MemoryPlace, Outside
 from torch_radbp.jit.large_pages import block_of_bytes
 from torch_radbp.jit.machine import MachineCode, cached_code
-from torch_radbp.jit.recorded_text import Group, Layout, Writer
+from torch_radbp.jit.recorded_text import ResultGroup, ResultLayout, Writer
 from torch_radbp.jit.recording import NotRecordable, Recording
-from torch_radbp.jit.structure import Leaf, assembler, flatten, replaced
+from torch_radbp.jit.structure import Leaf, assembler, flatten, with_other_leaves
 
 RECORDED = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 6, ctypes.c_int64, ctypes.c_int64)
 
 
-class Given:
+class RecordedInputs:
     """What a recording is given, taken apart: tensors, and addresses of what else loops read."""
 
     __slots__ = ("items", "addresses", "lengths")
@@ -39,10 +39,10 @@ class Given:
         return tuple(map(firsts.setdefault, self.addresses, range(len(self.addresses))))
 
 
-class Found(NamedTuple):
+class ResultPlace(NamedTuple):
     """Where a result of a recording is found."""
 
-    group: int  # of `Layout.groups`; GIVEN: it was given; EMPTY: it has no lanes
+    group: int  # of `ResultLayout.groups`; GIVEN: it was given; EMPTY: it has no lanes
     row: int  # of the group, or its number among those
     count: int  # the number of the count of its entries; WHOLE: as of the group
 
@@ -73,8 +73,8 @@ class Recorded:
         leaves: list[Tensor] = []
         flatten(results, leaves, [])
         places = [recording.place(leaf) if leaf.numel() else None for leaf in leaves]
-        self.assemble: Callable[[list[Tensor]], Any] = assembler(replaced(results, Leaf))
-        self.layout = Layout(recording, [place.tensor for place in places if place and place.made])
+        self.assemble: Callable[[list[Tensor]], Any] = assembler(with_other_leaves(results, Leaf))
+        self.layout = ResultLayout(recording, [place.tensor for place in places if place and place.made])
         self.empty: list[torch.dtype] = []  # of results without lanes, which are new each time
         self.found = [self.where(place, recording.span(leaf.numel()), leaf.dtype) for place, leaf in zip(places, leaves)]
         writer = Writer(recording, self.layout, len(given))
@@ -87,21 +87,21 @@ class Recorded:
         self.called = writer.functions  # so that they stay where they are
         self.functions = array("q", [called if isinstance(called, int) else called.address for called in self.called])
 
-    def where(self, place: Place | None, lanes: Span, dtype: torch.dtype) -> Found:
+    def where(self, place: MemoryPlace | None, lanes: LaneSpan, dtype: torch.dtype) -> ResultPlace:
         """Where a result is found; `place`: None if it has no lanes."""
         if place is None:
             self.empty.append(dtype)
-            return Found(EMPTY, len(self.empty) - 1, WHOLE)
+            return ResultPlace(EMPTY, len(self.empty) - 1, WHOLE)
         if not place.made:
-            return Found(GIVEN, place.tensor, WHOLE)
+            return ResultPlace(GIVEN, place.tensor, WHOLE)
         group, row = self.layout.rows[place.tensor]
         if lanes == self.layout.groups[group].lanes:
-            return Found(group, row, WHOLE)
+            return ResultPlace(group, row, WHOLE)
         if place.first or lanes.first:
             raise NotRecordable("a result is a part of a tensor that does not begin where it does")
-        return Found(group, row, lanes.last)
+        return ResultPlace(group, row, lanes.last)
 
-    def __call__(self, given: Given, others: Given, lanes: int, board: Board, known: Sequence[int] = (),
+    def __call__(self, given: RecordedInputs, others: RecordedInputs, lanes: int, board: Board, known: Sequence[int] = (),
                  contexts: Sequence[Any] = ()) -> tuple[Any, array]:
         """The results, and all counts.
 
@@ -136,7 +136,7 @@ class Recorded:
         return self.assemble(results), counts
 
     @staticmethod
-    def rows_of(group: Group, entries: int) -> Tensor:
+    def rows_of(group: ResultGroup, entries: int) -> Tensor:
         """Room for the results of a group, (tensors, entries); what is handed over has none."""
         if group.handed:
             return torch.empty((len(group.tensors), 0), dtype=group.dtype, device="cpu")
@@ -156,7 +156,7 @@ class Recorded:
             memory.kept[group] = result.contiguous().unsqueeze(0)
             memory.places[group] = memory.kept[group].data_ptr()
 
-    def tensor(self, place: Place, memory: Memory, counts: array, lanes: int) -> Tensor:
+    def tensor(self, place: MemoryPlace, memory: Memory, counts: array, lanes: int) -> Tensor:
         """(lanes,) what lies at a place."""
         first = counts[place.first]
         if not place.made:

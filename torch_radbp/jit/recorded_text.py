@@ -20,18 +20,18 @@ from torch_radbp.jit import cpu_order, cpu_scatter
 from torch_radbp.jit.addition import MOST_TABLES
 from torch_radbp.jit.board import run_loop
 from torch_radbp.jit.lane_operations import (
-    Body,
     Chosen,
     Copy,
     Inverted,
-    Loop,
+    LaneSpan,
+    LoopBody,
+    MemoryPlace,
     Operation,
     Outside,
     Partition,
-    Place,
     Put,
+    RecordedLoop,
     Scattered,
-    Span,
 )
 from torch_radbp.jit.recording import Recording
 from torch_radbp.jit.team import PART
@@ -40,7 +40,7 @@ HEAD = """\
 define void @recorded{number}(ptr %given, ptr %kept, ptr %room, ptr %counts, ptr %functions, ptr %board,
                               i64 %lanes, i64 %row) {{"""
 SIZES = (1, 4, 8)
-# Runs of lanes abreast, as `cpu_order.partition` takes them.
+# Runs of lanes abreast, as `cpu_order.partition_on_cpu` takes them.
 PARTITION = """\
 define internal void @partition(ptr %functions, ptr %order, ptr %numbers, i64 %lanes, i64 %queues, ptr %found) {{
   %bytes = mul i64 %queues, {bytes}
@@ -64,16 +64,16 @@ declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 """
 
 
-class Group(NamedTuple):
+class ResultGroup(NamedTuple):
     """Results of one dtype and one number of lanes, which are rows of one tensor."""
 
     dtype: torch.dtype
-    lanes: Span
+    lanes: LaneSpan
     tensors: list[int]  # numbers of what was made
     handed: bool = False  # a tensor that somebody outside hands over, as it is
 
 
-class Layout:
+class ResultLayout:
     """Where what was made lies: results in groups, what others hand over by itself, the rest in rows that are used again
     once nobody reads them.
 
@@ -83,20 +83,20 @@ class Layout:
     """
 
     def __init__(self, recording: Recording, results: Sequence[int]):
-        self.groups: list[Group] = []
+        self.groups: list[ResultGroup] = []
         self.rows: dict[int, tuple[int, int]] = {}  # of each result the group and the row
         for operation in recording.operations:
             for place in operation.outputs if isinstance(operation, Outside) else ():
                 dtype, lanes = recording.made[place.tensor]
                 self.rows[place.tensor] = len(self.groups), 0
-                self.groups.append(Group(dtype, lanes, [place.tensor], True))
+                self.groups.append(ResultGroup(dtype, lanes, [place.tensor], True))
         for number in dict.fromkeys(results):
             if number in self.rows:
                 continue
             dtype, lanes = recording.made[number]
             group = next((group for group in self.groups if group[:2] == (dtype, lanes) and not group.handed), None)
             if group is None:
-                self.groups.append(group := Group(dtype, lanes, []))
+                self.groups.append(group := ResultGroup(dtype, lanes, []))
             self.rows[number] = self.groups.index(group), len(group.tensors)
             group.tensors.append(number)
         self.bytes = 0  # of all rows of the rest, for each lane
@@ -122,21 +122,21 @@ def made_in(operation: Operation) -> Iterator[int]:
     waiting = list(operation)
     while waiting:
         item = waiting.pop()
-        if isinstance(item, Place):
+        if isinstance(item, MemoryPlace):
             if item.made:
                 yield item.tensor
-        elif isinstance(item, tuple) and not isinstance(item, Span):
+        elif isinstance(item, tuple) and not isinstance(item, LaneSpan):
             waiting.extend(item)
 
 
 class Writer:
     """The text of a recording's machine code, and the functions that it calls."""
 
-    def __init__(self, recording: Recording, layout: Layout, given: int):
+    def __init__(self, recording: Recording, layout: ResultLayout, given: int):
         self.recording, self.layout, self.given = recording, layout, given
-        self.functions: list[int | Body] = []
+        self.functions: list[int | LoopBody] = []
         self.lines: list[str] = []  # of the function that is being written
-        self.addresses: dict[Place, str] = {}  # that are known there
+        self.addresses: dict[MemoryPlace, str] = {}  # that are known there
         self.counts = {0: "0", 1: "%lanes", **dict.fromkeys(range(2, 2 + recording.given_counts), "")}
 
     def line(self, text: str) -> str:
@@ -145,24 +145,24 @@ class Writer:
         self.lines.append(f"{name} = {text}")
         return name
 
-    def function(self, function: int | Body) -> str:
+    def function(self, function: int | LoopBody) -> str:
         """The pointer to a function."""
         if function not in self.functions:
             self.functions.append(function)
         at = self.line(f"getelementptr ptr, ptr %functions, i64 {self.functions.index(function)}")
         return self.line(f"load ptr, ptr {at}, align 8")
 
-    def number_of(self, lanes: Span) -> str:
+    def number_of(self, lanes: LaneSpan) -> str:
         """How many lanes there are."""
         return self.line(f"sub i64 {self.counts[lanes.last]}, {self.counts[lanes.first]}")
 
-    def address(self, place: Place) -> str:
+    def address(self, place: MemoryPlace) -> str:
         """The pointer to where something lies."""
         if place not in self.addresses:
             self.addresses[place] = self.new_address(place)
         return self.addresses[place]
 
-    def new_address(self, place: Place) -> str:
+    def new_address(self, place: MemoryPlace) -> str:
         """The same, after the instructions that find it."""
         if not place.made:
             at = self.line(f"getelementptr ptr, ptr %given, i64 {place.tensor}")
@@ -175,7 +175,7 @@ class Writer:
             base, before = "%room", self.layout.at[place.tensor]
         return self.moved(self.line(f"getelementptr i8, ptr {base}, i64 {self.line(f'mul i64 %row, {before}')}"), place)
 
-    def moved(self, base: str, place: Place) -> str:
+    def moved(self, base: str, place: MemoryPlace) -> str:
         """The pointer behind the entries that come before."""
         if not place.first:
             return base
@@ -190,7 +190,7 @@ class Writer:
             self.lines.append(f"store ptr {pointer}, ptr {at}, align 8")
         return array
 
-    def loop(self, operation: Loop) -> None:
+    def loop(self, operation: RecordedLoop) -> None:
         inputs = [self.address(place) for place in operation.inputs]
         for place, lanes in zip(operation.inputs, operation.lengths or ()):
             if place.made:
@@ -201,7 +201,7 @@ class Writer:
         self.call(operation.body, self.number_of(operation.lanes), operation.part, inputs,
                   [self.address(place) for place in operation.outputs])
 
-    def call(self, body: int | Body, number: str, part: int, inputs: Sequence[str], outputs: Sequence[str]) -> None:
+    def call(self, body: int | LoopBody, number: str, part: int, inputs: Sequence[str], outputs: Sequence[str]) -> None:
         """Runs a loop over so many lanes."""
         run, function = self.function(run_loop()), self.function(body)
         self.lines.append(f"call void {run}(ptr %board, ptr {function}, i64 {number}, i64 {part}, "
@@ -279,8 +279,8 @@ class Writer:
 
     def part(self, number: int, operations: Sequence[Operation]) -> str:
         """The function of some operations, which come one after the other."""
-        write = {Loop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put, Inverted: self.inverted,
-                 Copy: self.copy, Scattered: self.scattered}
+        write = {RecordedLoop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put,
+                 Inverted: self.inverted, Copy: self.copy, Scattered: self.scattered}
         self.lines, self.addresses, known = [], {}, len(self.counts)
         for count in range(2, known):
             at = self.line(f"getelementptr i64, ptr %counts, i64 {count}")

@@ -20,20 +20,20 @@ from torch import Tensor
 from torch_radbp.jit.addition import Addition
 from torch_radbp.jit.lane_operations import (
     Added,
-    Body,
     Chosen,
     Copy,
-    Given,
     Inverted,
-    Loop,
-    Made,
+    LaneSpan,
+    LoopBody,
+    MemoryPlace,
+    NewTensor,
     Operation,
     Outside,
+    OutsideWork,
     Partition,
-    Place,
     Put,
+    RecordedLoop,
     Scattered,
-    Span,
 )
 from torch_radbp.tensors.torch_internals import TorchDispatchMode
 
@@ -85,47 +85,47 @@ class Recording:
         for number, item in enumerate(given):
             self.given.setdefault(address_of(item), number)
         self.operations: list[Operation] = []
-        self.rays: list[Span] = []  # that are cast
-        self.made: list[Made] = []
+        self.rays: list[LaneSpan] = []  # that are cast
+        self.made: list[NewTensor] = []
         self.memory: dict[int, int] = {}  # numbers of tensors that were made, by address
         self.alive: list = [given]  # so that addresses remain theirs
         self.given_counts, self.counts = len(counts), 2 + len(counts)
         self.points = {0: 0, ALL: 1}  # numbers of counts by what stands for them
-        self.spans = {0: Span(0, 0), ALL: Span(0, 1)}
+        self.spans = {0: LaneSpan(0, 0), ALL: LaneSpan(0, 1)}
         self.drawn = random.Random(0)
         self.know([0, *counts], [0, *range(2, self.counts)])
 
     # -- Where things lie -----------------------------------------------------------------------------------------------
 
-    def span(self, lanes: int) -> Span:
+    def span(self, lanes: int) -> LaneSpan:
         """The lanes that a number of lanes stands for."""
         if lanes not in self.spans:
             raise NotRecordable(f"{lanes} lanes are no number that was found")
         return self.spans[lanes]
 
-    def place(self, item: Tensor | int) -> Place:
+    def place(self, item: Tensor | int) -> MemoryPlace:
         """Where a tensor lies, or what is at an address."""
         known = self.given.get(address_of(item))
         if known is not None:
-            return Place(False, known)
+            return MemoryPlace(False, known)
         if not isinstance(item, Tensor):
             raise NotRecordable("a loop reads what is not given")
         return self.place_made(item)
 
-    def place_made(self, tensor: Tensor) -> Place:
+    def place_made(self, tensor: Tensor) -> MemoryPlace:
         """Where a tensor lies that was made while recording, or a part of one that is given."""
         start, offset = tensor.untyped_storage().data_ptr(), tensor.storage_offset()
         number = self.memory.get(start, self.given.get(start))
         if number is None or offset not in self.points or not tensor.is_contiguous():
             raise NotRecordable(f"a tensor {tuple(tensor.shape)} is neither given nor made by a loop")
-        return Place(start in self.memory, number, self.points[offset], tensor.element_size())
+        return MemoryPlace(start in self.memory, number, self.points[offset], tensor.element_size())
 
-    def written(self, tensor: Tensor, first: int = 0) -> Place:
+    def written(self, tensor: Tensor, first: int = 0) -> MemoryPlace:
         """Where a tensor lies that is written into, from an entry on; it is made if it is not known."""
         address = tensor.untyped_storage().data_ptr()
         if tensor.data_ptr() not in self.given and address not in self.memory:
             self.memory[address] = len(self.made)
-            self.made.append(Made(tensor.dtype, self.span(tensor.numel())))
+            self.made.append(NewTensor(tensor.dtype, self.span(tensor.numel())))
             self.alive.append(tensor)
         place = self.place(tensor)
         if first not in self.points or (first and place.first):
@@ -134,7 +134,7 @@ class Recording:
 
     # -- What is done ---------------------------------------------------------------------------------------------------
 
-    def loop(self, body: int | Body, lanes: int, part: int, inputs: Sequence[Tensor | int], outputs: Sequence[Tensor],
+    def loop(self, body: int | LoopBody, lanes: int, part: int, inputs: Sequence[Tensor | int], outputs: Sequence[Tensor],
              first: int = 0, lengths: bool = False) -> None:
         """A loop of `team.run_lanes`.
 
@@ -145,9 +145,9 @@ class Recording:
             lengths: whether the lengths of the inputs are read, too.
         """
         places = tuple(map(self.place, inputs))
-        spans = tuple(self.span(item.numel()) if place.made else Span(0, 0) for item, place in zip(inputs, places))
-        self.operations.append(Loop(body, self.span(lanes), part, places, spans if lengths else None,
-                                    tuple(self.written(output, first) for output in outputs)))
+        spans = tuple(self.span(item.numel()) if place.made else LaneSpan(0, 0) for item, place in zip(inputs, places))
+        self.operations.append(RecordedLoop(body, self.span(lanes), part, places, spans if lengths else None,
+                                            tuple(self.written(output, first) for output in outputs)))
 
     def cast(self, *loop) -> None:
         """A loop, as of `loop`, that casts a ray for each lane."""
@@ -172,7 +172,7 @@ class Recording:
         for place, border in enumerate(borders):
             self.points[border] = numbers[place]
             for before in range(place):
-                self.spans[border - borders[before]] = Span(numbers[before], numbers[place])
+                self.spans[border - borders[before]] = LaneSpan(numbers[before], numbers[place])
 
     def borders(self, queues: int, lanes: int) -> list[int]:
         """Numbers that stand for where queues begin, and for where the last ends, all differences of which are new."""
@@ -194,7 +194,7 @@ class Recording:
             return order
         _, count, _ = self.borders(2, flags.numel())
         self.operations.append(Chosen(self.place(flags), self.span(flags.numel()), self.written(order), self.counts))
-        self.points[count], self.spans[count] = self.counts, Span(0, self.counts)
+        self.points[count], self.spans[count] = self.counts, LaneSpan(0, self.counts)
         self.counts += 1
         return order[:count]
 
@@ -239,7 +239,7 @@ class Recording:
             raise NotRecordable("what is done outside depends on more than is told")
         found = [[part[-1].new_empty(part[0].numel()) for _ in range(count)] for part, count in zip(given, results)]
         self.operations.append(Outside(work, known[0], tuple(
-            Given(self.span(part[0].numel()), tuple(map(self.place, part)), tuple(map(self.written, own)))
+            OutsideWork(self.span(part[0].numel()), tuple(map(self.place, part)), tuple(map(self.written, own)))
             for part, own in zip(given, found))))
         return found
 
@@ -283,14 +283,14 @@ class Guard(TorchDispatchMode):
             item.numel() in self.recording.spans)
 
 
-class Here(threading.local):
+class _ThreadState(threading.local):
     """What belongs to a thread."""
 
     recording: Recording | None = None
     guard: Guard | None = None
 
 
-HERE = Here()
+HERE = _ThreadState()
 
 
 def recording() -> Recording | None:

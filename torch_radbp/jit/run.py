@@ -12,16 +12,16 @@ from functools import partial
 from torch import Tensor
 
 from torch_radbp.jit import compiled as compiled_functions
-from torch_radbp.jit.arguments import Arguments, Parameter, Taken
+from torch_radbp.jit.arguments import Arguments, Parameter, PreparedArgument
 from torch_radbp.jit.compiled import Compiled, Interface
 from torch_radbp.jit.graph import LANES, Program
 from torch_radbp.jit.later import Later
 from torch_radbp.jit.recording import recording, unguarded
 from torch_radbp.jit.refusal import UnknownOperation
-from torch_radbp.jit.structure import Leaf, difference, flatten, of_lanes, replaced
+from torch_radbp.jit.structure import Leaf, flatten, of_lanes, structure_difference, with_other_leaves
 from torch_radbp.jit.target import Target, target_of
 from torch_radbp.jit.team import after_loops
-from torch_radbp.jit.trace import trace
+from torch_radbp.jit.trace import traced_program
 
 
 class LaneFunction:
@@ -71,16 +71,16 @@ class LaneFunction:
         other.first_arguments = Arguments(self.parameters, arguments)
         return other
 
-    def taken(self, **arguments) -> tuple[Taken, ...]:
+    def taken(self, **arguments) -> tuple[PreparedArgument, ...]:
         """Arguments by name, taken apart once for several calls, which get these in their places.
 
         What is written into their tensors in between counts, unless these are not contiguous or not aligned.
         """
-        return tuple([Taken(self.named[name], argument) for name, argument in arguments.items()])
+        return tuple([PreparedArgument(self.named[name], argument) for name, argument in arguments.items()])
 
-    def room(self, results) -> Taken:
+    def room(self, results) -> PreparedArgument:
         """What `into` is to write into, taken apart once for several calls."""
-        return Taken(self.results, results)
+        return PreparedArgument(self.results, results)
 
     def __call__(self, *arguments):
         compiled, given = self.prepared(arguments)
@@ -106,7 +106,7 @@ class LaneFunction:
                 rest as for a call.
         """
         compiled, given = self.prepared(arguments)
-        room = results if type(results) is Taken else Taken(self.results, results)
+        room = results if type(results) is PreparedArgument else PreparedArgument(self.results, results)
         self.check_room(room, compiled, given, first + given.lanes)
         tensors, sizes = room.leaves, compiled.sizes
         if (listener := recording()) is not None:
@@ -148,12 +148,12 @@ class LaneFunction:
             raise UnknownOperation(compiled)
         return compiled, given
 
-    def check_room(self, room: Taken, compiled: Compiled, given: Arguments, entries: int) -> None:
+    def check_room(self, room: PreparedArgument, compiled: Compiled, given: Arguments, entries: int) -> None:
         """Errors about results as `into` says."""
         structure = room.form.structure
         if structure is not compiled.structure:
             if structure != compiled.structure:
-                returned, found = difference(compiled.structure, structure)
+                returned, found = structure_difference(compiled.structure, structure)
                 raise ValueError(f"{self.name} returns {returned} where it is to write into {found}")
             compiled.structure = structure  # the very same object, which is quickly compared
         if room.read is not room.leaves or room.device != given.device or (room.sizes and min(room.sizes) < entries):
@@ -171,14 +171,14 @@ class LaneFunction:
                 program, interface = self.traced(given)
                 return Compiled(interface, Later(partial(self.target.compile, program)) if program.outputs else None)
             target = target_of(given.device)
-            name = compiled_functions.name_of(self.function, self.tables, given, target)
-            found = None if name is None else compiled_functions.read(name, target)
+            name = compiled_functions.code_name(self.function, self.tables, given, target)
+            found = None if name is None else compiled_functions.read_compiled(name, target)
             if found is not None:
                 return found
             program, interface = self.traced(given)
         except UnknownOperation as error:
             return str(error)
-        return compiled_functions.made(name, interface, program, target)
+        return compiled_functions.compiled_program(name, interface, program, target)
 
     def program(self, *arguments) -> Program:
         """What is computed for such arguments, traced now."""
@@ -196,11 +196,11 @@ class LaneFunction:
             nonlocal returned
             stand_ins = iter(tensors)
             results: list[Tensor] = []
-            returned = self.function(*replaced(given.given, lambda: next(stand_ins)))
+            returned = self.function(*with_other_leaves(given.given, lambda: next(stand_ins)))
             flatten(returned, results, structure)
             return results
 
-        program = trace(flat, [leaf.dtype for leaf in given.leaves], given.kinds, given.firsts)
+        program = traced_program(flat, [leaf.dtype for leaf in given.leaves], given.kinds, given.firsts)
         program = program._replace(columns=given.columns)
         passed = [value.operation == "input" and value.kind == LANES for value in program.outputs]
         outputs = tuple(dict.fromkeys(value for value, whole in zip(program.outputs, passed) if not whole))
@@ -208,4 +208,5 @@ class LaneFunction:
         program = program._replace(outputs=outputs)
         inputs = tuple(value.static for value in program.inputs)
         dtypes = tuple(value.dtype for value in outputs)
-        return program, Interface(inputs, program.searched, dtypes, results, replaced(returned, Leaf), of_lanes(structure))
+        shape = with_other_leaves(returned, Leaf)
+        return program, Interface(inputs, program.searched, dtypes, results, shape, of_lanes(structure))

@@ -42,11 +42,11 @@ def scatter_add(additions: Sequence[Addition]) -> None:
         return
     device = additions[0].index.device
     for addition in additions:
-        check(addition, lanes, device)
+        _check(addition, lanes, device)
     target_of(device).scatter_add([addition.contiguous() for addition in additions], lanes)
 
 
-def check(addition: Addition, lanes: int, device: torch.device) -> None:
+def _check(addition: Addition, lanes: int, device: torch.device) -> None:
     """Errors as `scatter_add` says."""
     index, numbers, sums = addition
     dtype = numbers[0].dtype

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from copy import copy
 
 from torch_radbp.jit.allocator import keep_freed_memory
-from torch_radbp.jit.arguments import Taken
+from torch_radbp.jit.arguments import PreparedArgument
 from torch_radbp.jit.dual import DualFunction
 from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.refusal import UnknownOperation
@@ -42,10 +42,10 @@ class CompiledStage:
         other.dual = self.dual.knowing(*map(as_it_is, arguments))
         return other
 
-    def taken(self, **arguments) -> tuple[Taken, ...]:
+    def taken(self, **arguments) -> tuple[PreparedArgument, ...]:
         return self.fused.taken(**arguments)
 
-    def room(self, results) -> Taken:
+    def room(self, results) -> PreparedArgument:
         return self.fused.room(results)
 
     def __call__(self, *arguments):
@@ -105,4 +105,4 @@ def compiled() -> CompiledStages:
 
 def as_it_is(argument):
     """An argument that may be prepared for several calls, as it was given."""
-    return argument.argument if isinstance(argument, Taken) else argument
+    return argument.argument if isinstance(argument, PreparedArgument) else argument

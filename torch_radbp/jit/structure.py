@@ -35,12 +35,12 @@ def of_lanes(key: Sequence) -> tuple:
     return tuple((item[0], 1) if isinstance(item[0], torch.dtype) else item for item in key)
 
 
-def difference(key: Sequence, other: Sequence) -> tuple[str, str]:
+def structure_difference(key: Sequence, other: Sequence) -> tuple[str, str]:
     """The first difference of two structures, in words for a message."""
-    return next((described(a), described(b)) for a, b in itertools.zip_longest(key, other) if a != b)
+    return next((_described(a), _described(b)) for a, b in itertools.zip_longest(key, other) if a != b)
 
 
-def described(item: tuple | None) -> str:
+def _described(item: tuple | None) -> str:
     """One item of a key in words."""
     if item is None:
         return "nothing"
@@ -54,12 +54,12 @@ class Leaf:
     """Stands in the place of a tensor."""
 
 
-def replaced(part: Any, next_leaf: Callable[[], Any]) -> Any:
+def with_other_leaves(part: Any, next_leaf: Callable[[], Any]) -> Any:
     """The same nested tuples with something else in the places of tensors, which `next_leaf` gives in order."""
     if isinstance(part, Tensor):
         return next_leaf()
     if isinstance(part, (tuple, list)):
-        items = [replaced(item, next_leaf) for item in part]
+        items = [with_other_leaves(item, next_leaf) for item in part]
         return type(part)(*items) if hasattr(part, "_fields") else type(part)(items)
     return part
 

@@ -20,8 +20,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.board import Board
-from torch_radbp.jit.dual import dual, parted, tensors_of
-from torch_radbp.jit.recorded import Given, Recorded
+from torch_radbp.jit.dual import dual, tangents_and_tensors, values_and_tangents
+from torch_radbp.jit.recorded import Recorded, RecordedInputs
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.structure import flatten
 from torch_radbp.jit.tiles import Handed, handed
@@ -106,7 +106,7 @@ class Tape:
 
     def __init__(self, tables: Sequence[Tensor | int], kind: Sequence[Hashable] = (), contexts: Sequence[Any] = (),
                  board: Board | None = None, cast: Callable[[int], None] | None = None):
-        self.tables, self.contexts, self.board, self.cast = Given(tables), contexts, board, cast
+        self.tables, self.contexts, self.board, self.cast = RecordedInputs(tables), contexts, board, cast
         self.kind = RECORDINGS.kind(*kind, self.tables.pattern,
                                     lying([table for table in tables if isinstance(table, Tensor)]))
         self.kinds: dict[Hashable, int] = {}  # of arguments, by their names
@@ -135,21 +135,21 @@ class Tape:
             self.cast(sum([numbers[last] - numbers[first] for first, last in taped.recorded.rays]))
         return Played(dual(*results) if taped.dual else results, [numbers[place] for place in taped.counts], taped.constant)
 
-    def link(self, key: tuple, step: Step, arguments: tuple, blank: Callable) -> tuple[Link | None, Given]:
+    def link(self, key: tuple, step: Step, arguments: tuple, blank: Callable) -> tuple[Link | None, RecordedInputs]:
         """A step whose results are handed to the next one, tile by tile, as the first of its arguments; and its tensors.
 
         Args are as for `play`; None: it cannot be recorded.
         """
         varying = self.varying(arguments)
         link = self.kept(("link", *key), arguments, varying, None, partial(self.record_link, step, arguments, blank))
-        return link, Given([*varying.items, *self.tables.items])
+        return link, RecordedInputs([*varying.items, *self.tables.items])
 
     @staticmethod
-    def varying(arguments: tuple) -> Given:
+    def varying(arguments: tuple) -> RecordedInputs:
         """The tensors of arguments, one argument after the other."""
-        return Given([tensor for argument in arguments for tensor in tensors_of(argument)])
+        return RecordedInputs([tensor for argument in arguments for tensor in tangents_and_tensors(argument)])
 
-    def kept(self, key: tuple, arguments: tuple, varying: Given, name: Hashable, make: Callable[[], Any]) -> Any:
+    def kept(self, key: tuple, arguments: tuple, varying: RecordedInputs, name: Hashable, make: Callable[[], Any]) -> Any:
         """What `make` makes of arguments of this kind; None if it cannot be made."""
         if not all([tensor.is_contiguous() for tensor in varying.items]):
             return None
@@ -167,7 +167,7 @@ class Tape:
         arguments = blank(arguments, reserve, borders) if counts else blank(arguments, reserve)
         try:
             listener, given, played = self.listened(step, arguments, reserve, borders)
-            results = parted(played.results) if inside_dual_level() else played.results
+            results = values_and_tangents(played.results) if inside_dual_level() else played.results
             return Taped(Recorded(listener, given, results), tuple([listener.points[count] for count in played.counts]),
                          played.constant, inside_dual_level())
         except NotRecordable:
@@ -178,8 +178,8 @@ class Tape:
         reserve = Reserve()
         try:
             listener, given, played = self.listened(step, blank(arguments, reserve), reserve)
-            recorded = Recorded(listener, given, tensors_of(played.results))
-            return Link(recorded, handed(recorded), parted(played.results))
+            recorded = Recorded(listener, given, tangents_and_tensors(played.results))
+            return Link(recorded, handed(recorded), values_and_tangents(played.results))
         except NotRecordable:
             return None
 
@@ -201,13 +201,13 @@ def without_contents(record: Any, reserve: Reserve, lanes: int = ALL) -> Any:
             return leaf
         return made.setdefault(leaf.data_ptr(), reserve.tensor(leaf.dtype, lanes))
 
-    return dual(*[with_leaves(part, list(map(like, leaves_of(part)))) for part in parted(record)])
+    return dual(*[with_leaves(part, list(map(like, leaves_of(part)))) for part in values_and_tangents(record)])
 
 
 def structure_of(record: Any) -> list:
     """What is there and what is not, tangents among it; equal of what one recording serves."""
     structure: list = []
-    flatten(parted(record) if inside_dual_level() else record, [], structure)
+    flatten(values_and_tangents(record) if inside_dual_level() else record, [], structure)
     return structure
 
 

@@ -117,7 +117,7 @@ class Team:
                 self.tasks.get().take_part()
 
 
-class Here(threading.local):
+class _ThreadState(threading.local):
     """What belongs to a thread."""
 
     threads: int | None = None  # that work for it, itself included; None: as many as torch has
@@ -125,7 +125,7 @@ class Here(threading.local):
     afterwards: list[Callable[[], None]] | None = None  # what is to be done after them
 
 
-HERE, TEAM = Here(), Team()
+HERE, TEAM = _ThreadState(), Team()
 COMPILERS = Team()  # that take no part in loops; see `later.py`
 
 

@@ -17,7 +17,7 @@ from torch_radbp.jit.board import run_loop
 from torch_radbp.jit.large_pages import block_of_bytes
 from torch_radbp.jit.loops import WRITE_JOB
 from torch_radbp.jit.machine import MachineCode, cached_code, made_once
-from torch_radbp.jit.recorded import WHOLE, Given, Recorded
+from torch_radbp.jit.recorded import WHOLE, Recorded, RecordedInputs
 from torch_radbp.jit.recording import NotRecordable
 from torch_radbp.jit.team import run_lanes, threads
 
@@ -190,12 +190,12 @@ class Handed(NamedTuple):
     count: int  # the number of the count of lanes that go on: the entries of the last result; -1: there is none
 
 
-class Step(NamedTuple):
+class TileStep(NamedTuple):
     """A recording that is run for a tile."""
 
     recorded: Recorded
     handed: Handed
-    given: Given  # whose first tensors are the results of the recording before, in order; of the first: lanes, in order
+    given: RecordedInputs  # the first tensors are the results of the recording before, in order; in the first one, lanes
     lanes: int  # how many of them
 
 
@@ -227,7 +227,7 @@ def handed(recorded: Recorded) -> Handed:
     return Handed(offsets, results, size, count)
 
 
-def run_in_tiles(steps: Sequence[Step], lanes: int) -> int:
+def run_in_tiles(steps: Sequence[TileStep], lanes: int) -> int:
     """Runs recordings one after the other, as long as lanes go on, and returns how many rays were cast.
 
     Args:

@@ -22,8 +22,8 @@ QUESTIONS = ("is_same_size", "_has_same_storage_numel")  # about shapes; what is
 SIZE = 1_000_003  # of lanes while tracing; what they are is known by their kind, not by their size
 
 
-def trace(function: Callable[..., Sequence[Tensor | None]], dtypes: Sequence[torch.dtype], kinds: Sequence[str],
-          places: Sequence[int] | None = None) -> Program:
+def traced_program(function: Callable[..., Sequence[Tensor | None]], dtypes: Sequence[torch.dtype], kinds: Sequence[str],
+                   places: Sequence[int] | None = None) -> Program:
     """The program of a function of flat tensors.
 
     Args:

@@ -19,7 +19,7 @@ from torch_radbp.jit.graph import LANES, Program, Value
 from torch_radbp.jit.instructions import SCALARS, memory
 
 
-class Window(NamedTuple):
+class TableWindow(NamedTuple):
     """The two vectors that a processor permutes as one."""
 
     elements: int  # of 4 bytes, of each
@@ -36,14 +36,14 @@ class Window(NamedTuple):
             table.dtype in (torch.float32, torch.int32) or (table.dtype == torch.bool and self.reads_bytes))
 
 
-def window_of(features: Mapping[str, bool]) -> Window | None:
+def window_of(features: Mapping[str, bool]) -> TableWindow | None:
     """The window of a processor with these sets of instructions; None: it has none."""
     if features.get("avx512f"):
-        return Window(16, bool(features.get("avx512bw")))
-    return Window(8, False) if features.get("avx2") else None
+        return TableWindow(16, bool(features.get("avx512bw")))
+    return TableWindow(8, False) if features.get("avx2") else None
 
 
-def at_one_index(program: Program, window: Window | None) -> dict[Value, list[Value]]:
+def at_one_index(program: Program, window: TableWindow | None) -> dict[Value, list[Value]]:
     """By index, the gathers that may find their entries in one window; a single one is not worth looking."""
     found: dict[Value, list[Value]] = {}
     for value in program.values if window is not None else ():
@@ -62,7 +62,7 @@ class WindowReading:
         scalar: LLVM's name of their type.
     """
 
-    def __init__(self, emitter, window: Window, index: str, scalar: str):
+    def __init__(self, emitter, window: TableWindow, index: str, scalar: str):
         self.emitter, self.window, self.index, self.scalar = emitter, window, index, scalar
 
     def emit(self, gathers: Sequence[Value]) -> list[str]:

@@ -9,7 +9,7 @@ from torch_radbp.shape.welding import cells_of, weld_size
 from torch_radbp.shape.welding import welded as first_at_place
 
 
-def welded(vertices: Tensor) -> tuple[Tensor, int]:
+def welded_vertices(vertices: Tensor) -> tuple[Tensor, int]:
     """The number of each vertex's place, (V,) int64, and how many there are; coordinates equal up to rounding are one."""
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices):
         raise ValueError(f"vertices must have shape (V, 3), got {tuple(vertices.shape)}")
@@ -21,12 +21,12 @@ def welded(vertices: Tensor) -> tuple[Tensor, int]:
     return place, len(firsts)
 
 
-def edges_of(faces: Tensor) -> Tensor:
+def unique_edges(faces: Tensor) -> Tensor:
     """The edges of triangles, each once, (E, 2) int64, the smaller vertex first. Triangles of two vertices have one."""
-    return torch.unique(sides_of(faces)[0], dim=0)
+    return torch.unique(_sides_of(faces)[0], dim=0)
 
 
-def sides_of(faces: Tensor) -> tuple[Tensor, Tensor]:
+def _sides_of(faces: Tensor) -> tuple[Tensor, Tensor]:
     """The three sides of each triangle, the smaller vertex first, (S, 2) int64, and whose they are, (S,) int64."""
     faces = faces.long()
     sides = torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).sort(dim=1).values
@@ -37,7 +37,7 @@ def sides_of(faces: Tensor) -> tuple[Tensor, Tensor]:
 
 def neighbours_of(faces: Tensor) -> Tensor:
     """Pairs of triangles that share an edge, (P, 2) int64; of three or more at one edge, each with the next."""
-    sides, whose = sides_of(faces)
+    sides, whose = _sides_of(faces)
     _, edge = torch.unique(sides, dim=0, return_inverse=True)
     order = edge.argsort(stable=True)
     together = edge[order[1:]] == edge[order[:-1]]

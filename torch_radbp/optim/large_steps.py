@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.optim.adjacency import edges_of, welded
+from torch_radbp.optim.adjacency import unique_edges, welded_vertices
 
 
 class LargeSteps(nn.Module):
@@ -34,13 +34,13 @@ class LargeSteps(nn.Module):
         super().__init__()
         if not smoothness >= 0:
             raise ValueError(f"smoothness must not be negative, got {smoothness}")
-        place, count = welded(vertices)
+        place, count = welded_vertices(vertices)
         if len(faces) and int(faces.max()) >= len(place):
             raise ValueError(f"faces refer to vertex {int(faces.max())}, and there are {len(place)}")
         self.smoothness = float(smoothness)
         self.register_buffer("place", place, persistent=False)
         self.count = count
-        self.edges = edges_of(place[faces.long()]).cpu()
+        self.edges = unique_edges(place[faces.long()]).cpu()
         self.solver = None  # made when it is asked for, and in each process anew
 
     def forward(self, smooth: Tensor) -> Tensor:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.optim.adjacency import edges_of, neighbours_of, welded
+from torch_radbp.optim.adjacency import neighbours_of, unique_edges, welded_vertices
 from torch_radbp.optim.large_steps import laplacian
 from torch_radbp.tensors.vec import TINY
 
@@ -22,8 +22,8 @@ def laplacian_loss(vertices: Tensor, faces: Tensor) -> Tensor:
 
     Reference: Sorkine 2005, "Laplacian Mesh Processing", section 2 (uniform weights).
     """
-    place, count = welded(vertices)
-    edges = edges_of(place[faces.long()])
+    place, count = welded_vertices(vertices)
+    edges = unique_edges(place[faces.long()])
     members = torch.bincount(place, minlength=count)[:, None]
     at = vertices.new_zeros(count, 3).index_add(0, place, vertices) / members
     degree = torch.bincount(edges.flatten(), minlength=count).clamp_min(1)[:, None]
@@ -43,7 +43,7 @@ def normal_consistency_loss(vertices: Tensor, faces: Tensor) -> Tensor:
     corners = vertices[faces.long()]
     normal = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal = normal / normal.norm(dim=1, keepdim=True).clamp_min(TINY)
-    pairs = neighbours_of(welded(vertices)[0][faces.long()])
+    pairs = neighbours_of(welded_vertices(vertices)[0][faces.long()])
     if not len(pairs):
         return (0.0 * vertices).sum()
     return (1 - (normal[pairs[:, 0]] * normal[pairs[:, 1]]).sum(1)).mean()

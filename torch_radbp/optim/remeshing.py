@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
 from torch_radbp.formats.trimesh_arrays import is_trimesh
-from torch_radbp.optim.adjacency import welded
+from torch_radbp.optim.adjacency import welded_vertices
 from torch_radbp.optim.closest import closest_points
 from torch_radbp.optim.large_steps import LargeSteps
 from torch_radbp.shape.mesh import Mesh
@@ -52,9 +52,9 @@ def remesh(mesh: Mesh, remesher: Callable | trimesh.Trimesh, optimizer: torch.op
     if not callable(remesher) and not is_trimesh(remesher):
         raise TypeError("remesher must be a function of vertices and faces, or a trimesh.Trimesh, got "
                         f"{type(remesher).__name__}")
-    steps, held = large_steps_of(mesh), parameters_of(mesh)
+    steps, held = large_steps_of(mesh), _parameters_of(mesh)
     faces, positions = mesh.faces.cpu(), mesh.vertex_positions.detach().double().cpu()
-    place, count = welded(positions)
+    place, count = welded_vertices(positions)
     places = torch.zeros(count, 3, dtype=torch.float64).index_copy_(0, place, positions)
     if is_trimesh(remesher):
         vertices, triangles = in_the_place(mesh, remesher)
@@ -79,7 +79,7 @@ def remesh(mesh: Mesh, remesher: Callable | trimesh.Trimesh, optimizer: torch.op
         found = found.new_zeros(made.count, 3).index_copy_(0, made.place, found)
         at_places = closest_points(found.double().cpu(), positions, faces)
         parametrize.register_parametrization(mesh, POSITIONS, made)
-    for name, parameter in parameters_of(mesh).items():
+    for name, parameter in _parameters_of(mesh).items():
         parameter.requires_grad_(held[name].requires_grad)
         if optimizer is not None:
             smooth = steps is not None and name == POSITIONS
@@ -124,7 +124,7 @@ def in_the_place(mesh: Mesh, made: trimesh.Trimesh) -> tuple[Tensor, Tensor]:
     Those of the mesh are where it was loaded, and its faces as they were before `flip_normals`.
     """
     vertices, triangles = checked_mesh(made)
-    place, count = welded(vertices)
+    place, count = welded_vertices(vertices)
     vertices = torch.zeros(count, 3, dtype=torch.float64).index_copy_(0, place, vertices)
     back = torch.linalg.inv(mesh.motion().detach().double().cpu())
     triangles = place[triangles]
@@ -142,7 +142,7 @@ def large_steps_of(mesh: Mesh) -> LargeSteps | None:
     return found[0]
 
 
-def parameters_of(mesh: Mesh) -> dict[str, nn.Parameter]:
+def _parameters_of(mesh: Mesh) -> dict[str, nn.Parameter]:
     """The parameters of a mesh that have a row for each vertex or face, by name; of positions what is optimised."""
     names = [name for name in (POSITIONS, "vertex_normals", "vertex_texcoords", *mesh.attribute_names)
              if name in dict(mesh.named_parameters(recurse=False)) or parametrize.is_parametrized(mesh, name)]

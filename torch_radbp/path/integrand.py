@@ -25,7 +25,7 @@ from torch_radbp.texture.reader import Place
 SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
 
 
-class Part(NamedTuple):
+class QueueStages(NamedTuple):
     """What the lanes of one queue go through."""
 
     scene: SceneTensors  # the part of the integrand's scene that they read
@@ -52,7 +52,7 @@ class Integrand(NamedTuple):
     max_depth: int
     rr_depth: int
     stages: Stages  # what runs the functions of lanes
-    parts: dict[Event, Part]  # filled when one first happens
+    parts: dict[Event, QueueStages]  # filled when one first happens
     clipping: Camera | None = None  # the camera of the paths, if its far plane cuts the scene
     # () int32: so many lanes of the chunk, the first, are of the derivative alone, the others of the image alone. None: all
     # are of both.
@@ -71,7 +71,7 @@ class Integrand(NamedTuple):
         """The same without derivatives."""
         return self._replace(scene=self.proposal, parts={}) if self.attached else self
 
-    def part(self, event: Event) -> Part:
+    def part(self, event: Event) -> QueueStages:
         """What lanes go through to which this happens."""
         event = event if event.scatters else Ends.SURROUNDINGS  # where paths end the same is read, whatever ends them
         if event not in self.parts:
@@ -81,7 +81,7 @@ class Integrand(NamedTuple):
             stage = self.stages(event.stage)
             tables, = stage.taken(proposal=proposal)
             prepared = stage.knowing(tables if scene is proposal else scene, tables)
-            self.parts[event] = Part(scene, proposal, prepared, tables, self.stages, {})
+            self.parts[event] = QueueStages(scene, proposal, prepared, tables, self.stages, {})
         return self.parts[event]
 
     def places(self, event: Event, arrival: Arrival, lanes: Tensor, depth: int) -> tuple[Place, ...]:
@@ -114,7 +114,7 @@ class Integrand(NamedTuple):
     @property
     def no_appearance(self) -> Tensor:
         """() int32, the number of the queue of lanes that meet no surface: that after the appearances."""
-        return number(len(self.proposal.layout.appearances), self.proposal.lights.choice.pmf.device)
+        return int32_number(len(self.proposal.layout.appearances), self.proposal.lights.choice.pmf.device)
 
     def is_last(self, depth: int) -> bool:
         """True if paths end at this bounce: nothing is scattered any more."""
@@ -126,7 +126,7 @@ class Integrand(NamedTuple):
 
 
 @functools.cache
-def number(value: int, device: torch.device) -> Tensor:
+def int32_number(value: int, device: torch.device) -> Tensor:
     """An int32."""
     return torch.full((), value, dtype=torch.int32, device=device)
 

@@ -39,7 +39,7 @@ EMPTY = Queue(Ends.SURROUNDINGS, 0, 0)  # of no lanes
 ALL, APART = ((True, True),), ((False, True), (True, False))  # whether lanes are of the image, and of the derivative
 
 
-def numbered(appearance: Tensor, nothing: Tensor | int, image_lanes: ImageLanes | None) -> Tensor:
+def _numbered(appearance: Tensor, nothing: Tensor | int, image_lanes: ImageLanes | None) -> Tensor:
     """(N,) int32, numbers of queues: by the appearance of what is met, and then those that meet none. If some lanes are of
     the image alone, they have queues of their own, behind those of other lanes to which the like happens.
 
@@ -73,7 +73,7 @@ def queues_by(number: Tensor, appearances: int, surround: bool, apart: bool) -> 
     """`Step.order` and `Step.queues`.
 
     Args:
-        number: (N,) int32, of `numbered`.
+        number: (N,) int32, of `_numbered`.
         appearances: how many there are.
         surround: whether lanes that meet none count.
         apart: whether some lanes are of the image alone.
@@ -112,11 +112,11 @@ def appearance_met(scene: SceneTensors, hit: Hit, nothing: Tensor,
         image_lanes: those of the image alone; None: there are none.
 
     Returns:
-        Numbers as of `numbered`. Also (N,) bool, where that from behind is another; None: nowhere.
+        Numbers as of `_numbered`. Also (N,) bool, where that from behind is another; None: nowhere.
     """
     row, met = lookup(scene.triangles.material, hit.prim.clamp_min(0)), hit.prim >= 0
     differs = None if scene.materials.differs is None else met & lookup(scene.materials.differs, row)
-    return numbered(torch.where(met, lookup(scene.materials.appearance, row), nothing), nothing, image_lanes), differs
+    return _numbered(torch.where(met, lookup(scene.materials.appearance, row), nothing), nothing, image_lanes), differs
 
 
 @stage("scene", "ray", "hit", "image_lanes")
@@ -135,7 +135,7 @@ def side_met(scene: SceneTensors, ray: Ray, hit: Hit, lanes: Tensor, nothing: Te
     row = lookup(scene.triangles.material, hit.prim)
     number = lookup(scene.materials.appearance, row + (~front).to(row.dtype) * scene.materials.count)
     image_lanes = None if image_lanes is None else image_lanes._replace(lane=rows(image_lanes.lane, lanes))
-    return numbered(number, nothing, image_lanes), front
+    return _numbered(number, nothing, image_lanes), front
 
 
 @stage("scene")
@@ -150,4 +150,4 @@ def shines(scene: SceneTensors, hit: Hit, image_lanes: ImageLanes | None) -> Ten
     met = hit.prim >= 0
     lit = met & (lookup(scene.triangles.emitter, hit.prim.clamp_min(0)) >= 0)
     found = lit | ~met if scene.layout.surround else lit
-    return found if image_lanes is None else numbered((~found).to(torch.int32), 1, image_lanes)
+    return found if image_lanes is None else _numbered((~found).to(torch.int32), 1, image_lanes)

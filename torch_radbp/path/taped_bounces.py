@@ -9,7 +9,7 @@ from functools import partial
 import torch
 
 from torch_radbp.jit.board import Board, board
-from torch_radbp.jit.dual import parted, tensors_of
+from torch_radbp.jit.dual import tangents_and_tensors, values_and_tangents
 from torch_radbp.jit.recording import ALL, Reserve
 from torch_radbp.jit.tape import Played, Tape, without_contents
 from torch_radbp.path.integrand import Integrand
@@ -57,7 +57,7 @@ def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None
     """
     caster = integrand.caster
     numbers = [integrand.no_appearance, *([] if integrand.differentiated is None else [integrand.differentiated])]
-    tables = [*numbers, *tensors_of(integrand.scene), *(() if caster is None else caster.reads(dtype)), *more]
+    tables = [*numbers, *tangents_and_tensors(integrand.scene), *(() if caster is None else caster.reads(dtype)), *more]
     present = [part is not None for part in (integrand.clipping, integrand.differentiated, *(
         getattr(caster, name, None) for name in ("balls", "instances")))]
     # Stages have the code that recordings call.
@@ -108,5 +108,5 @@ def with_first_hit(integrand: Integrand, onward: Onward) -> Onward:
 
 def moving_leaves(integrand: Integrand) -> tuple[int, ...]:
     """Which leaves of the scene have tangents."""
-    tangents = leaves_of(parted(integrand.scene)[1]) if integrand.attached else ()
+    tangents = leaves_of(values_and_tangents(integrand.scene)[1]) if integrand.attached else ()
     return tuple([place for place, tangent in enumerate(tangents) if tangent is not None])

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.dual import dual, tensors_of
+from torch_radbp.jit.dual import dual, tangents_and_tensors
 from torch_radbp.jit.order import chosen, inverted, nothing, put
 from torch_radbp.jit.team import loops_together
 from torch_radbp.path.bounce import Vertex, chance_of_light, emitter_met, gathered, pick_light
@@ -314,7 +314,7 @@ def put_rows(record, place: Tensor, entries) -> None:
         for target, new in zip(targets, found):
             target.index_copy_(0, place.long(), new)
     else:
-        put(tensors_of(targets), place, tensors_of(found))
+        put(tangents_and_tensors(targets), place, tangents_and_tensors(found))
 
 
 def radiance_buffer(integrand: Integrand, start: PathState) -> Vec3:

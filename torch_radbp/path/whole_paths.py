@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from torch_radbp.jit.dual import dual, tensors_of
+from torch_radbp.jit.dual import dual, tangents_and_tensors
 from torch_radbp.jit.tape import Played
-from torch_radbp.jit.tiles import TILE, Step, run_in_tiles
+from torch_radbp.jit.tiles import TILE, TileStep, run_in_tiles
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import Position
 from torch_radbp.path.taped_bounces import Bounce, blank_lanes, recordable, tape_of, with_first_hit
@@ -46,7 +46,7 @@ def traced_whole(integrand: Integrand, onward: Onward, depth: int = 0, bounce: B
         link, given = tape.link(key, step_of(bounce, integrand, number), (onward, L, integrand.at(number)), blank_lanes)
         if link is None:
             return None
-        steps.append(Step(link.recorded, link.handed, given, len(tensors_of(onward))))
+        steps.append(TileStep(link.recorded, link.handed, given, len(tangents_and_tensors(onward))))
         onward = dual(*link.results)
     integrand.caster.count(run_in_tiles(steps, lanes))
     return L

@@ -8,7 +8,7 @@ from typing import Any
 
 from torch_radbp.formats.image import READABLE
 from torch_radbp.formats.pillow import turned_by
-from torch_radbp.photographs.picture import Picture, Source, name_of, size_of
+from torch_radbp.photographs.picture import Picture, Source, picture_name, picture_size
 from torch_radbp.plugin import positive
 from torch_radbp.sensor.kind import ProjectiveCamera
 
@@ -45,10 +45,10 @@ def scaled_to_files(cameras: Mapping[str, ProjectiveCamera], pictures: Sequence[
         return dict(cameras)
     found = {}
     for (name, camera), picture in zip(cameras.items(), pictures):
-        size, whole = size_of(picture.image), (camera.film.width, camera.film.height)
+        size, whole = picture_size(picture.image), (camera.film.width, camera.film.height)
         if any(abs(side - scale * full) > ROUNDING for side, full in zip(size, whole)):
             turned = turned_advice(picture.image, size, tuple(scale * full for full in whole))
-            raise ValueError(f"{name_of(picture.image)} has {size[0]} x {size[1]} pixels, and its camera {whole[0]} x "
+            raise ValueError(f"{picture_name(picture.image)} has {size[0]} x {size[1]} pixels, and its camera {whole[0]} x "
                              f"{whole[1]}, which is {whole[0] * scale:g} x {whole[1] * scale:g} with scale={scale:g}"
                              f"{f'; {turned}' if turned else ''}")
         found[name] = camera.resized(*size)
@@ -61,7 +61,7 @@ def checked_size(name: str, camera: ProjectiveCamera, picture: Picture) -> tuple
     Raises:
         ValueError: if they are not.
     """
-    width, height = size_of(picture.image)
+    width, height = picture_size(picture.image)
     film = camera.film
     if (width, height) != (film.crop_width, film.crop_height):
         scale = width / film.crop_width
@@ -69,11 +69,11 @@ def checked_size(name: str, camera: ProjectiveCamera, picture: Picture) -> tuple
         turned = turned_advice(picture.image, (width, height), (film.crop_width, film.crop_height))
         advice = turned or (f"if the files were reduced, say scale={scale:.4g}" if reduced
                             else "is it the image of that camera?")
-        raise ValueError(f"{name_of(picture.image)} has {width} x {height} pixels, and its camera {name!r} "
+        raise ValueError(f"{picture_name(picture.image)} has {width} x {height} pixels, and its camera {name!r} "
                          f"{film.crop_width} x {film.crop_height}; {advice}")
-    if picture.mask is not None and size_of(picture.mask) != (width, height):
-        found = size_of(picture.mask)
-        raise ValueError(f"the mask {name_of(picture.mask)} has {found[0]} x {found[1]} pixels, and its image "
+    if picture.mask is not None and picture_size(picture.mask) != (width, height):
+        found = picture_size(picture.mask)
+        raise ValueError(f"the mask {picture_name(picture.mask)} has {found[0]} x {found[1]} pixels, and its image "
                          f"{width} x {height}")
     return width, height
 

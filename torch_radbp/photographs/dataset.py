@@ -25,7 +25,7 @@ from torch_radbp.photographs.picture import (
     as_source,
     background_colour,
     checked_curve,
-    name_of,
+    picture_name,
     read_picture,
 )
 from torch_radbp.photographs.size_batches import SizeBatches
@@ -194,7 +194,7 @@ class Photographs(Dataset[Photograph]):
             MemoryError: names the file, if there is not enough memory.
         """
         picture = self.pictures[view]
-        with memory_for(name_of(picture.image)):
+        with memory_for(picture_name(picture.image)):
             image, mask = read_picture(picture, self.curve, self.background)
             return self.at_size(view, image, mask)
 
@@ -203,8 +203,8 @@ class Photographs(Dataset[Photograph]):
         picture = self.pictures[view]
         if (size := (image.shape[2], image.shape[1])) != self.sizes[view]:
             was = self.sizes[view]
-            raise ValueError(f"{name_of(picture.image)} has {size[0]} x {size[1]} pixels now, and had {was[0]} x {was[1]} "
-                             f"when these photographs were made; make them anew")
+            raise ValueError(f"{picture_name(picture.image)} has {size[0]} x {size[1]} pixels now, and had {was[0]} x "
+                             f"{was[1]} when these photographs were made; make them anew")
         film = self.cameras[self.names[view]].film
         return tuple(area_average(part, film.crop_width, film.crop_height) for part in (image, mask))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.photographs.linear_images import check_images, view_indices
+from torch_radbp.photographs.linear_images import check_linear_images, view_indices
 from torch_radbp.plugin import boolean, integer
 
 
@@ -79,5 +79,5 @@ class Exposure(nn.Module):
         Raises:
             ValueError: if there is no such view, or not one for each image.
         """
-        check_images(images)
+        check_linear_images(images)
         return images * self.gains[view_indices(views, images, len(self.log_gain))][:, :, None, None].to(images)

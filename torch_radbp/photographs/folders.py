@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from torch_radbp.formats.leniency import Repairs
-from torch_radbp.io.nerf import frames_of, image_of, is_file, left_out, missing_of, read_json
+from torch_radbp.io.nerf import frames_of, image_file, is_file, left_out, missing_of, read_json
 from torch_radbp.photographs.picture import Picture
 from torch_radbp.plugin import SceneError
 
@@ -51,7 +51,7 @@ def nerf_pictures(path: Path, images: str | os.PathLike | None, masks: str | os.
         said = [(Path(images), [without_first(name) for name in names]), (Path(images), [Path(name).name for name in names]),
                 (Path(images), names)]
     pictures = {}
-    for name, image in files_of(path, names, said, image_of, missing).items():
+    for name, image in files_of(path, names, said, image_file, missing).items():
         mask = frames[name].entry.get("mask_path")
         if mask is not None and not isinstance(mask, str):
             raise SceneError(f"{frames[name].place}.mask_path: must be the name of the mask, got {mask!r:.80}")

@@ -25,11 +25,11 @@ class ImageCache:
             self.images.move_to_end(key)
             return self.images[key]
         made = make()
-        if size_of(made) <= self.limit:
+        if _size_of(made) <= self.limit:
             self.images[key] = made
-            self.held += size_of(made)
+            self.held += _size_of(made)
         while self.held > self.limit:
-            self.held -= size_of(self.images.popitem(last=False)[1])
+            self.held -= _size_of(self.images.popitem(last=False)[1])
         return made
 
     def __getstate__(self) -> dict:
@@ -37,6 +37,6 @@ class ImageCache:
         return {"limit": self.limit, "held": 0, "images": OrderedDict()}
 
 
-def size_of(tensors: tuple[Tensor, ...]) -> int:
+def _size_of(tensors: tuple[Tensor, ...]) -> int:
     """Bytes of some tensors."""
     return sum(tensor.numel() * tensor.element_size() for tensor in tensors)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.photographs.linear_images import check_images
+from torch_radbp.photographs.linear_images import check_linear_images
 from torch_radbp.plugin import integer
 
 
@@ -73,7 +73,7 @@ class LensFalloff(nn.Module):
         Raises:
             ValueError: for another shape; for a window without a size, of another size than the images, or not inside.
         """
-        check_images(images)
+        check_linear_images(images)
         if window is None and size is None:
             return images * self.factors(*images.shape[2:]).to(images)
         if window is None or size is None or len(size) != 2:

@@ -8,7 +8,7 @@ from torch import Tensor
 from torch_radbp.tensors.torch_internals import transforms
 
 
-def check_images(images: Tensor) -> None:
+def check_linear_images(images: Tensor) -> None:
     """Raises ValueError unless `images` are (B, 3, H, W), TypeError unless they are floats."""
     if not isinstance(images, Tensor) or not images.is_floating_point():
         got = images.dtype if isinstance(images, Tensor) else type(images).__name__

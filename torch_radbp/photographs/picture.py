@@ -51,7 +51,7 @@ def as_source(name: str, value: str | os.PathLike | Tensor, channels: int) -> So
     return value
 
 
-def size_of(source: Source) -> tuple[int, int]:
+def picture_size(source: Source) -> tuple[int, int]:
     """Width and height, of a file from its header."""
     return image_size(source) if isinstance(source, Path) else (source.shape[2], source.shape[1])
 
@@ -70,7 +70,7 @@ def checked_curve(curve: str | float) -> str | float:
                      f"{nearest(str(curve)[:60], CURVES)}")
 
 
-def decoded(path: Path, curve: str | float) -> Tensor:
+def _decoded(path: Path, curve: str | float) -> Tensor:
     """(3, H, W) linear values of a file, without regard to its alpha."""
     values = read_image(path, raw=True)
     if READABLE[path.suffix.lower()] not in LINEAR:
@@ -93,24 +93,24 @@ def read_picture(picture: Picture, curve: str | float, background: Tensor) -> tu
     if isinstance(picture.image, Tensor):
         image, alpha = picture.image.float(), None
     else:
-        image, alpha = decoded(picture.image, curve), read_alpha(picture.image)
+        image, alpha = _decoded(picture.image, curve), read_alpha(picture.image)
     if alpha is not None:
         over = image if READABLE[picture.image.suffix.lower()] in ASSOCIATED else image * alpha
         image = over + (1 - alpha) * background[:, None, None]
     if alpha is not None and not alpha.isfinite().all():
-        raise ValueError(f"{name_of(picture.image)}: its alpha has values that are NaN or infinite; mend it first")
+        raise ValueError(f"{picture_name(picture.image)}: its alpha has values that are NaN or infinite; mend it first")
     mask = torch.ones_like(image[:1]) if alpha is None else alpha[None].clamp(0, 1)
     if picture.mask is not None:
         given = read_mask(picture.mask)
         if given.shape[1:] != image.shape[1:]:
-            raise ValueError(f"the mask {name_of(picture.mask)} has {given.shape[2]} x {given.shape[1]} pixels, and its "
-                             f"image {image.shape[2]} x {image.shape[1]}")
-        mask = mask * in_range(name_of(picture.mask), given)
+            raise ValueError(f"the mask {picture_name(picture.mask)} has {given.shape[2]} x {given.shape[1]} pixels, and "
+                             f"its image {image.shape[2]} x {image.shape[1]}")
+        mask = mask * in_range(picture_name(picture.mask), given)
     finite = image.isfinite()
     image, bad = image.where(finite | (mask > 0), 0.0), int((~finite & (mask > 0)).sum())
     if bad:
-        raise ValueError(f"{name_of(picture.image)}: {bad} values of the image are NaN or infinite; mend it first, or give "
-                         f"a mask that is 0 there")
+        raise ValueError(f"{picture_name(picture.image)}: {bad} values of the image are NaN or infinite; mend it first, or "
+                         f"give a mask that is 0 there")
     return image.contiguous(), mask.contiguous()
 
 
@@ -132,7 +132,7 @@ def read_mask(source: Source) -> Tensor:
     return read_image(source, raw=True).mean(-1)[None]
 
 
-def name_of(source: Source) -> str:
+def picture_name(source: Source) -> str:
     """What errors call an image."""
     return str(source) if isinstance(source, Path) else f"a tensor of shape {tuple(source.shape)}"
 

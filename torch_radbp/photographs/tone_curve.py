@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from torch_radbp.formats.image import linear_to_srgb, srgb_to_linear
-from torch_radbp.photographs.linear_images import check_images, check_numbers
+from torch_radbp.photographs.linear_images import check_linear_images, check_numbers
 from torch_radbp.plugin import integer, nearest
 
 STARTS = {"srgb": (linear_to_srgb, srgb_to_linear), "identity": (lambda values: values, lambda values: values)}
@@ -78,7 +78,7 @@ class ToneCurve(nn.Module):
         Raises:
             ValueError: for another shape, and for NaN.
         """
-        check_images(images)
+        check_linear_images(images)
         check_numbers(images)
         x = STARTS[self.start][0](images)
         piece = self.piece_of(x, inverse=False)
@@ -86,11 +86,11 @@ class ToneCurve(nn.Module):
         mixed = share * (1 - share)
         rise = piece.slope * share.square() + piece.first * mixed
         inside = piece.low + piece.height * rise / (piece.slope + (piece.first + piece.last - 2 * piece.slope) * mixed)
-        return inside + beyond(x, piece.first, piece.last)
+        return inside + _beyond(x, piece.first, piece.last)
 
     def inverse(self, values: Tensor, views: int | Tensor | None = None) -> Tensor:
         """The exposures that give these values of files: what `forward` undoes; arguments and results as there."""
-        check_images(values)
+        check_linear_images(values)
         check_numbers(values)
         piece, count = self.piece_of(values, inverse=True), self.log_heights.shape[1]
         above = values.clamp(0, 1) - piece.low
@@ -101,7 +101,7 @@ class ToneCurve(nn.Module):
         # The form of the root that does not cancel; the radicand is b^2 or more where the curve bends down, and else
         # (2 a share + b)^2.
         share = 2 * c / (b + (b.square() + 4 * a * c).clamp_min(torch.finfo(b.dtype).tiny).sqrt())
-        x = piece.left + share / count + beyond(values, 1 / piece.first, 1 / piece.last)
+        x = piece.left + share / count + _beyond(values, 1 / piece.first, 1 / piece.last)
         return STARTS[self.start][1](x)
 
     def piece_of(self, x: Tensor, inverse: bool) -> Bin:
@@ -120,7 +120,7 @@ class ToneCurve(nn.Module):
                    slopes[channel, number + 1])
 
 
-def beyond(x: Tensor, first: Tensor, last: Tensor) -> Tensor:
+def _beyond(x: Tensor, first: Tensor, last: Tensor) -> Tensor:
     """What a curve on [0, 1] adds outside, where it goes on with the slopes at its ends."""
     # Not by clamping x, whose derivative at exactly 0, where much is black, would count twice.
     return torch.where(x < 0, x * first, torch.where(x > 1, (x - 1) * last, torch.zeros_like(x)))

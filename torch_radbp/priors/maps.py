@@ -29,7 +29,7 @@ def total_variation(values: Tensor, epsilon: float = 1e-3, wrap_rows: bool = Fal
 
     Reference: Rudin, Osher and Fatemi 1992, "Nonlinear Total Variation Based Noise Removal Algorithms".
     """
-    down, right = differences(values, wrap_rows, wrap_columns)
+    down, right = _differences(values, wrap_rows, wrap_columns)
     least = positive("epsilon", epsilon)
     square = down.square().sum(-1) + right.square().sum(-1)
     return ((square + least**2).sqrt() - least).mean()
@@ -50,11 +50,11 @@ def smoothness(values: Tensor, wrap_rows: bool = False, wrap_columns: bool = Fal
     Raises:
         ValueError: for another shape.
     """
-    down, right = differences(values, wrap_rows, wrap_columns)
+    down, right = _differences(values, wrap_rows, wrap_columns)
     return (down.square() + right.square()).sum(-1).mean()
 
 
-def differences(values: Tensor, wrap_rows: bool, wrap_columns: bool) -> tuple[Tensor, Tensor]:
+def _differences(values: Tensor, wrap_rows: bool, wrap_columns: bool) -> tuple[Tensor, Tensor]:
     """(H, W, C) the texel below less each texel, and the one to the right less it; 0 where there is none."""
     if values.ndim != 3 or not values.is_floating_point() or values.numel() == 0:
         raise ValueError(f"values must be floats of shape (H, W, C), got {values.dtype} of {tuple(values.shape)}; of an "

@@ -17,7 +17,7 @@ from torch_radbp.shape.placement import Instances
 __all__ = ["Hit", "Ray", "RayCaster", "make_caster"]
 
 # Imported when asked for: each has dependencies that the others do not need.
-CASTERS = {"embree": "Embree", "direct": "Direct", "brute": "Brute", "warp": "Warp"}
+CASTERS = {"embree": "Embree", "direct": "DirectCaster", "brute": "Brute", "warp": "Warp"}
 # What a path's rays cost at most, in tests of a triangle, to be cast faster without a tree: scattered boxes are three to
 # eight times as fast, even a thousand triangles of them; scattered triangles, whose runs are not compact, begin to lose.
 FEW_TESTS = 230
@@ -46,15 +46,15 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls 
         balls = None
     if name is None and vertices.device.type == "cpu":
         if few(faces, balls, instances):
-            direct = made("direct", vertices, faces, balls, instances)
+            direct = _new_caster("direct", vertices, faces, balls, instances)
             if (direct if instances is None else direct.caster).cost <= FEW_TESTS:
                 return direct
         name = "embree"
-    return made(name or "warp", vertices, faces, balls, instances, last)
+    return _new_caster(name or "warp", vertices, faces, balls, instances, last)
 
 
-def made(name: str, vertices: Tensor, faces: Tensor, balls: Balls | None, instances: Instances | None,
-         last: RayCaster | None = None) -> RayCaster:
+def _new_caster(name: str, vertices: Tensor, faces: Tensor, balls: Balls | None, instances: Instances | None,
+                last: RayCaster | None = None) -> RayCaster:
     """The caster called `name`. Args: as for `make_caster`."""
     if name not in CASTERS:
         raise ValueError(f"unknown ray caster {name!r}; known are {', '.join(map(repr, CASTERS))}")

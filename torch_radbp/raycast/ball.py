@@ -13,7 +13,7 @@ from torch_radbp.shape.ball import RINGS, SEGMENTS, TRIANGLES, Balls
 LARGEST_STRETCH = 1e12  # of the map to the unit sphere, and its inverse; beyond, squares of lengths may overflow
 
 
-class Tables(NamedTuple):
+class BallTables(NamedTuple):
     """What loops over rays read of balls; numbers are of one dtype."""
 
     placements: Tensor  # (B, 12) centre, and by rows the map from there to the unit sphere
@@ -23,15 +23,15 @@ class Tables(NamedTuple):
     rings: Tensor  # (RINGS, 7) see `ring_table`
 
 
-def tables(balls: Balls, dtype: torch.dtype) -> Tables:
+def ball_tables(balls: Balls, dtype: torch.dtype) -> BallTables:
     """The tables of some balls, for rays of a dtype."""
     placement = balls.placement.double()
     to_unit = torch.linalg.inv(placement[:, :3, :3])
     middle = (torch.arange(SEGMENTS, dtype=torch.float64) + 0.5) * (2 * math.pi / SEGMENTS)
-    return Tables(torch.cat([placement[:, :3, 3], to_unit.flatten(1)], 1).to(dtype).contiguous(),
-                  torch.stack([balls.first, balls.turned.to(torch.int32)], 1).contiguous(),
-                  torch.tensor(len(balls.first)), torch.stack([middle.cos(), middle.sin()], 1).to(dtype).contiguous(),
-                  ring_table().to(dtype).contiguous())
+    return BallTables(torch.cat([placement[:, :3, 3], to_unit.flatten(1)], 1).to(dtype).contiguous(),
+                      torch.stack([balls.first, balls.turned.to(torch.int32)], 1).contiguous(),
+                      torch.tensor(len(balls.first)), torch.stack([middle.cos(), middle.sin()], 1).to(dtype).contiguous(),
+                      ring_table().to(dtype).contiguous())
 
 
 def ring_table() -> Tensor:

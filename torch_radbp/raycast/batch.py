@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from torch_radbp.raycast import every_ball
 from torch_radbp.raycast.every_triangle import view_along
-from torch_radbp.raycast.queries import INFINITY, Rays, lanes_before
+from torch_radbp.raycast.queries import INFINITY, RayVector, lanes_before
 from torch_radbp.raycast.runs import MOST
 from torch_radbp.raycast.vectors import ZERO, Vectors
 
@@ -16,9 +16,9 @@ BATCH = 512  # rays: few enough that what is known of them stays in the nearest 
 INPUTS = ("corners", "faces", "by_triangle", "columns_at", "boxes", "firsts", "run_count_at", "scale_at")
 # What is known of the rays of a batch: how they see points; the length of 1 along them; 1 over the direction, of length 1
 # along the axis; by how much boxes are widened; where the search ends, negative where it has; and in the end t where a ball
-# is met. The flags of `View.axis`; the lane; the triangle that is met, the ball, and row and column of its facet.
+# is met. The flags of `RayView.axis`; the lane; the triangle that is met, the ball, and row and column of its facet.
 NUMBERS = ("x", "y", "z", "first_slope", "second_slope", "unit", "over_x", "over_y", "over_z", "margin", "end", "t")
-VIEW = ("x", "y", "z", "first_slope", "second_slope", "axis")  # what a `View` is made of
+VIEW = ("x", "y", "z", "first_slope", "second_slope", "axis")  # what a `RayView` is made of
 INTEGERS = ("axis", "lane", "prim", "ball", "row", "column")
 WIDER = 2.0**-20  # the margin, of the distance to the farthest corner
 STEEPEST = 2.0**40  # the most of 1 over a direction
@@ -68,7 +68,7 @@ def again(code: Vectors, name: str, end: str, then: str) -> None:
              f"br i1 %{name}.more, label %{name}, label %{then}", f"{then}:")
 
 
-def enter(code: Vectors, rays: Rays, at: str, end: str | None) -> None:
+def enter(code: Vectors, rays: RayVector, at: str, end: str | None) -> None:
     """Stores what is known of a vector of rays at the place `at` of the batch; `end`: t where they end; None: nowhere."""
     view, unit = view_along(code, rays)
     end = code.constant(INFINITY) if end is None else code.mul(end, unit)

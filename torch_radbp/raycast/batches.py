@@ -27,8 +27,8 @@ from torch_radbp.raycast.batch import (
     loop,
     next_batch,
 )
-from torch_radbp.raycast.every_triangle import View, closer, crossing, crossing_of_both, place_on, struck
-from torch_radbp.raycast.queries import Rays, lanes_before, rays_of, write_hidden
+from torch_radbp.raycast.every_triangle import RayView, closer, crossing_of_both, place_on, struck, triangle_crossing
+from torch_radbp.raycast.queries import RayVector, lanes_before, rays_among_lanes, write_hidden
 from torch_radbp.raycast.runs import FEW
 from torch_radbp.raycast.vectors import ZERO, Vectors
 
@@ -42,9 +42,9 @@ class Listed(NamedTuple):
     mask: str  # the lanes that are rays
     ray: str  # their places in the batch
 
-    def view(self, code: Vectors) -> View:
+    def view(self, code: Vectors) -> RayView:
         """How they see points."""
-        return View.of(code.gather("i32" if name in INTEGERS else code.scalar, f"%ray.{name}", self.ray) for name in VIEW)
+        return RayView.of(code.gather("i32" if name in INTEGERS else code.scalar, f"%ray.{name}", self.ray) for name in VIEW)
 
     def end(self, code: Vectors) -> str:
         """Where their search ends."""
@@ -65,9 +65,9 @@ class Following(NamedTuple):
         kind = "i32" if name in INTEGERS else code.scalar
         return code.line(f"load {code.vector(kind)}, ptr {code.at(kind, f'%ray.{name}', self.at)}")
 
-    def view(self, code: Vectors) -> View:
+    def view(self, code: Vectors) -> RayView:
         """As of `Listed`."""
-        return View.of(self.known(code, name) for name in VIEW)
+        return RayView.of(self.known(code, name) for name in VIEW)
 
     def end(self, code: Vectors) -> str:
         """As of `Listed`."""
@@ -95,7 +95,7 @@ def tested(code: Vectors, row: str, parallelogram: bool, end: str, any_hit: bool
     if parallelogram:
         found, between = crossing_of_both(code, *seen_face(code, row, 4))
     else:
-        found = crossing(code, *seen_face(code, row, 3))
+        found = triangle_crossing(code, *seen_face(code, row, 3))
     if any_hit:
         return struck(code, found, end), code.constant(DONE), first
     hit, distance = closer(code, found, end)
@@ -146,7 +146,7 @@ def test_run(code: Vectors, name: str, rays: Listed | Following, before: str, an
         rays.learn(code, "i32", "prim", prim, met)
 
 
-def search(code: Vectors, before: str, count: str, any_hit: bool) -> None:
+def _search(code: Vectors, before: str, count: str, any_hit: bool) -> None:
     """Lays the search for what the rays of the batch meet, `count` of them, from the label `before` to `answer`."""
     loop(code, "run", before, 1)
     this, following = (code.at("[3 x i32]", "%firsts", run) for run in ("%run.at", "%run.next"))
@@ -176,7 +176,7 @@ def search_balls(code: Vectors, before: str, count: str, columns: list[str], any
 
     Args:
         columns: addresses of what the lanes hold of their rays.
-        before, count, any_hit: as for `search`.
+        before, count, any_hit: as for `_search`.
     """
     loop(code, "ball", before, 1)
     code.lay("%ball.box = add i64 %run_count, %ball.next")
@@ -188,7 +188,7 @@ def search_balls(code: Vectors, before: str, count: str, columns: list[str], any
     mask, ray = listed_rays(code, "%sphere.listed", "%approach.at")
     lane = code.gather("i32", "%ray.lane", ray)
     o_and_d = [code.gather(code.scalar, column, lane, mask) for column in columns]
-    rays = Rays(o_and_d[:3], o_and_d[3:], mask)
+    rays = RayVector(o_and_d[:3], o_and_d[3:], mask)
     unit = code.mul(greatest(code, rays.d), code.splat("%scale", code.scalar))
     end = code.choose(mask, code.div(code.gather(code.scalar, "%ray.end", ray), unit), code.constant(DONE))
     local = every_ball.seen_from_ball(code, rays, placement)
@@ -221,19 +221,19 @@ def columns_at(code: Vectors, triangle: str, before: str) -> tuple[list[str], st
             for one, other in zip(near, far)], name
 
 
-def closest_hit(code: Vectors, balls: bool) -> str:
+def closest_hit_of_batches(code: Vectors, balls: bool) -> str:
     """The text of the loop for closest hits: prim, u, v and t of every lane; of several at one distance the first."""
     columns = begin(code, balls, columns=6, outputs=4)
 
-    def rays_at(at: str) -> tuple[str, Rays]:
+    def rays_at(at: str) -> tuple[str, RayVector]:
         mask = lanes_before(code, "%count", at)
-        return mask, rays_of(code, [code.load_where(mask, column, at) for column in columns], mask)
+        return mask, rays_among_lanes(code, [code.load_where(mask, column, at) for column in columns], mask)
 
     loop(code, "enter", "batch", code.width)
     enter(code, rays_at("%enter.at")[1], "%enter.at", None)
     code.store(code.integers, code.counted("%enter.at"), code.at("i32", "%ray.lane", "%enter.at"))
     again(code, "enter", "%count", "entered")
-    search(code, "entered", "%count", any_hit=False)
+    _search(code, "entered", "%count", any_hit=False)
     if balls:
         search_balls(code, "answer", "%count", columns, any_hit=False)
 
@@ -251,7 +251,7 @@ def closest_hit(code: Vectors, balls: bool) -> str:
         ball, row, column = (batch.known(code, name) for name in ("ball", "row", "column"))
         t = batch.known(code, "t")
         t = code.choose(code.line(f"icmp sge {code.integers} {ball}, {ZERO}"), t, answers[3])
-        others = [every_ball.numbers_of(code, prim), *answers[1:3]]
+        others = [every_ball.numbers_in_mesh(code, prim), *answers[1:3]]
         answers = every_ball.placed(code, rays, (ball, row, column), t, others, label)
     for number, (kind, answer) in enumerate(zip(("i32", *[code.scalar] * 3), answers)):
         code.store_where(mask, kind, answer, code.at(kind, f"%out{number}", "%base"), "%locate.at")
@@ -260,7 +260,7 @@ def closest_hit(code: Vectors, balls: bool) -> str:
     return next_batch(code)
 
 
-def any_hit(code: Vectors, balls: bool) -> str:
+def any_hit_of_batches(code: Vectors, balls: bool) -> str:
     """The text of the loop for occlusion: 1 in every lane with a triangle at 0 < t <= tmax, else 0, as bytes.
 
     Lanes without a segment cost next to nothing: the others come together.
@@ -269,7 +269,7 @@ def any_hit(code: Vectors, balls: bool) -> str:
     code.lay("%hidden = getelementptr i8, ptr %out0, i64 %base")
     loop(code, "segment", "batch", code.width, "%segment.found = phi i64 [ 0, %batch ], [ %segments, %segment.end ]")
     mask = lanes_before(code, "%count", "%segment.at")
-    rays = rays_of(code, [code.load_where(mask, column, "%segment.at") for column in columns], mask)
+    rays = rays_among_lanes(code, [code.load_where(mask, column, "%segment.at") for column in columns], mask)
     some = code.both(rays.valid, code.compare(code.load_where(mask, end, "%segment.at"), "ogt", ZERO))
     code.store_where(mask, "i8", ZERO, "%hidden", "%segment.at")
     lanes = code.counted("%segment.at")
@@ -286,17 +286,17 @@ def any_hit(code: Vectors, balls: bool) -> str:
     loop(code, "every", "entering_all", code.width)
     mask = lanes_before(code, "%count", "%every.at")
     *o_and_d, tmax = (code.load_where(mask, column, "%every.at") for column in (*columns, end))
-    enter(code, Rays(o_and_d[:3], o_and_d[3:], mask), "%every.at", tmax)
+    enter(code, RayVector(o_and_d[:3], o_and_d[3:], mask), "%every.at", tmax)
     again(code, "every", "%count", "entered_all")
     code.lay("br label %entered", "entering_some:")
     loop(code, "enter", "entering_some", code.width)
     mask = lanes_before(code, "%segments", "%enter.at")
     lanes = code.line(f"load {code.integers}, ptr {code.at('i32', '%ray.lane', '%enter.at')}, align 4")
     *o_and_d, tmax = (code.gather(code.scalar, column, lanes, mask) for column in (*columns, end))
-    enter(code, Rays(o_and_d[:3], o_and_d[3:], mask), "%enter.at", tmax)
+    enter(code, RayVector(o_and_d[:3], o_and_d[3:], mask), "%enter.at", tmax)
     again(code, "enter", "%segments", "entered_some")
     code.lay("br label %entered", "entered:")
-    search(code, "entered", "%segments", any_hit=True)
+    _search(code, "entered", "%segments", any_hit=True)
 
     if balls:
         search_balls(code, "answer", "%segments", columns, any_hit=True)

@@ -24,7 +24,7 @@ class CastTriangles(NamedTuple):
     def equals(self, other: CastTriangles) -> bool:
         """True if the other has the same triangles."""
         mine, others = ((*mesh.p, *mesh.corners, *(mesh.balls or ()), *(mesh.instances or ())) for mesh in (self, other))
-        return len(mine) == len(others) and all(map(same, mine, others))
+        return len(mine) == len(others) and all(map(same_values, mine, others))
 
     def stacked(self) -> tuple[Tensor, Tensor, Balls | None, Instances | None]:
         """The vertices (V, 3), the faces (T, 3), the balls among them, and the instances of some."""
@@ -38,7 +38,7 @@ class CachedCaster(NamedTuple):
     mesh: CastTriangles
 
 
-def same(a: Tensor, b: Tensor) -> bool:
+def same_values(a: Tensor, b: Tensor) -> bool:
     """True if two tensors that are never written into have one dtype, one device and the same values."""
     if (a.dtype, a.device, a.shape) != (b.dtype, b.device, b.shape):
         return False

@@ -26,7 +26,7 @@ from torch_radbp.shape.ball import Balls
 CPU = torch.device("cpu")
 
 
-class Direct:
+class DirectCaster:
     """A `RayCaster` for tensors on the CPU, in the dtype of the rays. What a ray costs, in tests of a triangle, is `cost`.
 
     No ray slips between two triangles that share an edge, or whose corners are in the same places. A copied or unpickled
@@ -54,7 +54,7 @@ class Direct:
         divisions = runs.divisions(self._faces, (runs.OF_RAYS, runs.OF_SEGMENTS))
         self.cost = divisions[0][1]
         self._runs = {loop: torch.tensor(firsts[:-1], device=CPU)
-                      for loop, (firsts, _) in zip((batches.closest_hit, batches.any_hit), divisions)}
+                      for loop, (firsts, _) in zip((batches.closest_hit_of_batches, batches.any_hit_of_batches), divisions)}
         self.rays_cast = 0
         self._counting = Lock()
         # By the dtype of rays and the loop, made when they are first needed.
@@ -65,7 +65,7 @@ class Direct:
         shape, dtype = ray.o.x.shape, ray.o.x.dtype
         hit = Hit(torch.empty(shape, dtype=torch.int32, device=CPU),
                   *(torch.empty(shape, dtype=dtype, device=CPU) for _ in range(3)))
-        self._run(batches.closest_hit, [*ray.o, *ray.d], hit[:4])
+        self._run(batches.closest_hit_of_batches, [*ray.o, *ray.d], hit[:4])
         # The vertices of a ball are on the sphere only up to the rounding of float32, in which a scene may have been loaded.
         exact = self.balls is None or dtype == torch.float32
         return hit if exact else refined(self.vertices, self.faces, ray, hit)
@@ -73,18 +73,18 @@ class Direct:
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
         check_lanes(ray, tmax, CPU)
         hidden = torch.empty(ray.o.x.shape, dtype=torch.bool, device=CPU)
-        self._run(batches.any_hit, [*ray.o, *ray.d, tmax], [hidden])
+        self._run(batches.any_hit_of_batches, [*ray.o, *ray.d, tmax], [hidden])
         return hidden
 
     def _run(self, loop: Callable, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
         """Runs a loop of `batches` over all lanes."""
         dtype, lanes = columns[0].dtype, columns[0].numel()
         inputs = [*columns_of(columns, dtype), *self.tables(dtype, loop)]
-        body = machine_code(loop, dtype, self.balls is not None).address
+        body = code_of_batches(loop, dtype, self.balls is not None).address
         if (listener := recording()) is not None:
             listener.cast(body, lanes, PART, inputs, list(answers))
             return
-        run_lanes(body, lanes, addresses(inputs), addresses(answers))
+        run_lanes(body, lanes, tensor_addresses(inputs), tensor_addresses(answers))
         self.count(lanes)
 
     def count(self, rays: int) -> None:
@@ -94,7 +94,7 @@ class Direct:
 
     def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
         """What the loops read beside rays of a dtype, as a `Recording` is given it."""
-        return [*self.tables(dtype, batches.closest_hit), *self.tables(dtype, batches.any_hit)]
+        return [*self.tables(dtype, batches.closest_hit_of_batches), *self.tables(dtype, batches.any_hit_of_batches)]
 
     def tables(self, dtype: torch.dtype, loop: Callable) -> tuple[Tensor, ...]:
         """What a loop of `batches` reads of the mesh, for rays of a dtype."""
@@ -102,17 +102,17 @@ class Direct:
             p = self.vertices.to(dtype)[self._others.long()]
             faces = self._faces._replace(points=self._faces.points.to(dtype))
             placements, of_balls = (None, ()) if self.balls is None else (self.balls.placement, (
-                *ball.tables(self.balls, dtype), self._numbers))
-            made = *runs.tables(p, faces, self._runs[loop], unit_of(p.flatten(0, 1)), placements), *of_balls
+                *ball.ball_tables(self.balls, dtype), self._numbers))
+            made = *runs.triangle_runs(p, faces, self._runs[loop], unit_of(p.flatten(0, 1)), placements), *of_balls
             self._meshes.setdefault((dtype, loop), made)  # those of the first thread serve all
         return self._meshes[dtype, loop]
 
     def __reduce__(self):
-        return Direct, (self.vertices, self.faces, self.balls)
+        return DirectCaster, (self.vertices, self.faces, self.balls)
 
 
 @made_once
-def machine_code(loop: Callable, dtype: torch.dtype, balls: bool = False, width: int | None = None) -> MachineCode:
+def code_of_batches(loop: Callable, dtype: torch.dtype, balls: bool = False, width: int | None = None) -> MachineCode:
     """A loop of `batches` for numbers of a dtype and vectors of a width; None: what the processor has."""
     width = width or host_width() * torch.float32.itemsize // dtype.itemsize
     code = Vectors(width, "float" if dtype == torch.float32 else "double")
@@ -129,5 +129,5 @@ def unit_of(vertices: Tensor) -> Tensor:
     return vertices.new_tensor(2.0 ** max(-120, min(120, -exponent)))
 
 
-def addresses(tensors: Iterable[Tensor]) -> array:
+def tensor_addresses(tensors: Iterable[Tensor]) -> array:
     return array("q", [tensor.data_ptr() for tensor in tensors])

@@ -17,11 +17,11 @@ from torch_radbp.jit.machine import MachineCode, cached_code, made_once
 from torch_radbp.jit.recording import recording
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.raycast import every_ball, library, packets, queries
-from torch_radbp.raycast.ball import other_triangles, tables
+from torch_radbp.raycast.ball import ball_tables, other_triangles
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices, columns_of
 from torch_radbp.raycast.protocol import Hit, Ray
 from torch_radbp.raycast.refined import refined
-from torch_radbp.raycast.tree import Device, Geometry, Group, Tree, groups_of
+from torch_radbp.raycast.tree import Device, GroupTree, Tree, TreeGeometry, groups_of
 from torch_radbp.raycast.vectors import Vectors
 from torch_radbp.shape.ball import Balls
 from torch_radbp.shape.placement import Instances
@@ -65,17 +65,17 @@ class Embree:
             own, numbers = other_triangles(own, balls)
         self.rays_cast = 0
         self._counting = Lock()
-        embree = library.load()
+        embree = library.load_embree()
         self._intersect, self._occluded = library.address(embree.rtcIntersect8), library.address(embree.rtcOccluded8)
         extent = self.vertices.amax(0) - self.vertices.amin(0) if instances is None else instances.extent(self.vertices)
         self._near = (packets.NEAR * extent.max()).float()
         device = Device() if instances is None or last is None else last.device
-        geometries = [Geometry.of_triangles(device, self.vertices, own)] if len(own) else []
-        self.groups: list[Group] = []
+        geometries = [TreeGeometry.of_triangles(device, self.vertices, own)] if len(own) else []
+        self.groups: list[GroupTree] = []
         if instances is not None:
             self.groups = groups_of(device, self.vertices, self.faces, instances, [] if last is None else last.groups)
             places = instances.to_world.float().split(instances.first_instance.diff().tolist())
-            shown = [Geometry.of_instances(device, group.tree, own) for group, own in zip(self.groups, places)]
+            shown = [TreeGeometry.of_instances(device, group.tree, own) for group, own in zip(self.groups, places)]
             geometries = [*shown, *geometries]  # Embree numbers them in this order
             self._tables = [torch.cat([torch.zeros(1), instances.first_triangle[:-1] - int(instances.first_triangle[0])
                                        + len(own)]).to(torch.int32),
@@ -83,7 +83,7 @@ class Embree:
         if balls is not None:
             shown = torch.arange(0 if instances is None else int(instances.first_triangle[0]), len(self.faces))
             numbers = numbers if instances is None else torch.cat([numbers, shown.to(torch.int32)])
-            self._tables += [*tables(balls, torch.float32), numbers]
+            self._tables += [*ball_tables(balls, torch.float32), numbers]
         self.device, self._scene = device, Tree(device, geometries, len(own))
 
     def intersect(self, ray: Ray) -> Hit:
@@ -91,13 +91,13 @@ class Embree:
         shape, dtype = ray.o.x.shape, ray.o.x.dtype
         answers = ANSWERS if self.instances is None else (*ANSWERS, torch.int32)
         hit = Hit(*(torch.empty(shape, dtype=answer, device=CPU) for answer in answers))
-        self._run(queries.closest_hit, self._intersect, [*ray.o, *ray.d], hit[:len(answers)])
+        self._run(queries.closest_hit_of_packets, self._intersect, [*ray.o, *ray.d], hit[:len(answers)])
         return hit if dtype == torch.float32 else refined(self.vertices, self.faces, ray, hit, self.instances)
 
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
         check_lanes(ray, tmax, CPU)
         hidden = torch.empty(ray.o.x.shape, dtype=torch.bool, device=CPU)
-        self._run(queries.any_hit, self._occluded, [*ray.o, *ray.d, tmax], [hidden])
+        self._run(queries.any_hit_of_packets, self._occluded, [*ray.o, *ray.d, tmax], [hidden])
         return hidden
 
     def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
@@ -110,7 +110,7 @@ class Embree:
         lanes = columns[0].numel()
         columns = columns_of(columns, torch.float32)
         read = [query, self._scene.handle, self._near.data_ptr(), *(table.data_ptr() for table in self._tables)]
-        code = machine_code(loop, self.balls is not None, self.instances is not None)
+        code = code_of_packets(loop, self.balls is not None, self.instances is not None)
         if (listener := recording()) is not None:
             listener.cast(code.address, lanes, PART, [*columns, *read], list(answers))
             return
@@ -129,7 +129,7 @@ class Embree:
 
 
 @made_once
-def machine_code(loop: Callable, balls: bool, instances: bool = False) -> MachineCode:
+def code_of_packets(loop: Callable, balls: bool, instances: bool = False) -> MachineCode:
     """A loop of `queries` over packets."""
     kernel = packets.OF_INSTANCES if instances else packets.KERNEL
     return cached_code(loop(Vectors(packets.WIDTH, "float"), every_ball.beside(kernel) if balls else kernel))

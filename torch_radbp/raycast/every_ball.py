@@ -20,10 +20,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from torch_radbp.raycast.facet import Facet, facet_of, place_on_facet, plus
-from torch_radbp.raycast.queries import INFINITY, Kernel, Rays
+from torch_radbp.raycast.queries import INFINITY, CasterKernel, RayVector
 from torch_radbp.raycast.vectors import ZERO, Vectors
 
-# As `ball.Tables`, and the numbers of the other triangles in the mesh.
+# As `ball.BallTables`, and the numbers of the other triangles in the mesh.
 INPUTS = ("placements", "ball_triangles", "ball_count_at", "sectors", "rings", "numbers")
 NEAR = 2.0**-10  # by how much the square of the distance from the centre may exceed 1
 STEPS = 12  # rays that graze a ball may turn in circles, by rounding
@@ -40,7 +40,7 @@ class Local(NamedTuple):
         return [code.add(o, code.mul(d, t)) for o, d in zip(self.o, self.d)]
 
 
-class Sphere(NamedTuple):
+class SphereCrossing(NamedTuple):
     """Where rays meet the sphere around a ball."""
 
     start: str  # of the search for the ball: where the ray enters, or 0 if its origin is near
@@ -56,18 +56,18 @@ class Nearest(NamedTuple):
     some: str  # flags
 
 
-def beside(kernel: Kernel) -> Kernel:
+def beside(kernel: CasterKernel) -> CasterKernel:
     """A kernel for balls and for the other triangles, which `kernel` sees under numbers of their own."""
 
-    def closest(code: Vectors, rays: Rays) -> tuple[str, ...]:
+    def closest(code: Vectors, rays: RayVector) -> tuple[str, ...]:
         prim, u, v, t, *instance = kernel.closest(code, rays)
-        found, prim = code.line(f"icmp sge {code.integers} {prim}, {ZERO}"), numbers_of(code, prim)
+        found, prim = code.line(f"icmp sge {code.integers} {prim}, {ZERO}"), numbers_in_mesh(code, prim)
         farthest = code.choose(found, t, code.choose(rays.valid, code.constant(INFINITY), ZERO))
         answer = closest_ball(code, rays, (farthest, prim, u, v))
         kept = code.line(f"icmp eq {code.integers} {prim}, {answer[0]}")  # balls are in no group
         return *answer, *(code.choose(kept, shown, ZERO, "i32") for shown in instance)
 
-    def occluded(code: Vectors, rays: Rays, tmax: str) -> str:
+    def occluded(code: Vectors, rays: RayVector, tmax: str) -> str:
         met = kernel.occluded(code, rays, tmax)
         return any_ball(code, rays, met, code.choose(rays.valid, tmax, ZERO))
 
@@ -75,7 +75,7 @@ def beside(kernel: Kernel) -> Kernel:
         kernel.prepare(code)
         prepare(code)
 
-    return Kernel((*kernel.inputs, *INPUTS), prepare_both, closest, occluded, kernel.instances)
+    return CasterKernel((*kernel.inputs, *INPUTS), prepare_both, closest, occluded, kernel.instances)
 
 
 def prepare(code: Vectors) -> None:
@@ -83,13 +83,13 @@ def prepare(code: Vectors) -> None:
     code.lay("%ball_count = load i64, ptr %ball_count_at", f"%starts = alloca {code.numbers}, i64 %ball_count")
 
 
-def numbers_of(code: Vectors, prim: str) -> str:
+def numbers_in_mesh(code: Vectors, prim: str) -> str:
     """The numbers in the mesh of triangles that were found among the others; -1 stays."""
     found = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
     return code.choose(found, code.gather("i32", "%numbers", prim, found), prim, "i32")
 
 
-def closest_ball(code: Vectors, rays: Rays, before: tuple[str, str, str, str]) -> tuple[str, str, str, str]:
+def closest_ball(code: Vectors, rays: RayVector, before: tuple[str, str, str, str]) -> tuple[str, str, str, str]:
     """prim, u, v and t of the closest hit of balls, or of what was found before: t, which bounds the search, prim, u, v."""
     farthest, *others = before
     carried = [("ball.t", code.numbers, farthest),
@@ -102,7 +102,7 @@ def closest_ball(code: Vectors, rays: Rays, before: tuple[str, str, str, str]) -
     return placed(code, rays, ("%ball.met", "%ball.row", "%ball.column"), "%ball.t", others, "all_balls")
 
 
-def placed(code: Vectors, rays: Rays, met: tuple[str, str, str], t: str, others: list[str], before: str
+def placed(code: Vectors, rays: RayVector, met: tuple[str, str, str], t: str, others: list[str], before: str
            ) -> tuple[str, str, str, str]:
     """prim, u, v and t of rays, from what they have met at `t`.
 
@@ -124,7 +124,7 @@ def placed(code: Vectors, rays: Rays, met: tuple[str, str, str], t: str, others:
     return prim, u, v, code.choose(code.line(f"icmp sge {code.integers} {prim}, {ZERO}"), t, ZERO)
 
 
-def any_ball(code: Vectors, rays: Rays, before: str, tmax: str) -> str:
+def any_ball(code: Vectors, rays: RayVector, before: str, tmax: str) -> str:
     """Flags of rays that were met before, or meet a ball at 0 < t <= tmax."""
     begin_search(code, rays, [("left", code.numbers, code.choose(before, ZERO, tmax))])
     hit, _, _ = meet_nearest(code, rays, next_ball(code, "%left"), "%left")
@@ -133,7 +133,7 @@ def any_ball(code: Vectors, rays: Rays, before: str, tmax: str) -> str:
     return code.either(before, code.both(code.compare("%left", "oeq", ZERO), code.compare(tmax, "ogt", ZERO)))
 
 
-def begin_search(code: Vectors, rays: Rays, carried: list[tuple[str, str, str]]) -> None:
+def begin_search(code: Vectors, rays: RayVector, carried: list[tuple[str, str, str]]) -> None:
     """Lays a loop that stores in `%starts` where rays enter spheres, and the head of the loop in which each meets the balls.
 
     Args:
@@ -178,21 +178,21 @@ def next_ball(code: Vectors, end: str) -> Nearest:
     return Nearest(code.choose(some, "%near.ball.next", ZERO, "i32"), some)
 
 
-def seen_from_ball(code: Vectors, rays: Rays, placement: list[str]) -> Local:
+def seen_from_ball(code: Vectors, rays: RayVector, placement: list[str]) -> Local:
     """Rays relative to balls, of which the 12 numbers of `ball.Tables.placements` are given."""
     rows = [placement[3:6], placement[6:9], placement[9:12]]
     away = [code.sub(o, centre) for o, centre in zip(rays.o, placement)]
     return Local([code.dot(row, away) for row in rows], [code.dot(row, rays.d) for row in rows])
 
 
-def local_of(code: Vectors, rays: Rays, ball: Nearest) -> Local:
+def local_of(code: Vectors, rays: RayVector, ball: Nearest) -> Local:
     """Each ray relative to its ball."""
     place = code.line(f"mul {code.integers} {ball.number}, splat (i32 12)")
     return seen_from_ball(code, rays, [code.gather(code.scalar, "%placements", plus(code, place, number), ball.some)
                                        for number in range(12)])
 
 
-def meet_sphere(code: Vectors, local: Local) -> Sphere:
+def meet_sphere(code: Vectors, local: Local) -> SphereCrossing:
     """Where rays enter and leave the sphere around a ball: half a chord from the point closest to its centre."""
     o, d = local
     one = code.constant("1.0")
@@ -200,21 +200,21 @@ def meet_sphere(code: Vectors, local: Local) -> Sphere:
     middle = code.negative(code.mul(code.dot(o, d), shorter))
     nearest = local.at(code, middle)
     inside = code.sub(one, code.dot(nearest, nearest))
-    half = square_root(code, code.mul(code.choose(code.compare(inside, "ogt", ZERO), inside, ZERO), shorter))
+    half = _square_root(code, code.mul(code.choose(code.compare(inside, "ogt", ZERO), inside, ZERO), shorter))
     enter, leave = code.sub(middle, half), code.add(middle, half)
     near = code.compare(code.dot(o, o), "ole", code.number(1 + NEAR))
     start = code.choose(near, ZERO, enter)
     ahead = code.both(code.compare(leave, "ogt", ZERO), code.either(near, code.compare(start, "ogt", ZERO)))
-    return Sphere(start, leave, near, code.both(code.compare(inside, "ogt", ZERO), ahead))
+    return SphereCrossing(start, leave, near, code.both(code.compare(inside, "ogt", ZERO), ahead))
 
 
-def meet_nearest(code: Vectors, rays: Rays, ball: Nearest, end: str) -> tuple[str, str, Facet]:
+def meet_nearest(code: Vectors, rays: RayVector, ball: Nearest, end: str) -> tuple[str, str, Facet]:
     """The meeting of each ray with a ball of its own; args and results as for `meet_ball`."""
     local = local_of(code, rays, ball)
     return meet_ball(code, local, meet_sphere(code, local), ball.some, end)
 
 
-def meet_ball(code: Vectors, local: Local, sphere: Sphere, some: str, end: str) -> tuple[str, str, Facet]:
+def meet_ball(code: Vectors, local: Local, sphere: SphereCrossing, some: str, end: str) -> tuple[str, str, Facet]:
     """Lays the meeting of rays with balls; up to the label `settled`.
 
     Args:
@@ -264,5 +264,5 @@ def branch_if_any(code: Vectors, flags: str, to: str, otherwise: str) -> None:
     code.lay(f"br i1 {code.line(f'icmp ne i64 {code.bits(flags)}, 0')}, label %{to}, label %{otherwise}", f"{to}:")
 
 
-def square_root(code: Vectors, a: str) -> str:
+def _square_root(code: Vectors, a: str) -> str:
     return code.call(f"llvm.sqrt.{code.suffix(code.scalar)}", code.numbers, (code.numbers, a))

@@ -14,13 +14,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from torch_radbp.raycast.queries import Rays
+from torch_radbp.raycast.queries import RayVector
 from torch_radbp.raycast.vectors import ZERO, Vectors
 
-ALONG_X, ALONG_Y, BACKWARDS = 1, 2, 4  # flags of `View.axis`
+ALONG_X, ALONG_Y, BACKWARDS = 1, 2, 4  # flags of `RayView.axis`
 
 
-class View(NamedTuple):
+class RayView(NamedTuple):
     """How a vector of rays sees points that are given in units of the mesh."""
 
     o: list[str]  # the origins
@@ -28,7 +28,7 @@ class View(NamedTuple):
     axis: str  # i32, flags: along which they run
 
     @classmethod
-    def of(cls, numbers: Iterable[str]) -> View:
+    def of(cls, numbers: Iterable[str]) -> RayView:
         """From the names of all six, one after the other."""
         x, y, z, first, second, axis = numbers
         return cls([x, y, z], [first, second], axis)
@@ -49,7 +49,7 @@ def flagged(code: Vectors, integers: str, flag: int) -> str:
     return code.line(f"icmp ne {code.integers} {code.line(f'and {code.integers} {integers}, splat (i32 {flag})')}, {ZERO}")
 
 
-def view_along(code: Vectors, rays: Rays) -> tuple[View, str]:
+def view_along(code: Vectors, rays: RayVector) -> tuple[RayView, str]:
     """How rays see points, and the length of 1 along them in units of the mesh: they run along the greatest component of
     their direction."""
     d = rays.d
@@ -65,7 +65,7 @@ def view_along(code: Vectors, rays: Rays) -> tuple[View, str]:
     axis = code.choose(code.compare(greatest, "ogt", ZERO), axis, turned, "i32")
     scale = code.splat("%scale", code.scalar)
     o = [code.line(f"fmul {code.numbers} {component}, {scale}") for component in rays.o]
-    return View(o, slopes, axis), code.mul(code.magnitude(greatest), scale)
+    return RayView(o, slopes, axis), code.mul(code.magnitude(greatest), scale)
 
 
 class Crossing(NamedTuple):
@@ -76,7 +76,7 @@ class Crossing(NamedTuple):
     distance: str  # along the axis, times that
 
 
-def crossing(code: Vectors, a: list[str], b: list[str], c: list[str]) -> Crossing:
+def triangle_crossing(code: Vectors, a: list[str], b: list[str], c: list[str]) -> Crossing:
     """Of a triangle; the edge functions are of the edges opposite to the corners."""
     edges = [code.determinant(c, b), code.determinant(a, c), code.determinant(b, a)]
     total = code.add(code.add(edges[0], edges[1]), edges[2])
@@ -85,11 +85,11 @@ def crossing(code: Vectors, a: list[str], b: list[str], c: list[str]) -> Crossin
 
 def crossing_of_both(code: Vectors, a: list[str], b: list[str], c: list[str], d: list[str]) -> tuple[Crossing, str]:
     """Of the triangles a, b, c and a, c, d, which make up a parallelogram, and the edge function between them."""
-    half = crossing(code, a, b, c)
+    half = triangle_crossing(code, a, b, c)
     return half._replace(edges=[half.edges[0], half.edges[2], code.determinant(d, c), code.determinant(a, d)]), half.edges[1]
 
 
-def inside(code: Vectors, edges: list[str]) -> str:
+def _inside(code: Vectors, edges: list[str]) -> str:
     """Flags of rays that pass through the face: no two edge functions have opposite signs."""
     low, high = edges[0], edges[0]
     for edge in edges[1:]:
@@ -101,17 +101,17 @@ def closer(code: Vectors, found: Crossing, end: str) -> tuple[str, str]:
     """Flags of rays that hit a face before `end`, and how far."""
     distance = code.div(found.distance, found.total)
     before_end = code.both(code.compare(distance, "ogt", ZERO), code.compare(distance, "olt", end))
-    return code.both(inside(code, found.edges), before_end), distance
+    return code.both(_inside(code, found.edges), before_end), distance
 
 
 def struck(code: Vectors, found: Crossing, end: str) -> str:
     """Flags of rays that hit a face not beyond `end`."""
     distance = code.negated_where_negative(found.distance, found.total)  # so is what it is compared to: no division
     before_end = code.compare(distance, "ole", code.mul(end, code.magnitude(found.total)))
-    return code.both(inside(code, found.edges), code.both(code.compare(distance, "ogt", ZERO), before_end))
+    return code.both(_inside(code, found.edges), code.both(code.compare(distance, "ogt", ZERO), before_end))
 
 
 def place_on(code: Vectors, corners: list[list[str]], unit: str) -> tuple[str, str, str]:
     """u, v and t where rays hit triangles; `unit`: the length of 1 along them."""
-    weights, total, distance = crossing(code, *corners)
+    weights, total, distance = triangle_crossing(code, *corners)
     return code.div(weights[1], total), code.div(weights[2], total), code.div(code.div(distance, total), unit)

@@ -13,7 +13,7 @@ from torch import Tensor
 CLOSE = 1e-6  # how far the fourth corner may be from where it belongs, of the diagonal
 
 
-class Faces(NamedTuple):
+class MergedFaces(NamedTuple):
     """The P faces of F triangles, in the order of their first triangles."""
 
     points: Tensor  # (N, 3) where corners are, each place once
@@ -22,7 +22,7 @@ class Faces(NamedTuple):
     parallelogram: Tensor  # (P,) bool
 
 
-def faces_of(p: Tensor) -> Faces:
+def faces_of(p: Tensor) -> MergedFaces:
     """The faces of triangles.
 
     Two triangles are one face if either has the edge between them as its longest, nobody else has that edge as its longest,
@@ -32,7 +32,7 @@ def faces_of(p: Tensor) -> Faces:
         p: (F, 3, 3) the corners of triangles.
     """
     number = torch.arange(len(p), device=p.device)
-    points, corners = places_of(p.flatten(0, 1))
+    points, corners = _places_of(p.flatten(0, 1))
     corners = corners.reshape(-1, 3)
     lengths = (p[:, [1, 2, 0]] - p[:, [2, 0, 1]]).square().sum(2)  # of the edges opposite to the corners
     turned = (lengths.argmax(1, keepdim=True) + torch.arange(3, device=p.device)) % 3
@@ -53,10 +53,10 @@ def faces_of(p: Tensor) -> Faces:
     partner[first] = second
     kept[second] = False
     prims = torch.stack([number, partner], 1)[kept]
-    return Faces(points, corners[kept], prims.to(torch.int32), prims[:, 0] != prims[:, 1])
+    return MergedFaces(points, corners[kept], prims.to(torch.int32), prims[:, 0] != prims[:, 1])
 
 
-def places_of(points: Tensor) -> tuple[Tensor, Tensor]:
+def _places_of(points: Tensor) -> tuple[Tensor, Tensor]:
     """What is different of (N, 3) points, and which of these each is, (N,) int64."""
     place = 0
     for numbers in points.T:  # one by one: torch sorts rows slowly

@@ -53,13 +53,13 @@ def angle(code: Vectors, x: str, y: str) -> str:
     ratio = code.div(least, code.add(most, code.number(TINY)))
     square = code.mul(ratio, ratio)
     fourth = code.mul(square, square)
-    even, odd = (polynomial(code, ARC[first::2], fourth) for first in (0, 1))  # side by side: neither waits for the other
+    even, odd = (_polynomial(code, ARC[first::2], fourth) for first in (0, 1))  # side by side: neither waits for the other
     arc = code.mul(code.add(code.mul(odd, square), even), ratio)
     arc = code.choose(steep, code.sub(code.number(math.pi / 2), arc), arc)
     return code.choose(code.compare(x, "olt", ZERO), code.sub(code.number(math.pi), arc), arc)
 
 
-def polynomial(code: Vectors, coefficients: tuple[float, ...], x: str) -> str:
+def _polynomial(code: Vectors, coefficients: tuple[float, ...], x: str) -> str:
     """The sum of coefficients times powers of x, from 0 up."""
     value = code.number(coefficients[-1])
     for coefficient in reversed(coefficients[:-1]):

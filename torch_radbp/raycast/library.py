@@ -66,7 +66,7 @@ def library_path() -> Path:
 
 
 @functools.cache
-def load() -> ctypes.CDLL:
+def load_embree() -> ctypes.CDLL:
     """Embree with typed entry points. Its own dependencies (TBB) lie beside it, where the loader looks first."""
     library = ctypes.CDLL(str(library_path()))
     for name, (result, arguments) in PROTOTYPES.items():
@@ -80,17 +80,17 @@ def address(function) -> int:
     return ctypes.cast(function, c_void_p).value
 
 
-def check(device: int | None, doing: str) -> None:
+def check_for_error(device: int | None, doing: str) -> None:
     """Raises RuntimeError if calls of this thread on this device left an error, and clears it.
 
     Args:
         device: None for an error of making the device.
         doing: what to say in the message: "Embree failed while ..."
     """
-    error = load().rtcGetDeviceError(device)
+    error = load_embree().rtcGetDeviceError(device)
     if error:
         name = ERRORS[error] if error < len(ERRORS) else f"error {error}"
-        detail = (load().rtcGetDeviceLastErrorMessage(device) or b"no details").decode()
+        detail = (load_embree().rtcGetDeviceLastErrorMessage(device) or b"no details").decode()
         raise RuntimeError(f"Embree failed while {doing}: {name} ({detail})")
 
 
@@ -100,7 +100,7 @@ def new_device() -> int:
     Raises:
         RuntimeError: Embree cannot start, is not version 4, or was built without triangles.
     """
-    embree = load()
+    embree = load_embree()
     device = _device(b"")
     version = embree.rtcGetDeviceProperty(device, PROPERTY_VERSION)  # 40401 is 4.4.1
     triangles = embree.rtcGetDeviceProperty(device, PROPERTY_TRIANGLES_SUPPORTED)
@@ -114,8 +114,8 @@ def new_device() -> int:
 
 
 def _device(configuration: bytes) -> int:
-    device = load().rtcNewDevice(configuration)
+    device = load_embree().rtcNewDevice(configuration)
     if not device:
-        check(None, "creating a device")
+        check_for_error(None, "creating a device")
         raise RuntimeError("Embree created no device and gave no reason")
     return device

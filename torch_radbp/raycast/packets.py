@@ -12,7 +12,7 @@ hundredths, and packets of 16 by a tenth to a fifth.
 
 from __future__ import annotations
 
-from torch_radbp.raycast.queries import INFINITY, Kernel, Rays
+from torch_radbp.raycast.queries import INFINITY, CasterKernel, RayVector
 from torch_radbp.raycast.vectors import ZERO, Vectors
 
 WIDTH = 8  # rays in a packet
@@ -29,7 +29,7 @@ ALIGNED, EDGE = 2.0**-3, 2.0**-20
 NOTHING = "splat (i32 -1)"  # the geometry before any is hit; also: all bits of a mask set
 
 
-def prepare(code: Vectors) -> None:
+def _prepare(code: Vectors) -> None:
     """Lays a packet on the stack, aligned as Embree asks, with the rows that never change."""
     code.lay(f"%packet = alloca [{ROWS} x {code.integers}], align 64", f"%active = alloca {code.integers}, align 64")
     for number in range(ROWS):
@@ -49,7 +49,7 @@ def get(code: Vectors, number: int, kind: str = "float") -> str:
     return code.line(f"load {code.vector(kind)}, ptr {row(code, number)}")
 
 
-def cast(code: Vectors, rays: Rays, tfar: str) -> str:
+def cast(code: Vectors, rays: RayVector, tfar: str) -> str:
     """Fills the packet and hands it to Embree; the rays end at `tfar`. Gives an i1: they went as a whole."""
     for first, components, harmless in ((ORIGIN, rays.o, ZERO), (DIRECTION, rays.d, code.constant("1.0"))):
         for number, component in enumerate(components, first):
@@ -62,7 +62,7 @@ def cast(code: Vectors, rays: Rays, tfar: str) -> str:
     return together
 
 
-def coherent(code: Vectors, rays: Rays) -> str:
+def coherent(code: Vectors, rays: RayVector) -> str:
     """An i1: all rays of the packet start near the first and point about where it points."""
     apart, length = distance_from_first(code, rays.o)[0], code.splat("%near", "float")
     near = code.compare(apart, "ole", length)
@@ -81,7 +81,7 @@ def distance_from_first(code: Vectors, vector: list[str]) -> tuple[str, str]:
     return tuple(code.add(code.add(*terms[:2]), terms[2]) for terms in (apart, length))
 
 
-def closest(code: Vectors, rays: Rays) -> tuple[str, str, str, str]:
+def closest(code: Vectors, rays: RayVector) -> tuple[str, str, str, str]:
     """prim, u, v and t of the closest hit, by rtcIntersect8."""
     together = cast(code, rays, code.constant(INFINITY))
     found = code.line(f"icmp ne {code.integers} {get(code, GEOM_ID, 'i32')}, {NOTHING}")
@@ -104,13 +104,13 @@ def at_edge(code: Vectors, u: str, v: str) -> str:
     return code.either(code.either(first, second), third)
 
 
-def occluded(code: Vectors, rays: Rays, tmax: str) -> str:
+def occluded(code: Vectors, rays: RayVector, tmax: str) -> str:
     """Flags of rays with a triangle at 0 < t <= tmax, by rtcOccluded8, which then sets tfar to minus infinity."""
     cast(code, rays, tmax)
     return code.compare(get(code, TFAR), "olt", ZERO)
 
 
-def closest_of_instances(code: Vectors, rays: Rays) -> tuple[str, str, str, str, str]:
+def closest_of_instances(code: Vectors, rays: RayVector) -> tuple[str, str, str, str, str]:
     """As `closest`, in a scene of triangles and of arrays of instances; and the instance, counted through all arrays.
 
     Embree counts both anew in each of its geometries: what comes before is read from two tables, first that of the
@@ -126,5 +126,6 @@ def closest_of_instances(code: Vectors, rays: Rays) -> tuple[str, str, str, str,
 
 
 # Embree's function and scene, and the address of the distance within which origins are near.
-KERNEL = Kernel(("query", "scene", "near_at"), prepare, closest, occluded)
-OF_INSTANCES = Kernel((*KERNEL.inputs, "first_triangles", "first_instances"), prepare, closest_of_instances, occluded, True)
+KERNEL = CasterKernel(("query", "scene", "near_at"), _prepare, closest, occluded)
+OF_INSTANCES = CasterKernel((*KERNEL.inputs, "first_triangles", "first_instances"), _prepare, closest_of_instances, occluded,
+                            True)

@@ -10,7 +10,7 @@ from torch_radbp.raycast.vectors import ZERO, Vectors
 INFINITY = "0x7FF0000000000000"
 
 
-class Rays(NamedTuple):
+class RayVector(NamedTuple):
     """A vector of rays: names of numbers, and flags of the lanes that are rays."""
 
     o: list[str]
@@ -18,18 +18,18 @@ class Rays(NamedTuple):
     valid: str  # finite, with a direction, and asked for; what others hold is of no meaning
 
 
-class Kernel(NamedTuple):
+class CasterKernel(NamedTuple):
     """What a caster does with a vector of rays. Its functions lay their text where the last label was `cast`."""
 
     inputs: tuple[str, ...]  # names of the addresses behind the columns
     prepare: Callable[[Vectors], None]  # what comes before the loop
     # prim (i32, -1 on a miss), u, v and t (0 on a miss); and where there are instances, which (i32, 0 on a miss).
-    closest: Callable[[Vectors, Rays], tuple[str, ...]]
-    occluded: Callable[[Vectors, Rays, str], str]  # with tmax > 0: flags
+    closest: Callable[[Vectors, RayVector], tuple[str, ...]]
+    occluded: Callable[[Vectors, RayVector, str], str]  # with tmax > 0: flags
     instances: bool = False
 
 
-def begin(code: Vectors, kernel: Kernel, columns: int, outputs: int) -> list[str]:
+def _begin(code: Vectors, kernel: CasterKernel, columns: int, outputs: int) -> list[str]:
     """Lays the head of a loop and gives the addresses of the inputs with an entry per lane; the outputs are `%out0`, ..."""
     code.lay("entry:")
     for number in range(outputs):
@@ -46,7 +46,7 @@ def lanes_before(code: Vectors, end: str, at: str) -> str:
     return code.line(f"icmp slt {code.vector('i64')} {code.steps('i64')}, {left}")
 
 
-def rays_of(code: Vectors, columns: list[str], mask: str) -> Rays:
+def rays_among_lanes(code: Vectors, columns: list[str], mask: str) -> RayVector:
     """The rays among lanes: those that are finite and have a direction."""
     o, d = columns[:3], columns[3:]
     zero_if_finite = ZERO
@@ -54,16 +54,17 @@ def rays_of(code: Vectors, columns: list[str], mask: str) -> Rays:
         zero_if_finite = code.add(zero_if_finite, code.line(f"fmul {code.numbers} {column}, {ZERO}"))
     moving = code.either(code.either(code.compare(d[0], "one", ZERO), code.compare(d[1], "one", ZERO)),
                          code.compare(d[2], "one", ZERO))
-    return Rays(o, d, code.both(mask, code.both(code.compare(zero_if_finite, "oeq", ZERO), moving)))
+    return RayVector(o, d, code.both(mask, code.both(code.compare(zero_if_finite, "oeq", ZERO), moving)))
 
 
-def closest_hit(code: Vectors, kernel: Kernel) -> str:
+def closest_hit_of_packets(code: Vectors, kernel: CasterKernel) -> str:
     """The text of the loop for closest hits: prim, u, v and t of every lane, and the instance if there are any."""
     kinds = ("i32", *[code.scalar] * 3, *["i32"] * kernel.instances)
-    columns = begin(code, kernel, columns=6, outputs=len(kinds))
+    columns = _begin(code, kernel, columns=6, outputs=len(kinds))
     code.lay("br label %cast\ncast:\n%at = phi i64 [ %first, %entry ], [ %at.next, %answered ]")
     mask = lanes_before(code, "%last", "%at")
-    answers = kernel.closest(code, rays_of(code, [code.load_where(mask, column, "%at") for column in columns], mask))
+    rays = rays_among_lanes(code, [code.load_where(mask, column, "%at") for column in columns], mask)
+    answers = kernel.closest(code, rays)
     for number, (kind, answer) in enumerate(zip(kinds, answers, strict=True)):
         code.store_where(mask, kind, answer, f"%out{number}", "%at")
     code.lay("br label %answered", "answered:",
@@ -89,13 +90,13 @@ def write_hidden(code: Vectors, hidden: str, lanes: str, then: str) -> None:
              f"br i1 %bits.more, label %set, label %{then}", f"{then}:")
 
 
-def any_hit(code: Vectors, kernel: Kernel) -> str:
+def any_hit_of_packets(code: Vectors, kernel: CasterKernel) -> str:
     """The text of the loop for occlusion: 1 in every lane with a triangle at 0 < t <= tmax, else 0, as bytes.
 
     Lanes without a segment cost next to nothing: the others queue up until they fill a vector.
     """
     width = code.width
-    columns = [code.at(code.scalar, column, "%first") for column in begin(code, kernel, columns=7, outputs=1)]
+    columns = [code.at(code.scalar, column, "%first") for column in _begin(code, kernel, columns=7, outputs=1)]
     code.lay("%hidden = getelementptr i8, ptr %out0, i64 %first", "%lanes = sub i64 %last, %first",
              f"%queue = alloca i32, i64 {3 * width}", "br label %fill")
 
@@ -118,7 +119,7 @@ def any_hit(code: Vectors, kernel: Kernel) -> str:
     mask = lanes_before(code, "%length", "0")
     queue = code.line(f"load {code.integers}, ptr %queue, align 4")
     rays = [code.gather(code.scalar, column, queue, mask) for column in columns]
-    hidden = kernel.occluded(code, rays_of(code, rays[:6], mask), rays[6])
+    hidden = kernel.occluded(code, rays_among_lanes(code, rays[:6], mask), rays[6])
 
     # Only lanes that are hidden have to be written.
     write_hidden(code, hidden, "%queue", "shift")

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torch_radbp.raycast.faces import Faces
+from torch_radbp.raycast.faces import MergedFaces
 
 # What a ray costs, in tests of a triangle: a parallelogram, a corner that is seen along it; and what part of a batch is lost
 # where a vector of rays is not full.
@@ -36,7 +36,7 @@ class Runs(NamedTuple):
     """What loops over batches of rays read of a mesh of F triangles, P faces, in R runs."""
 
     corners: Tensor  # (C, 3) numbers in units of the mesh, run by run; corners of a run in the same place are one
-    faces: Tensor  # (P, 6) int32, four rows of these and two triangles, as of `Faces`
+    faces: Tensor  # (P, 6) int32, four rows of these and two triangles, as of `MergedFaces`
     by_triangle: Tensor  # (9, max(F, FEW)) the coordinates of the corners, by triangle
     columns: Tensor  # () int64, how long its rows are
     boxes: Tensor  # (1 + R + B, 6) centres and half extents: of all, of the runs, of B balls
@@ -46,7 +46,7 @@ class Runs(NamedTuple):
     scale: Tensor  # () the length of 1 in units of the mesh
 
 
-def divisions(faces: Faces, costs: Iterable[Costs]) -> list[tuple[list[int], float]]:
+def divisions(faces: MergedFaces, costs: Iterable[Costs]) -> list[tuple[list[int], float]]:
     """For each kind of rays the first face of each run, behind them P, and about what a ray costs: the cheapest of all.
 
     A ray is taken to meet boxes in proportion to their area. The faces of a run are all triangles, or all parallelograms.
@@ -112,7 +112,7 @@ def area(extent: Tensor) -> Tensor:
     return x * y + y * z + z * x
 
 
-def boxes_around(low: Tensor, high: Tensor) -> Tensor:
+def _boxes_around(low: Tensor, high: Tensor) -> Tensor:
     """(N, 6) centres and half extents of boxes, from their least and greatest coordinates, (N, 3)."""
     centre = 0.5 * (low + high)
     return torch.cat([centre, torch.maximum(high - centre, centre - low)], 1)
@@ -124,7 +124,7 @@ def box_of_ball(placement: Tensor) -> tuple[Tensor, Tensor]:
     return centre - half, centre + half
 
 
-def tables(p: Tensor, faces: Faces, first: Tensor, scale: Tensor, balls: Tensor | None) -> Runs:
+def triangle_runs(p: Tensor, faces: MergedFaces, first: Tensor, scale: Tensor, balls: Tensor | None) -> Runs:
     """What loops read of triangles.
 
     Args:
@@ -142,7 +142,7 @@ def tables(p: Tensor, faces: Faces, first: Tensor, scale: Tensor, balls: Tensor 
     if balls is not None:
         borders = [torch.cat(pair) for pair in zip(borders, box_of_ball(balls.to(p.dtype) * scale))]
     low, high = borders
-    boxes = boxes_around(torch.cat([low.amin(0, keepdim=True), low]), torch.cat([high.amax(0, keepdim=True), high]))
+    boxes = _boxes_around(torch.cat([low.amin(0, keepdim=True), low]), torch.cat([high.amax(0, keepdim=True), high]))
     run = torch.zeros(len(corner), dtype=torch.int64, device=p.device)
     run[first[1:]] = 1
     named = run.cumsum(0)[:, None] * len(points) + faces.corners

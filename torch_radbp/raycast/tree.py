@@ -22,10 +22,10 @@ class Device:
 
     def __init__(self) -> None:
         self.handle = library.new_device()
-        weakref.finalize(self, library.load().rtcReleaseDevice, self.handle)
+        weakref.finalize(self, library.load_embree().rtcReleaseDevice, self.handle)
 
 
-class Geometry:
+class TreeGeometry:
     """Something that a tree is built of.
 
     Args:
@@ -36,21 +36,21 @@ class Geometry:
 
     def __init__(self, device: Device, kind: int, about: str):
         self.device, self.about = device, about
-        self.handle = library.load().rtcNewGeometry(device.handle, kind)
-        library.check(device.handle, f"making a geometry of {about}")
+        self.handle = library.load_embree().rtcNewGeometry(device.handle, kind)
+        library.check_for_error(device.handle, f"making a geometry of {about}")
         self.held: list = []  # tensors that Embree reads in place, and what else must live as long
-        weakref.finalize(self, library.load().rtcReleaseGeometry, self.handle)
+        weakref.finalize(self, library.load_embree().rtcReleaseGeometry, self.handle)
 
     def share(self, kind: int, item: int, table: Tensor, count: int) -> None:
         """Lets Embree read the first `count` rows of a table in place."""
         self.held.append(table)
-        library.load().rtcSetSharedGeometryBuffer(self.handle, kind, 0, item, table.data_ptr(), 0,
-                                                  table.stride(0) * table.element_size(), count)
+        library.load_embree().rtcSetSharedGeometryBuffer(self.handle, kind, 0, item, table.data_ptr(), 0,
+                                                         table.stride(0) * table.element_size(), count)
 
     @staticmethod
-    def of_triangles(device: Device, vertices: Tensor, faces: Tensor) -> Geometry:
+    def of_triangles(device: Device, vertices: Tensor, faces: Tensor) -> TreeGeometry:
         """Triangles: (V, 3) positions, of which (F, 3) int32 `faces` are the corners."""
-        made = Geometry(device, library.GEOMETRY_TYPE_TRIANGLE, f"{len(faces)} triangles")
+        made = TreeGeometry(device, library.GEOMETRY_TYPE_TRIANGLE, f"{len(faces)} triangles")
         # Embree reads 16 bytes at a time: past the last vertex by 4.
         padded = torch.zeros(len(vertices) + 1, 3, dtype=torch.float32, device=vertices.device)
         padded[:-1] = vertices
@@ -59,11 +59,11 @@ class Geometry:
         return made
 
     @staticmethod
-    def of_instances(device: Device, tree: Tree, to_world: Tensor) -> Geometry:
+    def of_instances(device: Device, tree: Tree, to_world: Tensor) -> TreeGeometry:
         """A tree at several places: (I, 3, 4) float32 transforms."""
-        made = Geometry(device, library.GEOMETRY_TYPE_INSTANCE_ARRAY, f"{len(to_world)} instances")
+        made = TreeGeometry(device, library.GEOMETRY_TYPE_INSTANCE_ARRAY, f"{len(to_world)} instances")
         made.held.append(tree)
-        library.load().rtcSetGeometryInstancedScene(made.handle, tree.handle)
+        library.load_embree().rtcSetGeometryInstancedScene(made.handle, tree.handle)
         made.share(library.BUFFER_TYPE_TRANSFORM, library.FORMAT_FLOAT3X4_ROW_MAJOR, to_world.flatten(1).contiguous(),
                    len(to_world))
         return made
@@ -84,10 +84,10 @@ class Tree:
         RuntimeError: Embree reports an error; of a large one when `handle` is asked for.
     """
 
-    def __init__(self, device: Device, geometries: Sequence[Geometry], triangles: int):
+    def __init__(self, device: Device, geometries: Sequence[TreeGeometry], triangles: int):
         self.device, self.geometries = device, geometries
-        self.scene = library.load().rtcNewScene(device.handle)
-        weakref.finalize(self, library.load().rtcReleaseScene, self.scene)
+        self.scene = library.load_embree().rtcNewScene(device.handle)
+        weakref.finalize(self, library.load_embree().rtcReleaseScene, self.scene)
         self.error: BaseException | None = None
         self.building: threading.Thread | None = None
         if triangles < LARGE or threads() == 1:
@@ -99,7 +99,7 @@ class Tree:
 
     def build(self) -> None:
         """Builds it on this thread, whose errors Embree tells to this thread alone."""
-        embree = library.load()
+        embree = library.load_embree()
         try:
             embree.rtcSetSceneFlags(self.scene, library.SCENE_FLAG_ROBUST)  # no ray slips between two triangles
             for geometry in self.geometries:
@@ -107,7 +107,7 @@ class Tree:
                 embree.rtcAttachGeometry(self.scene, geometry.handle)
             embree.rtcCommitScene(self.scene)
             about = " and ".join(geometry.about for geometry in self.geometries)
-            library.check(self.device.handle, f"building a scene of {about}")
+            library.check_for_error(self.device.handle, f"building a scene of {about}")
         except BaseException as error:
             self.error = error
 
@@ -127,7 +127,7 @@ class Tree:
             raise self.error
 
 
-class Group(NamedTuple):
+class GroupTree(NamedTuple):
     """The tree of a group, and what it was built of, in the group's frame."""
 
     tree: Tree
@@ -135,7 +135,8 @@ class Group(NamedTuple):
     faces: Tensor  # (F, 3) int32, rows of these
 
 
-def groups_of(device: Device, vertices: Tensor, faces: Tensor, instances: Instances, known: Sequence[Group]) -> list[Group]:
+def groups_of(device: Device, vertices: Tensor, faces: Tensor, instances: Instances,
+              known: Sequence[GroupTree]) -> list[GroupTree]:
     """The groups that instances show; those of `known`, which are of the same device, whose triangles are the same.
 
     Args:
@@ -151,6 +152,7 @@ def groups_of(device: Device, vertices: Tensor, faces: Tensor, instances: Instan
         own, corners = vertices[start[0]:end[0]], faces[start[1]:end[1]] - start[0]
         same = next((group for group in known
                      if torch.equal(group.vertices, own) and torch.equal(group.faces, corners)), None)
-        groups.append(same or Group(Tree(device, [Geometry.of_triangles(device, own, corners)], len(corners)), own, corners))
+        groups.append(same or GroupTree(Tree(device, [TreeGeometry.of_triangles(device, own, corners)], len(corners)),
+                                        own, corners))
         start = end
     return groups

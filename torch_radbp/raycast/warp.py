@@ -59,7 +59,7 @@ class Warp:
         self.balls = balls
         self.rays_cast = 0
         self._counting = Lock()
-        self._device = started(self.vertices.device)
+        self._device = _started(self.vertices.device)
         self._streams: set[torch.cuda.Stream] = set()
         corners, self._unit = in_units(self.vertices, self.faces)
         points = widened(corners)
@@ -149,7 +149,7 @@ def widened(corners: Tensor) -> Tensor:
 
 
 @made_once
-def started(device: torch.device):
+def _started(device: torch.device):
     """Warp's device for one of torch's, with the kernels loaded: compiled the first time, and kept on disk by Warp."""
     level, wp.config.log_level = wp.config.log_level, max(wp.config.log_level, wp.LOG_ERROR)
     try:  # without a word on what Warp finds and compiles

@@ -42,7 +42,7 @@ class LinearSize(NamedTuple):
 NOTHING = LinearSize(0.0, 0.0)
 
 
-class Tables(NamedTuple):
+class TableBytes(NamedTuple):
     """Bytes that the gradients of tables need, however many the lanes are."""
 
     totals: float = 0.0  # of each worker, while bounces are differentiated
@@ -58,7 +58,7 @@ class BounceMemory(NamedTuple):
     outside: LinearSize = NOTHING  # that modules need beside, of the lanes that they compute at a time,
     at_once: float = 0.0  # which are so many at the most, in each thread
     held: float = 0.0  # of a lane's adjoints that are held back before modules run on them, see `outside.HELD`
-    tables: Tables = Tables()
+    tables: TableBytes = TableBytes()
 
 
 class AllocatedBytes(TorchDispatchMode):
@@ -96,14 +96,14 @@ def linear_size(measure: Callable[[int], float]) -> LinearSize:
     return LinearSize(per_lane, max(0.0, few - per_lane * LANES[0]))
 
 
-def tables_of(leaves: Sequence[Tensor], parameters: Sequence[Tensor]) -> Tables:
+def tables_of(leaves: Sequence[Tensor], parameters: Sequence[Tensor]) -> TableBytes:
     """What the gradients of `leaves` need, which are attached to `parameters`."""
     if not leaves:
-        return Tables()
+        return TableBytes()
     with torch.enable_grad(), AllocatedBytes() as allocated:
         gradients = [torch.zeros_like(leaf) for leaf in leaves]
         torch.autograd.grad(leaves, parameters, gradients, retain_graph=True, allow_unused=True)
-    return Tables(sum(torch.float64.itemsize * leaf.numel() for leaf in leaves), allocated.peak)
+    return TableBytes(sum(torch.float64.itemsize * leaf.numel() for leaf in leaves), allocated.peak)
 
 
 def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[int], PathState],

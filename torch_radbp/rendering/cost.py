@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 
 from torch_radbp.adjoint.strategy import AdjointStrategy
-from torch_radbp.rendering.memory import LEAST_BOUNCE, Workload, predict, size_of
+from torch_radbp.rendering.memory import LEAST_BOUNCE, Workload, bytes_text, predict
 
 MOST_NUMBERED = 2**31 - 1  # pixels of an image, samples of a pixel: int32 counts them
 MOST_PATHS = 10**12  # a day at 10 million paths a second, hours on the fastest devices of today
@@ -100,14 +100,15 @@ def check_cost(request: Request) -> None:
         ValueError: with the number of paths, or the bytes that are needed at least and those that there are.
     """
     if request.paths > MOST_PATHS or request.spp > MOST_NUMBERED or request.width * request.height > MOST_NUMBERED:
-        raise ValueError(f"{request}: {request.paths:.3g} paths, and {size_of(request.least_bytes)} of memory at least; one "
-                         f"call traces at most {MOST_PATHS:.0e} paths, {MOST_NUMBERED} pixels of an image and as many "
+        raise ValueError(f"{request}: {request.paths:.3g} paths, and {bytes_text(request.least_bytes)} of memory at least; "
+                         f"one call traces at most {MOST_PATHS:.0e} paths, {MOST_NUMBERED} pixels of an image and as many "
                          f"samples of a pixel: average calls of fewer samples with other seeds, or render crops of the film")
     there = memory_of(request.device)
     if request.least_bytes > there:
         remedy = "set memory_budget, or average the gradients of calls of fewer samples with other seeds, or "
-        raise ValueError(f"{request}: {size_of(request.least_bytes)} of memory at least, and there are {size_of(there)}; "
-                         f"{'' if request.adjoint is None else remedy}choose a smaller film, chunk or spp")
+        raise ValueError(f"{request}: {bytes_text(request.least_bytes)} of memory at least, and there are "
+                         f"{bytes_text(there)}; {'' if request.adjoint is None else remedy}choose a smaller film, chunk or "
+                         "spp")
 
 
 def memory_of(device: torch.device) -> float:

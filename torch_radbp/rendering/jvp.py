@@ -82,8 +82,8 @@ def jvp(scene: Scene, tangents: Mapping[str, Tensor], *, spp: int | None = None,
     if rays is not None:
         if any(value is not None for value in of_images.values()):
             raise ValueError(f"along rays there are no sensors, windows and aovs, got {of_images}: leave them out")
-        return with_tangents(renderer, tangents, {"origins": rays[0], "directions": rays[1], "seed": seed}).tangent
-    found = with_tangents(renderer, tangents, {"seed": seed, **of_images})
+        return render_with_tangents(renderer, tangents, {"origins": rays[0], "directions": rays[1], "seed": seed}).tangent
+    found = render_with_tangents(renderer, tangents, {"seed": seed, **of_images})
     if aovs is None:
         return found.tangent
     image, quantities = found
@@ -115,10 +115,10 @@ def checked_tangents(scene: Scene, tangents: Mapping[str, Tensor]) -> dict[str, 
 def rendering_with_tangent(renderer: Renderer, tangents: Mapping[str, Tensor], seed: int,
                            sensors: SensorChoice = None, spp: int | None = None) -> DualImage:
     """A rendering and its derivative along `tangents`, as `checked_tangents` returns them."""
-    return with_tangents(renderer, tangents, {"seed": seed, "sensors": sensors, "spp": spp})
+    return render_with_tangents(renderer, tangents, {"seed": seed, "sensors": sensors, "spp": spp})
 
 
-def with_tangents(renderer: Renderer, tangents: Mapping[str, Tensor], arguments: dict):
+def render_with_tangents(renderer: Renderer, tangents: Mapping[str, Tensor], arguments: dict):
     """What `renderer(**arguments)` returns, each image with its derivative along `tangents`; or, given rays, `radiance`."""
     module, scene = (RadianceOf(renderer), "renderer.scene") if "origins" in arguments else (renderer, "scene")
 

@@ -200,8 +200,8 @@ def states_kept(adjoint, bounces: int, work: Workload) -> float:
     return sum(work.fractions[depth] for depth in depths if depth > 0 or len(depths) == bounces)
 
 
-def candidates(chunk: int, adjoint: AdjointStrategy | None,
-               shares_samples: bool) -> Iterator[tuple[int, AdjointStrategy, float]]:
+def _candidates(chunk: int, adjoint: AdjointStrategy | None,
+                shares_samples: bool) -> Iterator[tuple[int, AdjointStrategy, float]]:
     """Chunk, strategy and how much to keep between the passes, from the fastest to the most frugal.
 
     Smaller chunks cost little, replayed bounces more, and tracing all paths again most.
@@ -217,7 +217,7 @@ def candidates(chunk: int, adjoint: AdjointStrategy | None,
                 lanes //= 2
 
 
-def size_of(count: float) -> str:
+def bytes_text(count: float) -> str:
     """Bytes for people, in binary units."""
     unit = max((unit for unit in UNITS if UNITS[unit] <= count and len(unit) != 2), key=UNITS.get, default="B")
     return f"{count / UNITS[unit]:.3g} {unit}"
@@ -238,10 +238,10 @@ def plan_memory(budget: int, work: Workload, chunk: int, adjoint: AdjointStrateg
         ValueError: if nothing fits; the message says how much the most frugal plan needs.
     """
     plans = [predict(work, size, strategy, record_bytes)
-             for size, strategy, record_bytes in candidates(max(chunk, SMALLEST_CHUNK), adjoint, shares_samples)]
+             for size, strategy, record_bytes in _candidates(max(chunk, SMALLEST_CHUNK), adjoint, shares_samples)]
     fitting = next((plan for plan in plans if plan.peak <= budget), None)
     if fitting is None:
         least = min(plans, key=lambda plan: plan.peak)
-        raise ValueError(f"memory_budget of {size_of(budget)} is too small: the most frugal plan "
-                         f"({least.adjoint}, chunk={least.chunk}) needs {size_of(least.peak)}")
+        raise ValueError(f"memory_budget of {bytes_text(budget)} is too small: the most frugal plan "
+                         f"({least.adjoint}, chunk={least.chunk}) needs {bytes_text(least.peak)}")
     return fitting

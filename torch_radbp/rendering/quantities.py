@@ -10,7 +10,7 @@ from torch_radbp.aov.images import channels_of, lane_values, render_aovs
 from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, TURNING, UNDIFFERENTIATED, plain
 from torch_radbp.boundary import EdgesOfCall
 from torch_radbp.boundary.outline import Jumps
-from torch_radbp.boundary.primary import Seen, jumps_of_views
+from torch_radbp.boundary.primary import SeenByCamera, jumps_of_views
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
@@ -50,7 +50,7 @@ def aov_jumps(call: RenderCall, jumps: list[Jumps], names: tuple[str, ...]) -> d
         if group:
             seen = call if of_paths else call._replace(integrand=with_emitters(call.integrand))
             turns = tuple(plain(name) in TURNING for name, count in zip(group, counts) for _ in range(count))
-            found |= zip(group, jumps_of_views(seen, jumps, Seen(turns, values)).split(counts, 1))
+            found |= zip(group, jumps_of_views(seen, jumps, SeenByCamera(turns, values)).split(counts, 1))
     return found
 
 

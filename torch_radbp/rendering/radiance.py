@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from torch import Tensor, nn
 from torch.func import functional_call
 
-from torch_radbp.adjoint.forward_mode import outside_transforms
+from torch_radbp.adjoint.forward_mode import render_outside_transforms
 
 
 class RadianceOf(nn.Module):
@@ -23,7 +23,7 @@ class RadianceOf(nn.Module):
 
 def radiance_outside(renderer: nn.Module, rays: Mapping[str, Tensor], seed: int | None, spp: int | None,
                      seed_grad: int | None) -> Tensor:
-    """What `renderer.radiance(**rays, ...)` gives inside of `torch.func.jvp`; raises as `outside_transforms`."""
+    """What `renderer.radiance(**rays, ...)` gives inside of `torch.func.jvp`; raises as `render_outside_transforms`."""
     module = RadianceOf(renderer)
 
     def render(tensors: dict[str, Tensor]) -> Tensor:
@@ -31,4 +31,4 @@ def radiance_outside(renderer: nn.Module, rays: Mapping[str, Tensor], seed: int 
         parameters = {name: value for name, value in tensors.items() if name not in rays}
         return functional_call(module, parameters, kwargs={**given, "seed": seed, "spp": spp, "seed_grad": seed_grad})
 
-    return outside_transforms(render, {**dict(module.named_parameters()), **rays})
+    return render_outside_transforms(render, {**dict(module.named_parameters()), **rays})

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 from torch_radbp.adjoint import AdjointStrategy, MemoizedAdjoint
-from torch_radbp.adjoint.forward_mode import inside_transforms, outside_transforms
+from torch_radbp.adjoint.forward_mode import inside_transforms, render_outside_transforms
 from torch_radbp.adjoint.rendered import rendered
 from torch_radbp.aov.images import beside_image
 from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
@@ -201,8 +201,8 @@ class Renderer(nn.Module):
         if inside_transforms():
             arguments = {"seed": seed, "sensors": sensors, "spp": spp, "seed_grad": seed_grad, "aovs": aovs,
                          "window": window}
-            return outside_transforms(lambda parameters: functional_call(self, parameters, kwargs=arguments),
-                                      dict(self.named_parameters()))
+            return render_outside_transforms(lambda parameters: functional_call(self, parameters, kwargs=arguments),
+                                             dict(self.named_parameters()))
         outputs = None if aovs is None else self.outputs(aovs)
         call = self.prepare(seed, sensors, spp, seed_grad, aovs is not None, window)
         self.noise_watch.look(seed, call.parameters)

@@ -25,7 +25,7 @@ def shots_of(scene: Scene, sensors: SensorChoice, window: WindowChoice) -> list[
     """
     indices, available = sensor_indices(scene, sensors), scene.sensors
     seen = [available[index] for index in indices]
-    parts = [None] * len(seen) if window is None else parts_of(window, seen)
+    parts = [None] * len(seen) if window is None else _parts_of(window, seen)
     shots = [Shot(sensor, index, sensor.film.window(part)) for sensor, index, part in zip(seen, indices, parts)]
     sizes = {(shot.window.columns.size, shot.window.rows.size) for shot in shots}
     if len(sizes) > 1:
@@ -34,7 +34,7 @@ def shots_of(scene: Scene, sensors: SensorChoice, window: WindowChoice) -> list[
     return shots
 
 
-def parts_of(window: Part | Sequence[Part], sensors: Sequence[Sensor]) -> list[tuple[int, int, int, int]]:
+def _parts_of(window: Part | Sequence[Part], sensors: Sequence[Sensor]) -> list[tuple[int, int, int, int]]:
     """A part of the image of each of some sensors; errors as for `shots_of`."""
     given = window.tolist() if isinstance(window, (Tensor, np.ndarray)) else window
     if not isinstance(given, Sequence) or isinstance(given, str) or not len(given):

@@ -41,7 +41,7 @@ class ZeroGradientWarning(UserWarning):
     """
 
 
-class Look(NamedTuple):
+class UsedImage(NamedTuple):
     """An image of a backward pass, of which the loss uses something."""
 
     sensor: str | None  # its name, if all of its image is there and the loss uses all that is not black
@@ -52,7 +52,7 @@ class Pass:
     """A backward pass that is under way."""
 
     def __init__(self):
-        self.looks: dict[str, list[Look]] = {}  # of each parameter, at the images that may depend on it
+        self.looks: dict[str, list[UsedImage]] = {}  # of each parameter, at the images that may depend on it
         self.hooks: list[RemovableHandle] = []
         self.found: dict[str, Tensor | bool] = {}  # of each parameter that was reached, whether its gradient is not 0
 
@@ -64,7 +64,7 @@ class Unseen:
         self.sensors: set[str] = set()
         self.rounds = 0.0  # over all sensors
 
-    def add(self, looks: list[Look]) -> None:
+    def add(self, looks: list[UsedImage]) -> None:
         """Counts the looks of a backward pass."""
         self.sensors |= {look.sensor for look in looks if look.sensor is not None}
         self.rounds += sum(look.share for look in looks)
@@ -98,7 +98,7 @@ class GradientWatch:
         return images
 
     @public_call
-    def begin(self, parameters: Mapping[str, Tensor], looks: list[Look], sensors: list[str], shown: Tensor,
+    def begin(self, parameters: Mapping[str, Tensor], looks: list[UsedImage], sensors: list[str], shown: Tensor,
               adjoint: Tensor | None) -> None:
         """Begins to watch a backward pass that has come to images.
 
@@ -160,14 +160,14 @@ def which_see(parameter: str, sensors: list[str]) -> list[str]:
     return [sensor for sensor in sensors if parameter.startswith(f"{sensor}.")] or sensors
 
 
-def look_of(view: View, sensors: Mapping[str, Sensor]) -> Look:
+def look_of(view: View, sensors: Mapping[str, Sensor]) -> UsedImage:
     """The look at an image of which a loss uses everything; `sensors`: all of the scene."""
     name = next((name for name, sensor in sensors.items() if sensor is view.sensor), None)
     if name is None:
-        return Look(None, RAYS)
+        return UsedImage(None, RAYS)
     film = view.sensor.film
     share = view.width * view.height / (film.crop_width * film.crop_height)
-    return Look(name if share == 1 else None, share / len(sensors))
+    return UsedImage(name if share == 1 else None, share / len(sensors))
 
 
 def whole_name(parameter: str) -> str:

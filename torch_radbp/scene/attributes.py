@@ -18,7 +18,7 @@ from torch_radbp.texture.bitmap import reader_of
 def attributes_read(owner: Plugin) -> Iterator[tuple[str, Domain, Texture]]:
     """The attributes that the textures of a material or an emitter read, with the domain of the values and the texture."""
     for domain, texture in textures_of(owner):
-        for leaf in leaves(texture):
+        for leaf in _leaves(texture):
             yield from ((attribute, domain, leaf) for attribute in reader_of(leaf).attributes)
 
 
@@ -39,10 +39,10 @@ def with_nested(owner: Plugin) -> Iterator[Plugin]:
             yield from with_nested(child)
 
 
-def leaves(texture: Texture) -> Iterator[Texture]:
+def _leaves(texture: Texture) -> Iterator[Texture]:
     """The texture, or those that its values are taken from."""
     for part in texture.parts():
-        yield from leaves(part)
+        yield from _leaves(part)
     if not texture.parts():
         yield texture
 
@@ -81,7 +81,7 @@ def attribute(scene: Scene, shape: Shape, name: str) -> Tensor:
     return getattr(shape, name)
 
 
-def any_differentiated(scene: Scene, names: tuple[str, ...]) -> bool:
+def any_attribute_differentiated(scene: Scene, names: tuple[str, ...]) -> bool:
     """True if an attribute with one of these names carries derivatives."""
     return any(differentiated(getattr(shape, name)) for shape in scene.shapes for name in names
                if name in getattr(shape, "attribute_names", ()))

@@ -118,11 +118,11 @@ class Copies:
             return False
         self.places[place] = weakref.ref(tensor)
         if self.unchanged is None:
-            self.unchanged = unchanged(self.last_places, self.last_copies)
+            self.unchanged = _unchanged(self.last_places, self.last_copies)
         return (place, id(tensor)) in self.unchanged
 
 
-def unchanged(places: dict[Hashable, weakref.ref[Tensor]], copies: dict[Hashable, Tensor]) -> set[tuple[Hashable, int]]:
+def _unchanged(places: dict[Hashable, weakref.ref[Tensor]], copies: dict[Hashable, Tensor]) -> set[tuple[Hashable, int]]:
     """The places, with the ids of tensors that are still there with the bits of their copies; all are compared at once."""
     there = [(place, tensor, copies[place]) for place, found in places.items() if (tensor := found()) is not None]
     there = [each for each in there if comparable(*each[1:])]

@@ -35,7 +35,7 @@ class PlacedShape(NamedTuple):
     ball: Ball | None  # likewise
 
 
-class Numbers(NamedTuple):
+class TriangleNumbering(NamedTuple):
     """How the triangles of a shape are counted."""
 
     counted: bool  # if not, they are one primitive, of number 0
@@ -53,7 +53,7 @@ class Columns(NamedTuple):
     material: tuple[int, ...]  # of each shape, row of `MaterialTable`
     emitting: tuple[bool, ...]  # whether each shape belongs to an emitter
     plain: tuple[bool, ...]  # of each shape, see `TriangleTable`
-    numbers: tuple[Numbers, ...] | None = None  # of each shape, for AOVs
+    numbers: tuple[TriangleNumbering, ...] | None = None  # of each shape, for AOVs
 
 
 def placed_shape(cache: PackCache, shape: Surface, instanced: bool, dtype: torch.dtype) -> PlacedShape:
@@ -110,19 +110,19 @@ def triangle_table(cache: PackCache, shapes: Sequence[PlacedShape], columns: Col
     corners, material, emitter = cache(triangle_rows, tuple(shape.faces for shape in shapes),
                                       tuple(len(shape.vertices) for shape in shapes), columns.material, columns.emitting,
                                       device)
-    n, clearances = cache(concatenated,
+    n, clearances = cache(_concatenated,
                           tuple(cache(normals_and_clearances, shape.vertices, shape.faces) for shape in shapes),
                          dtype, device)
     smooth = tuple(shape.surface.normals is not None for shape in shapes)
     smooth = None if all(smooth) or not columns.normals else cache(of_each, smooth, counts, torch.bool, device)
     plain = tuple(wanted and shape.surface.normals is None for wanted, shape in zip(columns.plain, shapes))
-    along = cache(tangents, vertices, corners) if columns.tangents else None
+    along = cache(_tangents, vertices, corners) if columns.tangents else None
     if not columns.uv:
         vertices = cache(VertexTable, vertices.p, vertices.n, None, vertices.attributes)
     return TriangleTable(vertices, corners, n, smooth, clearances, along, material=material, emitter=emitter,
                          balls=cache(balls_among, tuple(shape.ball for shape in shapes), counts, device),
                          attributes=cache(face_table, surfaces, counts, columns.face_attributes, dtype, device),
-                         numbers=None if columns.numbers is None else cache(numbers, columns.numbers, counts, device),
+                         numbers=None if columns.numbers is None else cache(_numbers, columns.numbers, counts, device),
                          instances=instances,
                          plain=cache(of_each, plain, counts, torch.bool, device) if any(plain) else None)
 
@@ -142,14 +142,14 @@ def shown_instances(cache: PackCache, groups: Sequence[Sequence[Instance]], shap
     if not groups:
         return None
     members = [len(instances[0].shapegroup.shapes) for instances in groups]
-    poses = cache(stacked, tuple(cache.in_twin((id(instance), "to_world"), instance.to_world)
+    poses = cache(_stacked, tuple(cache.in_twin((id(instance), "to_world"), instance.to_world)
                                 for instances in groups for instance in instances), dtype)
     casting = cache(casting_of, cache.frozen("poses of instances", poses), tuple(map(len, groups)), tuple(members),
                    tuple(shape.vertices for shape in shapes), tuple(shape.faces for shape in shapes))
     return cache(instance_table, poses, normals, casting, numbers)
 
 
-def stacked(poses: tuple[Tensor, ...], dtype: torch.dtype) -> Tensor:
+def _stacked(poses: tuple[Tensor, ...], dtype: torch.dtype) -> Tensor:
     """(I, 4, 4) poses in one tensor."""
     return torch.stack(poses).to(dtype)
 
@@ -263,7 +263,7 @@ def emitter_rows(emitting: Sequence[bool], counts: Sequence[int], device: torch.
     return torch.where(emitting, emitting.cumsum(0) - 1, -1).to(torch.int32)
 
 
-def numbers(shapes: Sequence[Numbers], counts: Sequence[int], device: torch.device) -> tuple[Tensor, Tensor]:
+def _numbers(shapes: Sequence[TriangleNumbering], counts: Sequence[int], device: torch.device) -> tuple[Tensor, Tensor]:
     """The number of each triangle in its shape, and that of the shape, (T,) int32 each; `counts` are of triangles."""
     none = torch.zeros(0, dtype=torch.int32)
     own = [torch.arange(count, dtype=torch.int32) * shape.counted for shape, count in zip(shapes, counts)]
@@ -287,14 +287,14 @@ def normals_and_clearances(vertices: Tensor, faces: Tensor) -> tuple[Vec3, Tenso
     return Vec3(*n), clearances
 
 
-def concatenated(parts: Sequence[tuple[Vec3, Tensor]], dtype: torch.dtype, device: torch.device) -> tuple[Vec3, Tensor]:
+def _concatenated(parts: Sequence[tuple[Vec3, Tensor]], dtype: torch.dtype, device: torch.device) -> tuple[Vec3, Tensor]:
     """The normals and clearances of all shapes, (T,) each, from those of each."""
     none = torch.zeros(0, dtype=dtype, device=device)
     *n, clearances = (torch.cat([none, *column]) for column in zip((none,) * 4, *((*n, own) for n, own in parts)))
     return interleaved((Vec3(*n), clearances))
 
 
-def tangents(vertices: VertexTable, corners: tuple[Tensor, Tensor, Tensor]) -> Vec3:
+def _tangents(vertices: VertexTable, corners: tuple[Tensor, Tensor, Tensor]) -> Vec3:
     """The unit directions in the triangles along which u grows, attached."""
     return growth_of_u(*edges(*at_corners(vertices.p, corners))[1:], *at_corners(vertices.uv, corners))
 

@@ -11,9 +11,9 @@ from torch_radbp.scene.barycentric_gradients import barycentric_gradients
 from torch_radbp.scene.cone import Cone, footprint
 from torch_radbp.scene.nearby import slides_from
 from torch_radbp.scene.placement import (
-    largest_coordinate,
+    detached_largest_coordinate,
+    points_in_world,
     power_of_two_above,
-    shown,
     shown_direction,
     shown_normals,
 )
@@ -85,7 +85,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     prim = hit.prim.clamp_min(0)
     vertices, layout = triangles.vertices, scene.layout
     t, rows = hit.t, corner_rows(scene, hit)
-    corners = shown(scene, hit, at_corners(vertices.p, rows) if here is None else here)
+    corners = points_in_world(scene, hit, at_corners(vertices.p, rows) if here is None else here)
     p0, e1, e2 = edges(*corners)
     n = triangle_normal(scene, hit, e1, e2)
     if slides is not None and triangles.plain is not None:
@@ -155,7 +155,7 @@ def triangle_normal(scene: SceneTensors, hit, e1: Vec3 | None = None, e2: Vec3 |
     if scene.triangles.instances is None:
         return lookup(scene.triangles.n, hit.prim.clamp_min(0))
     if e1 is None:
-        _, e1, e2 = edges(*shown(scene, hit, at_corners(scene.triangles.vertices.p, corner_rows(scene, hit))))
+        _, e1, e2 = edges(*points_in_world(scene, hit, at_corners(scene.triangles.vertices.p, corner_rows(scene, hit))))
     return unit_normal_shown(scene, hit, e1.detach(), e2.detach())
 
 
@@ -187,7 +187,7 @@ def clearance(corners: Corners) -> Tensor:
 
     Reference: Pharr, Jakob and Humphreys 2023, "Physically Based Rendering", section 6.8.6.
     """
-    return ROUNDINGS * 2.0**-24 * power_of_two_above(largest_coordinate(corners))
+    return ROUNDINGS * 2.0**-24 * power_of_two_above(detached_largest_coordinate(corners))
 
 
 @stage("scene")

@@ -37,7 +37,7 @@ class Inventory:
 
     def __init__(self, root: nn.Module):
         left_out = set(root.named_sensors.values()) if isinstance(root, Scene) else set()
-        self.root, self.modules = root, list(held_by([root], left_out))
+        self.root, self.modules = root, list(_held_by([root], left_out))
         self.inner = [each for module in self.modules for each in dicts_of(module)[1:]]  # found in `vars` of the modules
         dicts = self.dicts()
         self.sizes, self.names = list(map(len, dicts)), list(chain.from_iterable(dicts))
@@ -76,7 +76,7 @@ class Inventory:
 
 def reach_of(modules: Iterable[nn.Module]) -> frozenset[int]:
     """See `Inventory.reach`."""
-    within = list(held_by(modules, of_shapes=False))
+    within = list(_held_by(modules, of_shapes=False))
     tensors = {id(tensor) for module in within for _, tensor in tensors_of(module)}
     return frozenset(tensors).union(id(module) for module in within if is_restless(module))
 
@@ -87,8 +87,8 @@ def is_restless(module: nn.Module) -> bool:
     return parametrize.is_parametrized(module) or not (isinstance(module, (Plugin, Scene)) or stands_still(module))
 
 
-def held_by(modules: Iterable[nn.Module], left_out: Collection[nn.Module] = (), of_shapes: bool = True
-            ) -> Iterator[nn.Module]:
+def _held_by(modules: Iterable[nn.Module], left_out: Collection[nn.Module] = (), of_shapes: bool = True
+             ) -> Iterator[nn.Module]:
     """Some modules and all that they hold: registered, shared with others, or in tuples.
 
     Args:

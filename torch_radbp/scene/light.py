@@ -48,7 +48,7 @@ class Case(NamedTuple):
     mask: Tensor | None  # (N,) bool: the lanes that it concerns; None: all
 
 
-def cases(scene: SceneTensors, element: Tensor, kinds: dict[int, LightKind]) -> list[Case]:
+def _cases(scene: SceneTensors, element: Tensor, kinds: dict[int, LightKind]) -> list[Case]:
     """The kinds that elements of the light table may be of, by their number."""
     if len(kinds) == 1:
         return [Case(*item, None) for item in kinds.items()]
@@ -58,10 +58,10 @@ def cases(scene: SceneTensors, element: Tensor, kinds: dict[int, LightKind]) -> 
 
 def visible_cases(scene: SceneTensors, element: Tensor) -> list[Case]:
     """The kinds of light on surfaces that are seen, of elements that are triangles."""
-    return [case for case in cases(scene, element, scene.layout.surface_lights) if not case.kind.delta]
+    return [case for case in _cases(scene, element, scene.layout.surface_lights) if not case.kind.delta]
 
 
-def rows_of(scene: SceneTensors, element: Tensor, case: Case) -> Tensor:
+def _rows_of(scene: SceneTensors, element: Tensor, case: Case) -> Tensor:
     """The rows of elements in the table of a kind; 0 for elements of another kind."""
     if case.mask is None:
         return element  # those of one kind come in the order of its table
@@ -89,7 +89,7 @@ def emitted_by_surface(scene: SceneTensors, si: SurfaceInteraction, texture_valu
     if not scene.layout.visible_surfaces:
         return Vec3.full(si.p.x, 0.0)
     element = si.emitter.clamp_min(0)
-    sends = [of(case, case.kind.sends(si.front)) for case in visible_cases(scene, element)]
+    sends = [_in_lanes_of(case, case.kind.sends(si.front)) for case in visible_cases(scene, element)]
     emits = si.valid & functools.reduce(torch.logical_or, sends) & (si.emitter >= 0)
     # Next-event estimation finds the same point by no cone: emitters look the same however they are found.
     point = si.point._replace(uv=si.point.uv if scene.layout.radiance_bitmaps else None, footprint=None)
@@ -160,7 +160,7 @@ def pdf_of_surface(scene: SceneTensors, si: SurfaceInteraction, proposal: SceneT
     pmf = lookup(proposal.lights.choice.pmf, element) * (
         (si.emitter >= 0).to(pdf.dtype) if picked is None else picked.chance)
     for case in visible_cases(scene, element):
-        row = rows_of(scene, element, case)
+        row = _rows_of(scene, element, case)
         density = case.kind.density(scene.lights.tables[case.number], row, pmf, si.t, si.cosine)
         pdf = density if case.mask is None else torch.where(case.mask, density, pdf)
     return pdf
@@ -184,7 +184,7 @@ class Aims(NamedTuple):
 
     def __call__(self, name: str):
         """A part of the `Aim` of each lane's kind of light; None: no kind has it."""
-        return chosen(self.cases, [getattr(aim, name) for aim in self.of_case])
+        return _chosen(self.cases, [getattr(aim, name) for aim in self.of_case])
 
 
 def light_aims(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, numbers: LightNumbers,
@@ -198,10 +198,10 @@ def light_aims(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, num
         element, pmf = picked.element, picked.pmf
 
     # Let each kind of light that there is decide where to look.
-    found = cases(scene, element, dict(enumerate(scene.layout.lights)))
+    found = _cases(scene, element, dict(enumerate(scene.layout.lights)))
     aims = [case.kind.aim(scene.lights.tables[case.number], lights.tables[case.number], reference,
-                          Pick(rows_of(scene, element, case), pmf, numbers.u, numbers.v)) for case in found]
-    target = chosen(found, [aim.target for aim in aims])
+                          Pick(_rows_of(scene, element, case), pmf, numbers.u, numbers.v)) for case in found]
+    target = _chosen(found, [aim.target for aim in aims])
     return Aims(element, found, aims, reference if target is None else target)
 
 
@@ -231,7 +231,7 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, n
     d, pdf = samples("d"), samples("pdf")
     weighing = pdf
     if any(aim.weighing is not None for aim in aims):
-        weighing = chosen(found, [aim.pdf if aim.weighing is None else aim.weighing for aim in aims])
+        weighing = _chosen(found, [aim.pdf if aim.weighing is None else aim.weighing for aim in aims])
 
     # Look up what is sent from there.
     delta, distant = (among(found, [getattr(case.kind, name) for case in found], element) for name in ("delta", "distant"))
@@ -249,7 +249,7 @@ def sent(scene: SceneTensors, samples: Aims, texture_values: tuple[TextureValue,
     point = TexturePoint(uv, dict(zip(scene.layout.radiance.attributes, samples("attributes") or ())))
     radiance = texture_of_light(scene, element, p, point, texture_values)
     if any(aim.strength is not None for aim in aims):
-        radiance = radiance * chosen(found, [strength(aim) for aim in aims])
+        radiance = radiance * _chosen(found, [strength(aim) for aim in aims])
     if computed is None:
         return radiance
     return where(among(found, [aim.radiance is not None for aim in aims], element), computed, radiance)
@@ -260,7 +260,7 @@ def strength(aim: Aim) -> Tensor | None:
     return torch.ones_like(aim.pdf) if aim.strength is None and aim.radiance is None else aim.strength
 
 
-def chosen(found: list[Case], values: list):
+def _chosen(found: list[Case], values: list):
     """For each lane, the value of its kind of light; None counts as anything, and is the result if there is no other."""
     result = None
     for case, value in zip(found, values):
@@ -279,7 +279,7 @@ def selected(mask: Tensor, a, b):
     return torch.where(mask, a, b)
 
 
-def of(case: Case, condition: Tensor) -> Tensor:
+def _in_lanes_of(case: Case, condition: Tensor) -> Tensor:
     """The condition, (N,) bool, in the lanes of a kind only."""
     return condition if case.mask is None else case.mask & condition
 

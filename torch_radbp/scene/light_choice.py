@@ -117,7 +117,7 @@ def tree_choice(bounds: list[LightBounds | None], repeats: Tensor, sampling_weig
     """
     owner = torch.arange(len(repeats), device=repeats.device).repeat_interleave(repeats)
     picked = [(each, own) for each, own in zip(bounds, elements) if each is not None]
-    grouped = bounds_of_groups(concatenated([each for each, _ in picked]), owner[torch.cat([own for _, own in picked])],
+    grouped = bounds_of_groups(_concatenated([each for each, _ in picked]), owner[torch.cat([own for _, own in picked])],
                                len(repeats))
     local = torch.zeros_like(sampling_weight, dtype=torch.bool)
     local[owner[torch.cat([own for _, own in picked])]] = True
@@ -161,13 +161,13 @@ def beside_tree(sampling_weight: Tensor, local: Tensor, like: Tensor) -> Beside 
                   (~local).nonzero().squeeze(1).to(torch.int32))
 
 
-def concatenated(parts: list[LightBounds]) -> LightBounds:
+def _concatenated(parts: list[LightBounds]) -> LightBounds:
     """The bounds of several kinds of light, one after the other."""
     columns = [torch.cat(column) for column in zip(*(leaves_of(part) for part in parts))]
     return with_leaves(parts[0], columns)
 
 
-class Textures(NamedTuple):
+class EmitterTextures(NamedTuple):
     """The textures of emitters."""
 
     reader: TableReader
@@ -176,7 +176,7 @@ class Textures(NamedTuple):
     banks: tuple[Any, ...]
 
 
-def bounds_of_kind(kind: LightKind, table: Table, textures: Textures, texture: Tensor,
+def bounds_of_kind(kind: LightKind, table: Table, textures: EmitterTextures, texture: Tensor,
                    outside: tuple[Tensor, ...]) -> LightBounds:
     """The bounds of the lights of one kind, float64, detached.
 
@@ -191,7 +191,7 @@ def bounds_of_kind(kind: LightKind, table: Table, textures: Textures, texture: T
     return kind.bounds(table, mean_luminance(kind, table, textures, texture, outside))
 
 
-def mean_luminance(kind: LightKind, table: Table, textures: Textures, texture: Tensor,
+def mean_luminance(kind: LightKind, table: Table, textures: EmitterTextures, texture: Tensor,
                    outside: tuple[Tensor, ...]) -> Tensor:
     """The luminance of the texture of each light, float64: the mean over some points of it."""
     places, reader = [(i + 0.5) / GRID for i in range(GRID)], textures.reader

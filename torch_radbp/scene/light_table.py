@@ -13,7 +13,7 @@ from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.emitter.kind import EmittingTriangles, Light, LightKind, SurfaceKind, Table
 from torch_radbp.sampling.alias import alias_table
 from torch_radbp.scene.interaction import edges
-from torch_radbp.scene.light_choice import MANY, Textures, TreeChoice, bounds_of_kind, tree_choice
+from torch_radbp.scene.light_choice import MANY, EmitterTextures, TreeChoice, bounds_of_kind, tree_choice
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.tensors import Layout, LightTable, TriangleTable
 from torch_radbp.tensors.vec import attached, cross, rows, unit_normal
@@ -62,7 +62,7 @@ def light_table(cache: PackCache, triangles: TriangleTable, emissions: tuple[Emi
                    cache(lamp_table, each, tuple(lamp for lamp in lamps if lamp.kind() == each), weights)
                    for number, each in enumerate(layout.lights))
     if takes_tree(light_choice, emissions):
-        textures = Textures(layout.radiance, radiance, layout.lit, lit)
+        textures = EmitterTextures(layout.radiance, radiance, layout.lit, lit)
         bounds = cache(bounds_of_lights, layout.lights, textures, tables, kind, texture, outside)
         bounds = tuple(each and LightBounds(*frozen(cache, ("bounds of lights", number), each))
                        for number, each in enumerate(bounds))
@@ -84,7 +84,7 @@ def frozen(cache: PackCache, place: Hashable, record: tuple) -> tuple:
                  cache.frozen((place, number), part) for number, part in enumerate(record))
 
 
-def bounds_of_lights(kinds: tuple[LightKind, ...], textures: Textures, tables: tuple[Table, ...], kind: Tensor,
+def bounds_of_lights(kinds: tuple[LightKind, ...], textures: EmitterTextures, tables: tuple[Table, ...], kind: Tensor,
                      texture: Tensor, outside: tuple[Tensor, ...]) -> tuple[LightBounds | None, ...]:
     """The bounds of the elements of each kind, detached; None: it has none."""
     return tuple(bounds_of_kind(each, tables[number], textures, texture[kind == number],

@@ -145,7 +145,7 @@ def less(cosine: Tensor, sine: Tensor, other_cosine: Tensor, other_sine: Tensor)
             torch.where(positive, sine * other_cosine - cosine * other_sine, 0.0))
 
 
-def descended(tree: LightTree, seen: Vantage, turn: Callable[[int, Tensor], Tensor]) -> tuple[Tensor, Tensor]:
+def _descended(tree: LightTree, seen: Vantage, turn: Callable[[int, Tensor], Tensor]) -> tuple[Tensor, Tensor]:
     """The leaves that are reached from the root, (N,) int32, and the probability of that way; 0 where no light contributes.
 
     Args:
@@ -166,7 +166,7 @@ def descended(tree: LightTree, seen: Vantage, turn: Callable[[int, Tensor], Tens
 
 
 def drawn_leaf(tree: LightTree, seen: Vantage, u: Tensor) -> tuple[Tensor, Tensor]:
-    """A leaf by a random number, and its probability; as `descended`.
+    """A leaf by a random number, and its probability; as `_descended`.
 
     Args:
         u: (N,) uniform in [0, 1), float64 with 32 random bits, of which each level takes what it needs.
@@ -179,9 +179,9 @@ def drawn_leaf(tree: LightTree, seen: Vantage, u: Tensor) -> tuple[Tensor, Tenso
         u = (u - start) / torch.where(part > 0, part, 1.0)
         return right
 
-    return descended(tree, seen, turn)
+    return _descended(tree, seen, turn)
 
 
 def chance_of_leaf(tree: LightTree, seen: Vantage, leaf: Tensor) -> Tensor:
     """The probability with which `drawn_leaf` finds leaves, (N,) int32."""
-    return descended(tree, seen, lambda level, share: ((leaf >> (tree.depth - 1 - level)) & 1) > 0)[1]
+    return _descended(tree, seen, lambda level, share: ((leaf >> (tree.depth - 1 - level)) & 1) > 0)[1]

@@ -23,7 +23,7 @@ from torch_radbp.texture.bitmap import reader_of
 from torch_radbp.texture.reader import Reader
 
 
-class Textures(NamedTuple):
+class MaterialTextures(NamedTuple):
     """The textures of materials that one reader reads."""
 
     reader: Reader
@@ -37,7 +37,7 @@ class Materials(NamedTuple):
 
     table: MaterialTable
     appearances: tuple[Appearance, ...]
-    textures: tuple[Textures, ...]
+    textures: tuple[MaterialTextures, ...]
     bending: bool  # parameters with derivatives steer directions that hybrid sampling follows
     bends_ideally: bool  # by ideal mirrors and glass
     ideal_by_attributes: bool  # attributes of meshes steer such directions
@@ -71,13 +71,14 @@ def material_tables(cache: PackCache, scene: Scene, bsdfs: tuple[BSDF, ...], dty
     columns = [[appearances.index(look) for look in looks],
                *([own[k] if k < len(own) else 0 for own in slots] for k in range(max(map(len, slots), default=0)))]
     differs = tuple(front != back for front, back in zip(looks, looks[len(bsdfs):]))
-    appearance, *values = (cache(column, tuple(each), torch.int32, device) for each in columns)
-    table = MaterialTable(appearance, tuple(values), cache(column, (False,) * len(bsdfs) + two_sided, torch.bool, device),
-                          cache(column, differs, torch.bool, device) if any(differs) else None,
-                          cache(column, len(bsdfs), torch.int32, device))
+    appearance, *values = (cache(_column, tuple(each), torch.int32, device) for each in columns)
+    table = MaterialTable(appearance, tuple(values), cache(_column, (False,) * len(bsdfs) + two_sided, torch.bool, device),
+                          cache(_column, differs, torch.bool, device) if any(differs) else None,
+                          cache(_column, len(bsdfs), torch.int32, device))
     inventory = cache.inventory(scene)
     own = {reader: tuple(found.values()) for reader, found in of_reader.items()}
-    read = tuple(Textures(reader, textures, inventory.reach(textures), inventory.reach(textures) & inventory.settled_reach)
+    read = tuple(MaterialTextures(reader, textures, inventory.reach(textures),
+                                  inventory.reach(textures) & inventory.settled_reach)
                  for reader, textures in own.items())
     bending, ideally = (any(differentiated(source) for kind, own in zip(kinds, textures) if kind.delta or not ideal
                             for slot in kind.bending for source in own[slot].sources()) for ideal in (False, True))
@@ -99,7 +100,7 @@ def is_differentiated(texture: Texture) -> bool:
     return (to_uv is not None and differentiated(to_uv)) or any(map(is_differentiated, texture.parts()))
 
 
-def column(values: tuple[int | bool, ...] | int, kind: torch.dtype, device: torch.device) -> Tensor:
+def _column(values: tuple[int | bool, ...] | int, kind: torch.dtype, device: torch.device) -> Tensor:
     """A column of a table, or a number."""
     return torch.tensor(values, dtype=kind, device=device)
 

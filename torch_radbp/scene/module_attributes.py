@@ -84,7 +84,7 @@ def stands_still(module: nn.Module) -> bool:
                if name not in OF_EVERY_MODULE and name != "shared")
 
 
-def replaced(module: nn.Module) -> tuple[str, ...]:
+def parametrized_names(module: nn.Module) -> tuple[str, ...]:
     """The names of the tensors of a module that parametrisations compute."""
     return tuple(module.parametrizations) if parametrize.is_parametrized(module) else ()
 

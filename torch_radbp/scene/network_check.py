@@ -135,8 +135,8 @@ class NetworkCheck:
         if any(node.name() == REENTRANT for node in nodes):
             raise ValueError(f"{self.name}: its module uses torch.utils.checkpoint with use_reentrant=True, which gives no "
                              f"gradients of its parameters here: pass use_reentrant=False")
-        lasting = set(map(id, leaves(graph(again))))
-        reached = [leaf for leaf in leaves(nodes) if id(leaf) in lasting]
+        lasting = set(map(id, _leaves(graph(again))))
+        reached = [leaf for leaf in _leaves(nodes) if id(leaf) in lasting]
         strays = [leaf for leaf in reached if id(leaf) not in set(map(id, copies))]
         names = {id(parameter): name for name, parameter in self.module.named_parameters(prefix="module")}
         own = [names[id(leaf)] for leaf in strays if id(leaf) in names]
@@ -178,6 +178,6 @@ def graph(values: Tensor) -> Iterator[torch.autograd.graph.Node]:
             ahead.extend(other for other, _ in node.next_functions)
 
 
-def leaves(nodes: Iterable[torch.autograd.graph.Node]) -> Iterator[Tensor]:
+def _leaves(nodes: Iterable[torch.autograd.graph.Node]) -> Iterator[Tensor]:
     """The tensors that nodes collect gradients of."""
     return (node.variable for node in nodes if hasattr(node, "variable"))

@@ -28,7 +28,7 @@ from torch_radbp.scene.interaction import (
 )
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, sampling_at
 from torch_radbp.scene.nearby import Floor, Nearby, Slide, slide_at
-from torch_radbp.scene.placement import shown
+from torch_radbp.scene.placement import points_in_world
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, attached, cross, dot, normalize, where
@@ -63,7 +63,7 @@ def attached_outgoing_ray(scene: SceneTensors, material: Material, si: SurfaceIn
     chance = torch.isfinite(sample.pdf)
     if there is None:
         there = at_corners(scene.triangles.vertices.p, corner_rows(scene, following))
-    there = shown(scene, following, there)
+    there = points_in_world(scene, following, there)
     glued = chance & (sample.pdf > 0) & (following.prim >= 0)
     d, change = glued_direction(there, o, fixed, following, glued, slide_of(scene, si, there, fixed, following))
     specular = ray if sampling == "hybrid" else Ray(o, fixed)

@@ -13,13 +13,13 @@ import torch
 
 from torch_radbp.emitter.kind import Light
 from torch_radbp.plugin import BSDF, Texture
-from torch_radbp.scene.attributes import any_differentiated, check_attributes
-from torch_radbp.scene.geometry import Columns, Numbers, PlacedShape, placed_shape, shown_instances, triangle_table
+from torch_radbp.scene.attributes import any_attribute_differentiated, check_attributes
+from torch_radbp.scene.geometry import Columns, PlacedShape, TriangleNumbering, placed_shape, shown_instances, triangle_table
 from torch_radbp.scene.light_table import Emission, kinds_of, light_table, takes_tree
-from torch_radbp.scene.material_tables import Materials, Textures, is_plain, material_tables
+from torch_radbp.scene.material_tables import Materials, MaterialTextures, is_plain, material_tables
 from torch_radbp.scene.network_check import check_networks
 from torch_radbp.scene.pack_cache import PackCache
-from torch_radbp.scene.parameters import check_extent, check_parameters, check_places, largest_coordinate
+from torch_radbp.scene.parameters import check_extent, check_parameters, check_places, largest_vertex_coordinate
 from torch_radbp.scene.radiances import Radiances, bank_of_radiances, radiances_of
 from torch_radbp.scene.scene import Scene
 from torch_radbp.scene.tensors import Layout, LightTable, SceneTensors, TriangleTable
@@ -71,13 +71,13 @@ def pack(scene: Scene, cache: PackCache | None = None, light_choice: str | None 
     layout = cache.part("layout", layout_of, scene, settled, objects, materials, radiances, placed)
     if layout.attributes:
         check_attributes(scene, cache)
-    columns = cache.part("columns", columns_of, scene, settled, objects, layout, aovs)
+    columns = cache.part("columns", _columns_of, scene, settled, objects, layout, aovs)
     triangles = cache.part("triangles", triangles_of, scene, of_shapes, objects, placed, columns)
     bank = cache.part("radiance", bank_of_radiances, scene, inventory.reach(radiances.banked), radiances, dtype, device)
     lit_banks = radiances.lit_banks(dtype, device)
     emissions = cache.part("emissions", emissions_of, scene, settled, objects, radiances, placed)
     bounding = (bank, lit_banks) if takes_tree(light_choice, emissions) else (None, ())  # what gives lights their bounds
-    lights = cache.part("lights", lights_of, scene, inventory.reach(objects.lamps), objects, triangles, emissions, layout,
+    lights = cache.part("lights", _lights_of, scene, inventory.reach(objects.lamps), objects, triangles, emissions, layout,
                         light_choice, *bounding)
     textures = tuple(bank_of_textures(cache, number, own, objects) for number, own in enumerate(materials.textures))
     check_networks(cache, (*layout.readers, *layout.lit), (*textures, *lit_banks), dtype, device)
@@ -96,7 +96,7 @@ def placed_shapes(cache: PackCache, objects: Objects) -> tuple[PlacedShape, ...]
     """The shapes as triangles; raises ValueError if one is too large."""
     placed = tuple(placed_shape(cache, shape, grouped, objects.dtype)
                    for shape, grouped in zip(objects.shapes, objects.grouped))
-    check_extent(objects.scene, objects.shapes, [cache(largest_coordinate, shape.vertices) for shape in placed])
+    check_extent(objects.scene, objects.shapes, [cache(largest_vertex_coordinate, shape.vertices) for shape in placed])
     return placed
 
 
@@ -105,7 +105,7 @@ def layout_of(cache: PackCache, objects: Objects, materials: Materials, radiance
     """The features of a scene."""
     named = {name for reader in (*materials.readers, radiances.reader) for name in reader.attributes}
     attributes = tuple(sorted(named))
-    attributes_move = any_differentiated(objects.scene, attributes)
+    attributes_move = any_attribute_differentiated(objects.scene, attributes)
     return Layout(
         bending=materials.bending or attributes_move,
         bends_ideally=materials.bends_ideally or (materials.ideal_by_attributes and attributes_move),
@@ -116,7 +116,7 @@ def layout_of(cache: PackCache, objects: Objects, materials: Materials, radiance
         lights=kinds_of(objects.emitters), lit=radiances.lit, still=materials.still)
 
 
-def columns_of(cache: PackCache, objects: Objects, layout: Layout, aovs: bool) -> Columns:
+def _columns_of(cache: PackCache, objects: Objects, layout: Layout, aovs: bool) -> Columns:
     """What the triangles of a scene have beside their positions; `aovs` as for `pack`."""
     row = {id(bsdf): index for index, bsdf in enumerate(objects.bsdfs)}
     return Columns(layout.shading_normals,
@@ -124,7 +124,7 @@ def columns_of(cache: PackCache, objects: Objects, layout: Layout, aovs: bool) -
                    layout.vertex_attributes, layout.face_attributes, any(look.kind.oriented for look in layout.appearances),
                    tuple(row[id(shape.bsdf)] for shape in objects.shapes),
                    tuple(shape.emitter is not None for shape in objects.shapes), plain_shapes(objects),
-                   numbers_of(objects) if aovs else None)
+                   _numbers_of(objects) if aovs else None)
 
 
 def triangles_of(cache: PackCache, objects: Objects, placed: tuple[PlacedShape, ...], columns: Columns) -> TriangleTable:
@@ -149,14 +149,14 @@ def emissions_of(cache: PackCache, objects: Objects, radiances: Radiances,
     return (*carriers, *(emission(lamp, None) for lamp in objects.lamps))
 
 
-def lights_of(cache: PackCache, objects: Objects, triangles: TriangleTable, emissions: tuple[Emission, ...], layout: Layout,
-              light_choice: str | None, bank: Any, lit_banks: tuple[Any, ...]) -> LightTable:
+def _lights_of(cache: PackCache, objects: Objects, triangles: TriangleTable, emissions: tuple[Emission, ...], layout: Layout,
+               light_choice: str | None, bank: Any, lit_banks: tuple[Any, ...]) -> LightTable:
     """The elements for next-event estimation; the banks of radiance if these are picked by a tree."""
     lamps = tuple(cache.twin(number, lamp) for number, lamp in enumerate(objects.lamps))
     return light_table(cache, triangles, emissions, lamps, layout, bank, lit_banks, light_choice)
 
 
-def bank_of_textures(cache: PackCache, number: int, own: Textures, objects: Objects) -> Any:
+def bank_of_textures(cache: PackCache, number: int, own: MaterialTextures, objects: Objects) -> Any:
     """The bank, of this number, of those textures of materials that one reader reads; attached."""
     scene, dtype, device = objects.scene, objects.dtype, objects.device
     if own.reader.outside:  # a module that is read outside is taken as it is: only it knows what its values depend on
@@ -184,10 +184,10 @@ def plain_shapes(objects: Objects) -> tuple[bool, ...]:
     return tuple(shape.emitter is None and known[id(shape.bsdf)] for shape in objects.shapes)
 
 
-def numbers_of(objects: Objects) -> tuple[Numbers, ...]:
+def _numbers_of(objects: Objects) -> tuple[TriangleNumbering, ...]:
     """How the triangles of each shape of a scene are counted."""
     number = numbers_in(objects.scene)
-    return tuple(Numbers(not shape.whole, number.get(id(shape), 0)) for shape in objects.shapes)
+    return tuple(TriangleNumbering(not shape.whole, number.get(id(shape), 0)) for shape in objects.shapes)
 
 
 def instance_numbers(objects: Objects) -> tuple[int, ...]:

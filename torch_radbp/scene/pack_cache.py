@@ -33,7 +33,7 @@ from torch_radbp.scene.module_attributes import (
     has_attributes,
     holder,
     is_constant,
-    replaced,
+    parametrized_names,
 )
 from torch_radbp.tensors.differentiated import differentiated
 
@@ -55,7 +55,7 @@ class Twin(NamedTuple):
     made: Result
 
 
-class Part(NamedTuple):
+class CachedPart(NamedTuple):
     """What a function made of modules and of other parts, with a cache of its own."""
 
     inventory: Inventory  # of the modules
@@ -82,8 +82,8 @@ class PackCache(Copies):
         super().__init__(last, around)
         self.last_results = {} if last is None else last.results
         self.results: dict[tuple, Result] = {}
-        self.last_parts: dict[Hashable, Part] = {} if last is None else last.parts
-        self.parts: dict[Hashable, Part] = {}
+        self.last_parts: dict[Hashable, CachedPart] = {} if last is None else last.parts
+        self.parts: dict[Hashable, CachedPart] = {}
         self.last_twins: dict[Hashable, Twin] = {} if last is None else last.twins
         self.twins: dict[Hashable, Twin] = {}
         # By id, with what stands for them in keys.
@@ -145,7 +145,7 @@ class PackCache(Copies):
             own = PackCache(None if known is None else known.cache, around=self)
             value = make(own, *arguments)
             fixed = frozenset(own.fixed - self.fixed)
-            known = Part(inventory, arguments, value, own.close(), fixed)
+            known = CachedPart(inventory, arguments, value, own.close(), fixed)
         self.parts[place] = known
         self.fixed |= known.fixed
         return known.value
@@ -173,7 +173,7 @@ class PackCache(Copies):
             self.take_over(last.made)
             return last.made.value
         others = [(name, value) for name, value in vars(thing).items() if name not in OF_EVERY_MODULE and name != "shared"]
-        parameters = [(name, getattr(thing, name)) for name in (*thing._parameters, *replaced(thing))]
+        parameters = [(name, getattr(thing, name)) for name in (*thing._parameters, *parametrized_names(thing))]
         own = others, parameters, list(thing._buffers.items()), children_of(thing)
         parts = tuple(self.attributes_in_twin(place, part) for part in own)
         made = self.result(assembled, (parametrize.type_before_parametrizations(thing), *parts))
@@ -183,7 +183,7 @@ class PackCache(Copies):
                  for (name, value), (_, found) in zip(of_thing, of_twin)]
         tensors, children = (tuple(part for part in parts if isinstance(part[1], kind)) for kind in (Tensor, nn.Module))
         followed = all(found is value or isinstance(value, (Tensor, nn.Module)) for _, value, found in parts)
-        if followed and not replaced(thing):
+        if followed and not parametrized_names(thing):
             self.twins[place] = Twin(attributes_of(thing), tensors, children, made)
         return made.value
 

@@ -270,6 +270,6 @@ def check_places(scene: Scene, groups: list[list[Instance]], boxes: Tensor) -> N
                          f"{LARGEST_COORDINATE:g}; scale the whole scene down")
 
 
-def largest_coordinate(vertices: Tensor) -> float:
+def largest_vertex_coordinate(vertices: Tensor) -> float:
     """The largest magnitude of a coordinate of some vertices, (V, 3), detached."""
     return max(map(abs, torch.stack(vertices.aminmax()).tolist()))

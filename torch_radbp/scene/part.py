@@ -17,7 +17,7 @@ from torch_radbp.tensors.record import leaves_of
 
 def part_of(scene: SceneTensors, scatterer: Appearance | None) -> SceneTensors:
     """The tables that matter where light is scattered by `scatterer`; None: where paths end."""
-    return reduced(scene, scene.layout, scatterer)._replace(layout=layout_of_part(scene.layout, scatterer))
+    return _reduced(scene, scene.layout, scatterer)._replace(layout=layout_of_part(scene.layout, scatterer))
 
 
 def leaves_of_part(belonging: SceneTensors, layout: Layout, scatterer: Appearance | None) -> list:
@@ -28,10 +28,10 @@ def leaves_of_part(belonging: SceneTensors, layout: Layout, scatterer: Appearanc
         layout: of the scene.
         scatterer: of the part.
     """
-    return leaves_of(reduced(belonging, layout, scatterer))
+    return leaves_of(_reduced(belonging, layout, scatterer))
 
 
-def reduced(scene: SceneTensors, layout: Layout, scatterer: Appearance | None) -> SceneTensors:
+def _reduced(scene: SceneTensors, layout: Layout, scatterer: Appearance | None) -> SceneTensors:
     """A record like that of a scene with this layout, without the tables that its part has not."""
     triangles = scene.triangles._replace(balls=None, numbers=None, instances=for_lanes(scene.triangles.instances))
     if not (layout.radiance_bitmaps or (scatterer is not None and scatterer.needs_uv)):
@@ -39,8 +39,8 @@ def reduced(scene: SceneTensors, layout: Layout, scatterer: Appearance | None) -
     wanted = attributes_of_part(layout, scatterer)
     triangles = triangles._replace(
         vertices=triangles.vertices._replace(
-            attributes=chosen(layout.vertex_attributes, triangles.vertices.attributes, wanted)),
-        attributes=chosen(layout.face_attributes, triangles.attributes, wanted))
+            attributes=_chosen(layout.vertex_attributes, triangles.vertices.attributes, wanted)),
+        attributes=_chosen(layout.face_attributes, triangles.attributes, wanted))
     if not (scatterer is not None and scatterer.kind.oriented):
         triangles = triangles._replace(along=None)
     readers = () if scatterer is None else scatterer.readers
@@ -67,6 +67,6 @@ def attributes_of_part(layout: Layout, scatterer: Appearance | None) -> tuple[st
     return tuple(name for name in layout.attributes if any(name in reader.attributes for reader in readers))
 
 
-def chosen(names: tuple[str, ...], columns: tuple, wanted: tuple[str, ...]) -> tuple:
+def _chosen(names: tuple[str, ...], columns: tuple, wanted: tuple[str, ...]) -> tuple:
     """Those columns whose names are wanted, in their order."""
     return tuple(column for name, column in zip(names, columns) if name in wanted)

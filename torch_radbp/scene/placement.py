@@ -52,8 +52,8 @@ def instance_table(matrices: Tensor, normals: bool, casting: Instances, numbers:
     summed = casting.boxes.abs().amax((1, 2)) + 2 * casting.to_world[:, :, 3].abs().amax(1)
     none = torch.zeros(1, dtype=matrices.dtype, device=matrices.device)
     clearance = torch.cat([none, ROUNDINGS * 2.0**-24 * power_of_two_above(summed.to(matrices.dtype))])
-    return InstanceTable(rows_of(linear), Vec3.of(matrices[:, :3, 3]),
-                         None if inverse is None else rows_of(inverse.transpose(1, 2)), side, clearance,
+    return InstanceTable(_rows_of(linear), Vec3.of(matrices[:, :3, 3]),
+                         None if inverse is None else _rows_of(inverse.transpose(1, 2)), side, clearance,
                          torch.tensor((0, *numbers), dtype=torch.int32, device=matrices.device), casting)
 
 
@@ -62,7 +62,7 @@ def for_lanes(table: InstanceTable | None) -> InstanceTable | None:
     return None if table is None else table._replace(casting=None)
 
 
-def rows_of(matrices: Tensor) -> Rows:
+def _rows_of(matrices: Tensor) -> Rows:
     """The rows of (I, 3, 3) matrices."""
     return tuple(Vec3.of(row) for row in matrices.unbind(1))
 
@@ -82,7 +82,7 @@ def boxes(vertices: Sequence[Tensor], to_world: Sequence[Tensor]) -> Tensor:
     return torch.cat(found)
 
 
-def shown(scene, hit, points: tuple[Vec3, ...]) -> tuple[Vec3, ...]:
+def points_in_world(scene, hit, points: tuple[Vec3, ...]) -> tuple[Vec3, ...]:
     """(N,) positions in the frames of the triangles that were hit, in the world; attached to the poses of instances."""
     table = scene.triangles.instances
     if table is None:
@@ -117,7 +117,7 @@ def power_of_two_above(x: Tensor) -> Tensor:
     return 2.0 * (x.detach().view(kind) & exponent).view(x.dtype)
 
 
-def largest_coordinate(points: tuple[Vec3, ...]) -> Tensor:
+def detached_largest_coordinate(points: tuple[Vec3, ...]) -> Tensor:
     """(N,) the largest magnitude of a coordinate of some points, detached."""
     largest = [max_component(point.detach().map(torch.abs)) for point in points]
     total = largest[0]

@@ -69,12 +69,12 @@ def radiances_of(cache: PackCache, emitters: tuple[Light, ...]) -> Radiances:
     row = {id(emitter): 0 for emitter in emitters} | {id(emitter): builder.add(texture) for emitter, texture in inside}
     readers = tuple(dict.fromkeys(reader_of(texture) for _, texture in outside))
     own = [[(emitter, texture) for emitter, texture in outside if reader_of(texture) == reader] for reader in readers]
-    rows = [numbered(each) for each in own]
+    rows = [_numbered(each) for each in own]
     return Radiances(builder.reader, builder.has_bitmaps, firsts(inside), row, readers, tuple(map(firsts, own)),
                      {id(emitter): tuple(found.get(id(emitter), -1) for found in rows) for emitter in emitters})
 
 
-def numbered(pairs: Sequence[tuple[Light, Texture]]) -> dict[int, int]:
+def _numbered(pairs: Sequence[tuple[Light, Texture]]) -> dict[int, int]:
     """The numbers of distinct textures by the ids of the emitters that have them."""
     builder = BankBuilder()
     return {id(emitter): builder.add(texture) for emitter, texture in pairs}

@@ -112,7 +112,7 @@ class CalibratedKind(ProjectiveKind):
         if len(d.x) == 0 or normalize(d).z.min() < GRAZING:
             nothing = torch.zeros_like(x[0])
             return Frustum.of([Plane(Vec3(nothing, nothing, nothing), torch.ones_like(nothing))] * 6)
-        (left, right), (top, bottom) = (around(slope / d.z) for slope in (d.x, d.y))
+        (left, right), (top, bottom) = (_around(slope / d.z) for slope in (d.x, d.y))
         axes, origin, near, far = (doubled(part) for part in (lens.axes, lens.origin, lens.near, lens.far))
         near = near * d.z.min() if self.fisheye else near
         across, down, ahead = axes
@@ -142,7 +142,7 @@ class CalibratedKind(ProjectiveKind):
         return crosses.index_put((crosses.nonzero().squeeze(1),), inside.any(1))
 
 
-def around(slopes: Tensor) -> tuple[Tensor, Tensor]:
+def _around(slopes: Tensor) -> tuple[Tensor, Tensor]:
     """The bounds of slopes, with a margin for those between."""
     low, high = slopes.aminmax()
     margin = 0.05 * (high - low)

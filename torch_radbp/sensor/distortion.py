@@ -58,7 +58,7 @@ class BrownConrady(NamedTuple):
         """
         if all(coefficient is None for coefficient in self):
             return Vec3(point.x, point.y, torch.ones_like(point.x)), None
-        solved, seen = inverted(brown_conrady, self, point, point)
+        solved, seen = _inverted(brown_conrady, self, point, point)
         mask = seen.to(solved.x.dtype)
         return Vec3(solved.x * mask, solved.y * mask, torch.ones_like(solved.x)), seen
 
@@ -80,8 +80,8 @@ class Linearized(NamedTuple):
 def brown_conrady(lens: BrownConrady, at: Vec2) -> Linearized:
     """The distorted points, and how they change with the undistorted ones."""
     square = at.x * at.x + at.y * at.y
-    above, slope_above = polynomial(square, (lens.k1, lens.k2, lens.k3))
-    below, slope_below = polynomial(square, (lens.k4, lens.k5, lens.k6))
+    above, slope_above = _polynomial(square, (lens.k1, lens.k2, lens.k3))
+    below, slope_below = _polynomial(square, (lens.k4, lens.k5, lens.k6))
     radial = above / below
     return decentred(at, radial, ((slope_above - radial * slope_below) / below).detach(), lens.p1, lens.p2)
 
@@ -103,7 +103,7 @@ def decentred(at: Vec2, radial: Tensor, slope: Tensor, p1: Coefficient, p2: Coef
     return Linearized(Vec2(value_x, value_y), xx, xy, xy, yy)
 
 
-def polynomial(s: Tensor, coefficients: tuple[Coefficient, ...]) -> tuple[Tensor, Tensor]:
+def _polynomial(s: Tensor, coefficients: tuple[Coefficient, ...]) -> tuple[Tensor, Tensor]:
     """1 + c1 s + c2 s^2 + ... and its derivative by s."""
     value, slope, power = torch.ones_like(s), torch.zeros_like(s), torch.ones_like(s)
     for number, coefficient in enumerate(coefficients):
@@ -122,7 +122,7 @@ def newton(x: Vec2, there: Linearized, target: Vec2) -> Vec2:
     return Vec2(x.x - (there.yy * a - there.xy * b) * scale, x.y - (there.xx * b - there.yx * a) * scale)
 
 
-def inverted(plane_map: Callable[[Lens, Vec2], Linearized], lens: Lens, point: Vec2, start: Vec2) -> tuple[Vec2, Tensor]:
+def _inverted(plane_map: Callable[[Lens, Vec2], Linearized], lens: Lens, point: Vec2, start: Vec2) -> tuple[Vec2, Tensor]:
     """The points, near those to start from, that a map of the plane brings to (N,) points, attached to the lens and to them.
 
     Returns:
@@ -153,7 +153,7 @@ class KannalaBrandt(NamedTuple):
         """Where the rays of (N,) directions meet the image plane."""
         across = torch.sqrt((d.x * d.x + d.y * d.y).clamp_min(TINY))
         theta = torch.atan2(across, d.z)
-        scale = theta * polynomial(theta * theta, tuple(self))[0] / across
+        scale = theta * _polynomial(theta * theta, tuple(self))[0] / across
         return Vec2(d.x * scale, d.y * scale)
 
     def direction(self, point: Vec2) -> tuple[Vec3, Tensor]:
@@ -181,7 +181,7 @@ class KannalaBrandt(NamedTuple):
     def radius_of(self, theta: Tensor) -> tuple[Tensor, Tensor]:
         """The distance from the middle of the image of rays at an angle to the axis, and its derivative by the angle."""
         square = theta * theta
-        value, slope = polynomial(square, tuple(self))
+        value, slope = _polynomial(square, tuple(self))
         return theta * value, value + 2.0 * square * slope
 
 
@@ -210,7 +210,7 @@ class ThinPrismFisheye(NamedTuple):
         """
         radius = torch.sqrt((point.x * point.x + point.y * point.y).clamp_min(TINY))
         scale = (0.5 * HALF_CIRCLE / radius).clamp_max(1.0)  # as KannalaBrandt begins
-        solved, seen = inverted(thin_prism, self, point, point.map(lambda part: part * scale))
+        solved, seen = _inverted(thin_prism, self, point, point.map(lambda part: part * scale))
         theta = torch.sqrt((solved.x * solved.x + solved.y * solved.y).clamp_min(TINY))
         seen = seen & (theta < HALF_CIRCLE)
         mask = seen.to(theta.dtype)
@@ -221,7 +221,7 @@ class ThinPrismFisheye(NamedTuple):
 def thin_prism(lens: ThinPrismFisheye, at: Vec2) -> Linearized:
     """The distorted points, and how they change with those of the equidistant fisheye."""
     square = at.x * at.x + at.y * at.y
-    radial, slope = polynomial(square, (lens.k1, lens.k2, lens.k3, lens.k4))
+    radial, slope = _polynomial(square, (lens.k1, lens.k2, lens.k3, lens.k4))
     there = decentred(at, radial, slope.detach(), lens.p1, lens.p2)
     if lens.sx1 is not None:
         s = 2.0 * lens.sx1.detach()

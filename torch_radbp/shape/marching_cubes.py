@@ -46,10 +46,10 @@ def case_table() -> CaseTable:
 def edge_starts() -> Tensor:
     """(12, 3) int64, the corner at which each edge begins: along its axis at 0. On the CPU."""
     with torch.device("cpu"):
-        return torch.tensor([placed(edge // 4, 0, edge & 1, edge >> 1 & 1) for edge in range(EDGES)])
+        return torch.tensor([_placed(edge // 4, 0, edge & 1, edge >> 1 & 1) for edge in range(EDGES)])
 
 
-def placed(axis: int, along: int, second: int, third: int) -> tuple[int, int, int]:
+def _placed(axis: int, along: int, second: int, third: int) -> tuple[int, int, int]:
     """(x, y, z) of a value along an axis, and of those along the two axes that follow it in the cycle x, y, z."""
     place = [0, 0, 0]
     place[axis], place[(axis + 1) % 3], place[(axis + 2) % 3] = along, second, third
@@ -63,7 +63,7 @@ def faces() -> list[list[tuple[int, int]]]:
     for axis in range(3):
         for side in (0, 1):
             places = [(0, 0), (1, 0), (1, 1), (0, 1)] if side else [(0, 0), (0, 1), (1, 1), (1, 0)]
-            corners = [sum(bit << k for k, bit in enumerate(placed(axis, side, *place))) for place in places]
+            corners = [sum(bit << k for k, bit in enumerate(_placed(axis, side, *place))) for place in places]
             following = corners[1:] + corners[:1]
             found.append([(corner, edge_between(corner, after)) for corner, after in zip(corners, following)])
     return found

@@ -12,7 +12,7 @@ from torch_radbp.formats.volume import read_volume
 from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, finite, nearest, register
 from torch_radbp.plugin.domain import LARGEST_AMOUNT, POSE, Domain
 from torch_radbp.shape.surface import Surface, Triangles, turned
-from torch_radbp.shape.zero_set import Net, check_grid, smooth_normal, unit, vertices, voxel_gradient, zero_net
+from torch_radbp.shape.zero_set import Net, check_grid, smooth_normal, unit_vector, vertices, voxel_gradient, zero_net
 from torch_radbp.tensors.differentiated import primal
 from torch_radbp.transforms import mirrors, transform, transform_normals, transform_points
 
@@ -80,7 +80,7 @@ class SDFGrid(Surface):
         if self.normals == "smooth":
             normals = smooth_normal(values, cell, corners)
         else:
-            normals = unit(voxel_gradient(values, cell, corners))
+            normals = unit_vector(voxel_gradient(values, cell, corners))
         faces = turned(net.faces) if mirrors(self.to_world) else net.faces
         return Triangles(transform_points(self.to_world, points), faces, transform_normals(self.to_world, normals.stack()),
                          None)

@@ -60,8 +60,8 @@ def zero_net(values: Tensor, of_voxels: bool) -> Net:
     check_grid("the grid", values)
     cells = subdivision(values.shape)
     voxels = occupied(values)
-    signs = refined(at_corners(values, voxels.unbind(1)), cells) < 0
-    case = cases(signs)
+    signs = _refined(_at_corners(values, voxels.unbind(1)), cells) < 0
+    case = _cases(signs)
     number, z, y, x = ((case > 0) & (case < 255)).nonzero().unbind(1)
     table = case_table()
     case = case[number, z, y, x].long()
@@ -71,11 +71,11 @@ def zero_net(values: Tensor, of_voxels: bool) -> Net:
     edges = table.edges.to(values.device)[case[row], triangle]
     number = number[row]
     corner = voxels[number] * cells + torch.stack([x, y, z], 1)[row]
-    return connected(edges, corner, number if of_voxels else None, voxels, cells, values.shape)
+    return _connected(edges, corner, number if of_voxels else None, voxels, cells, values.shape)
 
 
-def connected(edges: Tensor, corner: Tensor, number: Tensor | None, voxels: Tensor, cells: int,
-              size: tuple[int, ...]) -> Net:
+def _connected(edges: Tensor, corner: Tensor, number: Tensor | None, voxels: Tensor, cells: int,
+               size: tuple[int, ...]) -> Net:
     """The net of triangles between edges of cells.
 
     Args:
@@ -111,35 +111,35 @@ def occupied(values: Tensor) -> Tensor:
     return (inside & outside).nonzero().flip(1)
 
 
-def at_corners(values: Tensor, voxel: tuple[Tensor, ...]) -> list[Tensor]:
+def _at_corners(values: Tensor, voxel: tuple[Tensor, ...]) -> list[Tensor]:
     """The values at the 8 corners of voxels, (V,) each, in the order of `marching_cubes`; attached."""
-    return [at(values, tuple(first + (k >> axis & 1) for axis, first in enumerate(voxel))) for k in range(CORNERS)]
+    return [_at(values, tuple(first + (k >> axis & 1) for axis, first in enumerate(voxel))) for k in range(CORNERS)]
 
 
-def at(values: Tensor, point: tuple[Tensor, ...]) -> Tensor:
+def _at(values: Tensor, point: tuple[Tensor, ...]) -> Tensor:
     """The values at points of the grid, x first, (V,) each; attached."""
     x, y, z = point
     _, height, width = values.shape
     return gather(values.flatten(), (z * height + y) * width + x)
 
 
-def between(a: Tensor, b: Tensor, share: Tensor) -> Tensor:
+def _between(a: Tensor, b: Tensor, share: Tensor) -> Tensor:
     """The linear interpolant, exactly `a` and `b` at its ends, so that neighbouring voxels agree."""
     return a * (1.0 - share) + b * share
 
 
-def refined(corners: list[Tensor], cells: int) -> Tensor:
+def _refined(corners: list[Tensor], cells: int) -> Tensor:
     """The interpolant in M voxels on a lattice of `cells` cells along each axis, (M, cells + 1, cells + 1, cells + 1)."""
     found = torch.stack(corners, 1).unflatten(1, (2, 2, 2))
     share = torch.linspace(0.0, 1.0, cells + 1, dtype=found.dtype, device=found.device)
     for axis in (1, 2, 3):
         a, b = found.unbind(axis)
         along = share.reshape([-1 if other == axis else 1 for other in range(4)])
-        found = between(a.unsqueeze(axis), b.unsqueeze(axis), along)
+        found = _between(a.unsqueeze(axis), b.unsqueeze(axis), along)
     return found
 
 
-def cases(inside: Tensor) -> Tensor:
+def _cases(inside: Tensor) -> Tensor:
     """The case of each cell, (M, n, n, n) uint8, by the signs at the lattice points of voxels, (M, n + 1, n + 1, n + 1)."""
     count, bits = inside.shape[1] - 1, inside.to(torch.uint8)
     case = torch.zeros_like(bits[:, :count, :count, :count])
@@ -155,7 +155,7 @@ def vertices(values: Tensor, net: Net) -> tuple[Cell, list[Tensor]]:
     An edge along which the interpolant is zero, up to rounding, is cut at its middle, which does not move.
     """
     voxel = net.voxel.unbind(1)
-    corners = at_corners(values, voxel)
+    corners = _at_corners(values, voxel)
     start = Vec3.of(net.start.to(values.dtype))
     along = [net.axis == axis for axis in range(3)]
     ends = [Vec3(*(torch.where(own, end, part) for own, part in zip(along, start))) for end in (0.0, 1.0)]
@@ -178,7 +178,7 @@ def vanishes(difference: Tensor, size: Tensor) -> Tensor:
 def interpolant(corners: list[Tensor], place: Vec3) -> Tensor:
     """The trilinear interpolant of the values at the corners of voxels."""
     for share in place:
-        corners = [between(a, b, share) for a, b in zip(corners[::2], corners[1::2])]
+        corners = [_between(a, b, share) for a, b in zip(corners[::2], corners[1::2])]
     return corners[0]
 
 
@@ -191,7 +191,7 @@ def face_interpolants(corners: list[Tensor], place: Vec3, axis: int) -> tuple[Te
 def bilinear(corners: list[Tensor], place: Vec3, axis: int) -> Tensor:
     """The interpolant on a plane across an axis, of the values at its four corners: the first of the other axes first."""
     first, second = (share for other, share in enumerate(place) if other != axis)
-    return between(between(corners[0], corners[1], first), between(corners[2], corners[3], first), second)
+    return _between(_between(corners[0], corners[1], first), _between(corners[2], corners[3], first), second)
 
 
 def voxel_gradient(values: Tensor, cell: Cell, corners: list[Tensor]) -> Vec3:
@@ -222,7 +222,7 @@ def smooth_normal(values: Tensor, cell: Cell, corners: list[Tensor]) -> Vec3:
         upper = (share.detach() >= 0.5)
         there = torch.where(upper, own < length - 2, own > 0)
         beyond = torch.where(upper, own + 2, own - 1).clamp(0, length - 1)
-        others = [at(values, tuple(beyond if other == axis else cell.voxel[other] + (k >> other & 1) for other in range(3)))
+        others = [_at(values, tuple(beyond if other == axis else cell.voxel[other] + (k >> other & 1) for other in range(3)))
                   for k in range(CORNERS) if not k >> axis & 1]
         low, high = face_interpolants(corners, cell.place, axis)
         outer = bilinear(others, cell.place, axis)
@@ -238,19 +238,19 @@ def smooth_normal(values: Tensor, cell: Cell, corners: list[Tensor]) -> Vec3:
     normals = []
     for k in range(CORNERS):
         slope, level = ([of_axis[k >> axis & 1] for axis, of_axis in enumerate(each)] for each in (slopes, levels))
-        normals.append(direction(Vec3(*slope), level[0] & level[1] & level[2]))
+        normals.append(_direction(Vec3(*slope), level[0] & level[1] & level[2]))
     for share in shares:
-        normals = [Vec3(*(between(*parts, share) for parts in zip(a, b))) for a, b in zip(normals[::2], normals[1::2])]
-    return unit(normals[0], ROUNDING * torch.finfo(values.dtype).eps)
+        normals = [Vec3(*(_between(*parts, share) for parts in zip(a, b))) for a, b in zip(normals[::2], normals[1::2])]
+    return unit_vector(normals[0], ROUNDING * torch.finfo(values.dtype).eps)
 
 
-def direction(a: Vec3, none: Tensor) -> Vec3:
+def _direction(a: Vec3, none: Tensor) -> Vec3:
     """The unit vector along `a`; zero, without derivative, where there is none."""
     return where(none, a.map(torch.zeros_like), normalize(scaled(a)))
 
 
-def unit(a: Vec3, least: float = 0.0) -> Vec3:
+def unit_vector(a: Vec3, least: float = 0.0) -> Vec3:
     """The unit vector along `a`; (1, 0, 0), without derivative, if no component is larger than `least`."""
     none = max_component(Vec3(*magnitudes(list(a)))) <= least
-    found = direction(a, none)
+    found = _direction(a, none)
     return found._replace(x=torch.where(none, 1.0, found.x))

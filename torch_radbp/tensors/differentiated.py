@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import operator
 
-import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
@@ -29,11 +28,6 @@ def primal(tensor: Tensor) -> Tensor:
 def differentiated(tensor: Tensor) -> bool:
     """True if `tensor` requires a gradient or has a tangent."""
     return tensor.requires_grad or tangent_of(tensor) is not None
-
-
-def recording() -> bool:
-    """True if torch notes what is done with tensors that are differentiated, in either mode."""
-    return torch.is_grad_enabled() or inside_dual_level()
 
 
 def any_differentiated(record) -> bool:

@@ -50,7 +50,7 @@ class Texels(NamedTuple):
     nearest: Tensor  # bool
 
 
-def texels_around(bank: TextureBank, texture: Tensor, first: Tensor, uv: Vec2) -> Texels:
+def _texels_around(bank: TextureBank, texture: Tensor, first: Tensor, uv: Vec2) -> Texels:
     """The texels around surface coordinates.
 
     Args:
@@ -82,7 +82,7 @@ def sample_texture(bank: TextureBank, texture: Tensor, uv: Vec2 | None) -> Vec3:
     first = lookup(bank.offset, texture)
     if uv is None:
         return lookup(bank.texels, first)
-    at = texels_around(bank, texture, first, transformed(lookup(bank.to_u, texture), lookup(bank.to_v, texture), uv))
+    at = _texels_around(bank, texture, first, transformed(lookup(bank.to_u, texture), lookup(bank.to_v, texture), uv))
     upper_left, upper_right, lower_left, lower_right = (lookup(bank.texels, row) for row in at.rows)
     upper = upper_left * (1.0 - at.fx) + upper_right * at.fx
     lower = lower_left * (1.0 - at.fx) + lower_right * at.fx
@@ -96,7 +96,7 @@ def texture_slope(bank: TextureBank, texture: Tensor, uv: Vec2) -> Vec2:
     Args: as for `sample_texture`.
     """
     to_u, to_v = lookup(bank.to_u, texture), lookup(bank.to_v, texture)
-    at = texels_around(bank, texture, lookup(bank.offset, texture), transformed(to_u, to_v, uv))
+    at = _texels_around(bank, texture, lookup(bank.offset, texture), transformed(to_u, to_v, uv))
     upper_left, upper_right, lower_left, lower_right = (lookup(bank.texels.x, row) for row in at.rows)
     smooth = (~at.nearest).to(uv.x.dtype)
     by_x = ((upper_right - upper_left) * (1.0 - at.fy) + (lower_right - lower_left) * at.fy) * (at.width * smooth)

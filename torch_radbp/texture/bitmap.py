@@ -50,14 +50,14 @@ def linear_image(kind: str, filename: str | None, arrays: dict[str, Tensor | Non
     if not given:
         given = {"filename": read_image(filename, raw=raw)}
     (name, data), = given.items()
-    data = decoded(data, raw) if data.dtype == torch.uint8 else finite(name, data).to(torch.get_default_dtype())
+    data = _decoded(data, raw) if data.dtype == torch.uint8 else finite(name, data).to(torch.get_default_dtype())
     data = data[..., None] if data.ndim == 2 else data
     if data.ndim != 3 or data.shape[2] not in (1, 3) or data.numel() == 0:
         raise ValueError(f"{name} must have shape (H, W), (H, W, 1) or (H, W, 3), got {tuple(data.shape)}")
     return data
 
 
-def decoded(data: Tensor, raw: bool) -> Tensor:
+def _decoded(data: Tensor, raw: bool) -> Tensor:
     """Linear values of bytes, which are fractions of 255, coded as sRGB unless they are `raw`: as Mitsuba reads them."""
     fractions = data.to(torch.get_default_dtype()) / 255.0
     return fractions if raw else srgb_to_linear(fractions)
@@ -74,7 +74,7 @@ class BitmapReader(TableReader):
         return sample_texture(bank, row, point.uv)
 
     def rise(self, bank: TextureBank, row: Tensor, point: TexturePoint) -> Vec2:
-        return along(texture_slope(bank, row, point.uv), point.edges)
+        return _along(texture_slope(bank, row, point.uv), point.edges)
 
 
 @dataclass(frozen=True)
@@ -90,10 +90,10 @@ class PyramidReader(BitmapReader):
         return sample_pyramid(bank, row, point.uv, point.footprint)
 
     def rise(self, bank: PyramidBank, row: Tensor, point: TexturePoint) -> Vec2:
-        return along(pyramid_slope(bank, row, point.uv, point.footprint), point.edges)
+        return _along(pyramid_slope(bank, row, point.uv, point.footprint), point.edges)
 
 
-def along(slope: Vec2, edges: TriangleEdges) -> Vec2:
+def _along(slope: Vec2, edges: TriangleEdges) -> Vec2:
     """The change along two edges of what has these derivatives by u and by v."""
     return Vec2(*(slope.x * edge.x + slope.y * edge.y for edge in edges.uv))
 

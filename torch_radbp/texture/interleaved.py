@@ -20,7 +20,7 @@ from torch_radbp.tensors.record import leaves_of, with_leaves
 LEAST = 256  # entries
 
 
-class Placed(torch.autograd.Function):
+class _MovedTable(torch.autograd.Function):
     """A table in another place, with its derivative."""
 
     @staticmethod
@@ -45,7 +45,7 @@ def interleaved(record: Any) -> Any:
     return with_leaves(record, leaves)
 
 
-class Columns(torch.autograd.Function):
+class _Columns(torch.autograd.Function):
     """The columns of rows, where these lie; their gradients become that of the rows without a copy if they lie so, too."""
 
     @staticmethod
@@ -75,7 +75,7 @@ def columns_of_rows(rows: Tensor) -> tuple[Tensor, ...]:
     """The columns, (N,) each, of rows (N, C), attached; where these lie if they are many and of 4-byte entries."""
     if rows.itemsize != 4 or len(rows) < LEAST:
         return tuple(column.contiguous() for column in rows.unbind(1))
-    return Columns.apply(rows) if rows.requires_grad and tangent_of(rows) is None else rows.unbind(1)
+    return _Columns.apply(rows) if rows.requires_grad and tangent_of(rows) is None else rows.unbind(1)
 
 
 def columns(tables: Sequence[Tensor]) -> list[Tensor]:
@@ -88,4 +88,4 @@ def columns(tables: Sequence[Tensor]) -> list[Tensor]:
     found = [rows[:, place].view(table.dtype) for place, table in enumerate(tables)]
     for table, column in zip(tables, found):
         column.copy_(table.detach())
-    return [Placed.apply(table, column) if differentiated(table) else column for table, column in zip(tables, found)]
+    return [_MovedTable.apply(table, column) if differentiated(table) else column for table, column in zip(tables, found)]

@@ -23,7 +23,7 @@ BATCH = 1 << 12  # places, on the CPU; fewer, and calls from Python take a part 
 PARAMETERS = 64  # a place, of a batch that is differentiated at the most: each batch has a gradient of all of them
 
 
-class Batch(NamedTuple):
+class ModuleBatch(NamedTuple):
     """Lanes that one module computes at a time: a part of `Sorted.order`."""
 
     module: int
@@ -35,9 +35,9 @@ class Sorted(NamedTuple):
     """Lanes module by module, first those of none."""
 
     order: Tensor | None  # (N,) int32; None: they are so already
-    batches: list[Batch]
+    batches: list[ModuleBatch]
 
-    def part(self, channels: Sequence[Tensor], batch: Batch) -> Tensor:
+    def part(self, channels: Sequence[Tensor], batch: ModuleBatch) -> Tensor:
         """(M, C) what the lanes of a batch have of C channels, (N,) each."""
         here = slice(batch.first, batch.last)
         if self.order is None:
@@ -52,7 +52,7 @@ class Sorted(NamedTuple):
         return found.index_select(-1, torch.empty_like(order).scatter_(0, order, torch.arange(len(order)).to(order)))
 
 
-class Copies:
+class ModuleCopies:
     """Functions of modules with other parameters: a copy of each for each thread, made when it is first asked for.
 
     Args:
@@ -85,7 +85,7 @@ class ModuleBank(NamedTuple):
             row: (N,) int32, which of the modules gives each lane its value; -1: none, and the value is 0.
             at: (N,) where.
         """
-        functions = Copies(self.functions, self.parameters)
+        functions = ModuleCopies(self.functions, self.parameters)
 
         def of_batch(module: int, place: Tensor) -> Tensor:
             return functions.of(module)(place)
@@ -97,13 +97,13 @@ class ModuleBank(NamedTuple):
 
         Each value must depend on its own place only.
         """
-        functions = Copies(self.functions, [[parameter.detach() for parameter in own] for own in self.parameters])
+        functions = ModuleCopies(self.functions, [[parameter.detach() for parameter in own] for own in self.parameters])
 
         def of_batch(module: int, place: Tensor) -> Tensor:
             place = place.detach().requires_grad_()
             with torch.enable_grad():
                 values = functions.of(module)(place)
-            return torch.stack([values.detach(), *slopes(values, place)], 1)
+            return torch.stack([values.detach(), *_slopes(values, place)], 1)
 
         return tuple(Vec3(*part) for part in self.found(row, at, of_batch, (1 + len(at), 3)))
 
@@ -120,9 +120,9 @@ class ModuleBank(NamedTuple):
         own = [[parameter.detach().requires_grad_(want) for parameter, want in zip(*pair)]
                for pair in zip(self.parameters, wanted)]
         leaves = [[parameter for parameter in parameters if parameter.requires_grad] for parameters in own]
-        lanes, functions = self.sorted(row, PARAMETERS), Copies(self.functions, own)
+        lanes, functions = self.sorted(row, PARAMETERS), ModuleCopies(self.functions, own)
 
-        def of_batch(batch: Batch) -> Sequence[Tensor | None]:
+        def of_batch(batch: ModuleBatch) -> Sequence[Tensor | None]:
             with torch.enable_grad():
                 values = functions.of(batch.module)(lanes.part(at, batch), known=True)
             if not values.requires_grad:
@@ -149,7 +149,7 @@ class ModuleBank(NamedTuple):
         """
         lanes = self.sorted(row)
 
-        def columns(batch: Batch) -> Tensor:
+        def columns(batch: ModuleBatch) -> Tensor:
             return of_batch(batch.module, lanes.part(at, batch)).movedim(0, -1).contiguous()
 
         nothing = lanes.batches[0].first if lanes.batches else len(row)
@@ -168,7 +168,7 @@ class ModuleBank(NamedTuple):
         batches, first = [], counts[0]
         for module, count in enumerate(counts[1:]):
             size, last = length_of_batches(count, self.size(module, row.device, parameters)), first + count
-            batches += [Batch(module, start, min(start + size, last)) for start in range(first, last, size)]
+            batches += [ModuleBatch(module, start, min(start + size, last)) for start in range(first, last, size)]
             first = last
         return Sorted(None if len(row) in counts else order, batches)
 
@@ -198,7 +198,7 @@ def threads_for(lanes: Tensor) -> int:
     return threads() if lanes.is_cpu else 1
 
 
-def slopes(values: Tensor, place: Tensor) -> list[Tensor]:
+def _slopes(values: Tensor, place: Tensor) -> list[Tensor]:
     """The derivatives, (N, 3) each and detached, of values by each coordinate of the places that they were computed from.
 
     Args:

@@ -46,7 +46,7 @@ class Blend(NamedTuple):
     share: Tensor  # (N,) in [0, 1], attached
 
 
-def halved(image: Tensor, axis: int) -> Tensor:
+def half_size(image: Tensor, axis: int) -> Tensor:
     """An image of half as many texels along an axis, rounded down, each the mean of what it covers; attached."""
     size = image.shape[axis]
     if size == 1:
@@ -66,7 +66,7 @@ def pyramid(image: Tensor) -> list[Tensor]:
     """An image, (H, W, C), and its coarser levels, down to one texel; attached."""
     levels = [image]
     while max(levels[-1].shape[:2]) > 1:
-        levels.append(halved(halved(levels[-1], 0), 1))
+        levels.append(half_size(half_size(levels[-1], 0), 1))
     return levels
 
 

@@ -95,7 +95,7 @@ def processor() -> Iterator[Finding]:
     from torch_radbp.jit import code_cache
     from torch_radbp.jit.machine import host, host_width
     from torch_radbp.rendering.cost import memory_of
-    from torch_radbp.rendering.memory import size_of
+    from torch_radbp.rendering.memory import bytes_text
 
     name = " ".join(host().split()[:2])  # without all that it can do
     yield Finding("processor", f"{name}, {host_width()} lanes of float32 at once, {os.cpu_count()} cores")
@@ -103,12 +103,12 @@ def processor() -> Iterator[Finding]:
     few = threads < (os.cpu_count() or 1)
     advice = "fewer than cores: set OMP_NUM_THREADS, or call torch.set_num_threads"
     yield Finding("threads", str(threads), advice=advice if few else "")
-    yield Finding("memory", size_of(int(memory_of(torch.device("cpu")))))
+    yield Finding("memory", bytes_text(int(memory_of(torch.device("cpu")))))
     folder = code_cache.folder()
     if folder is None:
         yield Finding("compiled code", "is not kept: RADBP_KERNEL_CACHE is off",
                       advice="every process compiles for seconds; unset it to keep code")
-    elif not code_cache.own(folder):
+    elif not code_cache.belongs_to_user(folder):
         yield Finding("compiled code", f"cannot be kept in {folder}",
                       "the folder must belong to you, and nobody else may write there: name another by RADBP_KERNEL_CACHE")
     else:

@@ -31,7 +31,7 @@ from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST
-from torch_radbp.boundary.reflections.crossings import Crossings, crossings
+from torch_radbp.boundary.reflections.crossings import Crossings, curve_crossings
 from torch_radbp.boundary.reflections.curves import Curves, curves_crossed, level
 from torch_radbp.boundary.reflections.differences import SHADOW, parted
 from torch_radbp.boundary.reflections.ideal_paths import only_ideal
@@ -117,12 +117,12 @@ def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
     for number, view in enumerate(call.views):
         integrand = integrand_of(still, still.integrand, number)
         searched = Searched(still, number, only_ideal(integrand), surfaces, tables, reflected.shadows)
-        found = jumps_in_view(call, searched, integrand, reflected.surfaces)
+        found = _jumps_in_view(call, searched, integrand, reflected.surfaces)
         images.append(image_of(view, [] if found is None else [found], call.scene.dtype))
     return torch.stack(images)
 
 
-class Jumping(NamedTuple):
+class CurveCrossings(NamedTuple):
     """K crossings of curves at which the image jumps; detached."""
 
     crossed: Crossings
@@ -131,7 +131,7 @@ class Jumping(NamedTuple):
     strength: Tensor  # (3, K) float64, by how much more light an image has there for each change of the levels
 
 
-def jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, surfaces: bool) -> FilmJumps | None:
+def _jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, surfaces: bool) -> FilmJumps | None:
     """What jumps in a view add to its derivative; None: it has none.
 
     Args:
@@ -148,8 +148,8 @@ def jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, su
     return FilmJumps(middle, found.strength * moved(call, searched, found))
 
 
-def moved(call: RenderCall, searched: Searched, found: Jumping) -> Tensor:
-    """(K,) float64 zeros, attached: how the levels of curves change at points of the film; args as of `jumps_in_view`."""
+def moved(call: RenderCall, searched: Searched, found: CurveCrossings) -> Tensor:
+    """(K,) float64 zeros, attached: how the levels of curves change at points of the film; args as of `_jumps_in_view`."""
     crossed, curves, follows, _ = found
     view, lines, draw = call.views[searched.number], searched.surfaces.lines, draw_of(crossed)
     sample = camera_sample(call, view, crossed.low, crossed.aperture, crossed.key)
@@ -170,8 +170,8 @@ def draw_of(crossed: Crossings) -> LightDraw | None:
     return None if crossed.looks is None else crossed.looks.draw
 
 
-def jumping(searched: Searched, integrand: Integrand, surfaces: bool) -> Jumping | None:
-    """Where a view sees jumps, and on what curves; None: nowhere. Args as for `jumps_in_view`."""
+def jumping(searched: Searched, integrand: Integrand, surfaces: bool) -> CurveCrossings | None:
+    """Where a view sees jumps, and on what curves; None: nowhere. Args as for `_jumps_in_view`."""
     crossed = crossings_in_view(searched)
     if crossed is None:
         return None
@@ -189,7 +189,7 @@ def jumping(searched: Searched, integrand: Integrand, surfaces: bool) -> Jumping
     steepness = slope.x.abs() + slope.y.abs()
     known = (steepness > 0) & torch.isfinite(steepness)
     weight = -torch.sign(slope.x * step.x + slope.y * step.y) * crossed.times / torch.where(known, steepness, 1.0)
-    return Jumping(crossed, curves, follows, jump[:, own] * torch.where(known, weight, 0.0))
+    return CurveCrossings(crossed, curves, follows, jump[:, own] * torch.where(known, weight, 0.0))
 
 
 def crossings_in_view(searched: Searched) -> Crossings | None:
@@ -200,7 +200,7 @@ def crossings_in_view(searched: Searched) -> Crossings | None:
     lots = torch.arange(len(scans.times), device=scans.times.device).split(BLOCK)
 
     def work(share: Iterable[int]) -> list[Crossings | None]:
-        return [crossings(searched, rows(scans, lots[lot]), lot) for lot in share]
+        return [curve_crossings(searched, rows(scans, lots[lot]), lot) for lot in share]
 
     shares = in_turns(len(lots), searched.call.workers, work)
     parts = [shares[lot % len(shares)][lot // len(shares)] for lot in range(len(lots))]

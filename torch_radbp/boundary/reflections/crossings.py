@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.reflections.differences import BENT, CHANCE, HORIZON, RIM, SHADOW, SURFACE, Difference, Pairing
-from torch_radbp.boundary.reflections.ideal_paths import IdealPath, LightLooks, along, begins, extended, some_of
+from torch_radbp.boundary.reflections.ideal_paths import IdealPath, LightLooks, along, begins, extended, some_paths
 from torch_radbp.boundary.reflections.ideal_steps import Reached
 from torch_radbp.boundary.reflections.scans import (
     SALT,
@@ -22,7 +22,7 @@ from torch_radbp.boundary.reflections.scans import (
     paths_from,
     points_of,
 )
-from torch_radbp.boundary.shadows.seen_edges import numbers, salted
+from torch_radbp.boundary.shadows.seen_edges import salted, uniform_numbers
 from torch_radbp.sampling.sampler import LaneKey, SampleKey
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.stage import stage
@@ -50,7 +50,7 @@ class Crossings(NamedTuple):
     above: Reached  # and that from the high point
 
 
-class Pairs(NamedTuple):
+class ScanSteps(NamedTuple):
     """N steps between points, and how the paths from there part."""
 
     ends: Pairing
@@ -58,7 +58,7 @@ class Pairs(NamedTuple):
     found: Difference
 
 
-def crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | None:
+def curve_crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | None:
     """Where scans cross curves, one for each step of a scan at most; None: nowhere.
 
     Args:
@@ -70,9 +70,9 @@ def crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | None:
     found, begin = parting(searched, path, ends), begins(path)
     kept = torch.where(begin[ends.first] | begin[ends.second], found.likelihood, 0.0)
     own = (draws(searched, len(kept), MOST_TURNS * lot) < kept).nonzero().squeeze(1)
-    pairs = Pairs(*rows((ends, scans.times[ends.first % count] / kept.clamp_min(1e-300), found), own))
+    pairs = ScanSteps(*rows((ends, scans.times[ends.first % count] / kept.clamp_min(1e-300), found), own))
     every, number = torch.cat(pairs.ends), torch.arange(len(own), device=own.device)
-    points, path = rows(points, every), some_of(path, every)  # most points are at no step that is looked at further
+    points, path = rows(points, every), some_paths(path, every)  # most points are at no step that is looked at further
     pairs = pairs._replace(ends=Pairing(number, number + len(own)))
     for turn in range(TURNS):
         if not len(pairs.times):
@@ -97,8 +97,8 @@ def crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | None:
     return Crossings(rows(points.film, first), rows(points.film, second), aperture, key, looks, times, kind, depth, below,
                      above)
 
-def divided_at_outlines(searched: Searched, points: FilmPoints, path: IdealPath, pairs: Pairs,
-                        turn: int) -> tuple[FilmPoints, IdealPath, Pairs]:
+def divided_at_outlines(searched: Searched, points: FilmPoints, path: IdealPath, pairs: ScanSteps,
+                        turn: int) -> tuple[FilmPoints, IdealPath, ScanSteps]:
     """As `divided`, of those steps alone that cross a horizon, or an outline, or a rim, of what scatters ideally."""
     (first, second), _, found = pairs
     begin = begins(path)
@@ -127,11 +127,11 @@ def drawn_by_steps(key: SampleKey, lane: Tensor, counter: Tensor) -> Tensor:
         lane: (N,) int32.
         counter: () int32, another one for others.
     """
-    return numbers(key, lane, counter, torch.float64)
+    return uniform_numbers(key, lane, counter, torch.float64)
 
 
-def divided(searched: Searched, points: FilmPoints, path: IdealPath, pairs: Pairs,
-            turn: int) -> tuple[FilmPoints, IdealPath, Pairs]:
+def divided(searched: Searched, points: FilmPoints, path: IdealPath, pairs: ScanSteps,
+            turn: int) -> tuple[FilmPoints, IdealPath, ScanSteps]:
     """Parts of steps between whose ends something differs: where it does in several, one of them, by chance; and the points
     with those between, with their paths."""
     count, (first, second) = len(pairs.times), pairs.ends
@@ -149,4 +149,4 @@ def divided(searched: Searched, points: FilmPoints, path: IdealPath, pairs: Pair
     drawn = (draws(searched, count, turn) * total >= sums[:-1]).sum(0)
     own = (total > 0).nonzero().squeeze(1)
     ends, found = rows((ends, found), drawn[own] * count + own)
-    return points, path, Pairs(ends, pairs.times[own] * total[own] / found.likelihood.clamp_min(1e-300), found)
+    return points, path, ScanSteps(ends, pairs.times[own] * total[own] / found.likelihood.clamp_min(1e-300), found)

@@ -32,7 +32,7 @@ OFF = 4.0  # times the distance of the two rays, by which an edge may lie off th
 ROUNDED = 2e-5  # the same as a share of the distance, for the rounding of what rays meet
 
 
-class Side(NamedTuple):
+class TriangleSide(NamedTuple):
     """A side of a triangle each, (K,)."""
 
     prim: Tensor  # int32, the triangle
@@ -44,7 +44,7 @@ class Curves(NamedTuple):
     """K curves."""
 
     kind: Tensor  # (K,) int64
-    edge: Side  # of an edge; of a shadow that which casts it; the triangle of a rim, a horizon, a line
+    edge: TriangleSide  # of an edge; of a shadow that which casts it; the triangle of a rim, a horizon, a line
     other: Tensor  # (K,) int32, the triangle that crosses, or on which the shadow falls
     shown_by: Tensor | None  # (K,) int32, its instance
     line: Tensor  # (K,) int64, row of the table of lines
@@ -55,18 +55,18 @@ def curves_crossed(searched: Searched, crossed: Crossings) -> tuple[Curves, Tens
     """The curves, and (K,) bool which of them are known; of edges the nearest to the rays."""
     scene, lines = searched.call.scene, searched.surfaces.lines
     geometry, hit, beyond = geometry_of(scene), crossed.below.hit, crossed.above.hit
-    rays = [in_double(met.ray) for met in (crossed.below, crossed.above)]
+    rays = [_in_double(met.ray) for met in (crossed.below, crossed.above)]
     side, is_edge = nearest_side(geometry, rays, [hit, beyond])
-    meets = (hit.prim >= 0) & (beyond.prim >= 0) & inside(corners_of(geometry, beyond.prim, beyond.instance), rays[0]) & (
-        inside(corners_of(geometry, hit.prim, hit.instance), rays[1]))
+    meets = (hit.prim >= 0) & (beyond.prim >= 0) & _inside(_corners_of(geometry, beyond.prim, beyond.instance), rays[0]) & (
+        _inside(_corners_of(geometry, hit.prim, hit.instance), rays[1]))
     kind = torch.where(meets, MEETING, EDGE)
     for how, curve in ((differences.RIM, RIM), (differences.TEXTURE, LINE), (differences.HORIZON, HORIZON),
                        (differences.SHADOW, SHADOW)):
         kind = torch.where(crossed.kind == how, curve, kind)
     known = ((kind != EDGE) | is_edge) & ((kind != RIM) | (geometry.triangles.vertices.n is not None))
     own = kind != EDGE
-    side = Side(torch.where(own, hit.prim, side.prim),
-                None if hit.instance is None else torch.where(own, hit.instance, side.instance), side.corner)
+    side = TriangleSide(torch.where(own, hit.prim, side.prim),
+                        None if hit.instance is None else torch.where(own, hit.instance, side.instance), side.corner)
     other, shown_by = torch.where(kind == SHADOW, hit.prim, beyond.prim), beyond.instance
     if shown_by is not None:
         shown_by = torch.where(kind == SHADOW, hit.instance, shown_by)
@@ -78,17 +78,18 @@ def curves_crossed(searched: Searched, crossed: Crossings) -> tuple[Curves, Tens
     shadows = (kind == SHADOW).nonzero().squeeze(1)
     if len(shadows):
         casting, is_casting = side_that_casts(searched, rows(crossed, shadows))
-        side = Side(*(None if part is None else part.index_copy(0, shadows, found) for part, found in zip(side, casting)))
+        side = TriangleSide(*(None if part is None else part.index_copy(0, shadows, found)
+                              for part, found in zip(side, casting)))
         known = known.index_copy(0, shadows, is_casting)
     return Curves(kind, side, other, shown_by, line, number), known
 
 
-def nearest_side(geometry: Geometry, rays: list[Ray], hits: list[Hit]) -> tuple[Side, Tensor]:
+def nearest_side(geometry: Geometry, rays: list[Ray], hits: list[Hit]) -> tuple[TriangleSide, Tensor]:
     """Of triangles that one of two rays right beside each other meets, the side that is nearest to them; and (K,) bool: it
     may pass between them."""
     sides = []
     for hit in hits:
-        own = corners_of(geometry, hit.prim, hit.instance)
+        own = _corners_of(geometry, hit.prim, hit.instance)
         for number in range(3):
             off, reach = distance_to_side(rays[0], own[(number + 1) % 3], own[(number + 2) % 3])
             sides.append((torch.where(hit.prim >= 0, off, torch.inf), reach, hit, number))
@@ -100,31 +101,31 @@ def nearest_side(geometry: Geometry, rays: list[Ray], hits: list[Hit]) -> tuple[
         corner = torch.where(nearer, number, corner)
         instance = None if instance is None else torch.where(nearer, hit.instance, instance)
     apart = rays[1].o + rays[1].d * far - rays[0].o - rays[0].d * far
-    return Side(prim, instance, corner), nearest <= OFF * torch.sqrt(dot(apart, apart)) + ROUNDED * far
+    return TriangleSide(prim, instance, corner), nearest <= OFF * torch.sqrt(dot(apart, apart)) + ROUNDED * far
 
 
-def side_that_casts(searched: Searched, crossed: Crossings) -> tuple[Side, Tensor]:
+def side_that_casts(searched: Searched, crossed: Crossings) -> tuple[TriangleSide, Tensor]:
     """The edges that cast the shadows of whose borders some crossings are, and (K,) bool whether they are known."""
     scene, rays, hits = searched.call.scene, [], []
     for met in (crossed.below, crossed.above):
         ray, distance = to_light(scene, met.ray, met.hit, crossed.looks.draw)
         hit = searched.integrand.caster.intersect(ray)
-        rays.append(in_double(ray))
+        rays.append(_in_double(ray))
         hits.append(hit._replace(prim=torch.where((hit.t < distance) & ((met.what & LIT) == 0), hit.prim, -1)))
     return nearest_side(geometry_of(scene), rays, hits)
 
 
-def in_double(ray: Ray) -> Ray:
+def _in_double(ray: Ray) -> Ray:
     """Rays in float64."""
     return Ray(*(part.map(torch.Tensor.double) for part in ray))
 
 
-def corners_of(geometry: Geometry, prim: Tensor, instance: Tensor | None) -> Corners:
+def _corners_of(geometry: Geometry, prim: Tensor, instance: Tensor | None) -> Corners:
     """The corners of triangles, (N,) int32, in the world, attached; float64. Of any where it is -1."""
-    return positions(geometry, between(geometry, prim), instance)
+    return positions(geometry, _between(geometry, prim), instance)
 
 
-def between(geometry: Geometry, prim: Tensor) -> Between:
+def _between(geometry: Geometry, prim: Tensor) -> Between:
     """The vertices of triangles."""
     return Between(*lookup(geometry.triangles.corners, prim.clamp_min(0)))
 
@@ -140,7 +141,7 @@ def distance_to_side(ray: Ray, a: Vec3, b: Vec3) -> tuple[Tensor, Tensor]:
     return torch.where(reach > 0, torch.sqrt(dot(off, off)), torch.inf), reach
 
 
-def inside(corners: Corners, ray: Ray) -> Tensor:
+def _inside(corners: Corners, ray: Ray) -> Tensor:
     """(N,) bool: rays cross triangles."""
     u, v = crossed_at(corners, ray)
     return (u > 0) & (v > 0) & (u + v < 1)
@@ -156,7 +157,7 @@ def level(scene: SceneTensors, lines: LineTable | None, curves: Curves, ray: Ray
         ray: by which they are seen, attached; on a horizon, that leaves the surface.
         draw: the light samples whose shadows are meant.
     """
-    geometry, ray = attached_geometry(scene), in_double(ray)
+    geometry, ray = attached_geometry(scene), _in_double(ray)
     found = torch.zeros_like(ray.d.x)
     for kind in (EDGE, RIM, MEETING, LINE, HORIZON, SHADOW):
         own = (curves.kind == kind).nonzero().squeeze(1)
@@ -168,34 +169,34 @@ def level(scene: SceneTensors, lines: LineTable | None, curves: Curves, ray: Ray
         elif kind == SHADOW:
             value = across_shadow(scene, geometry, some, seen_by, rows(draw, own))
         else:
-            value = {EDGE: beside_edge, RIM: facing, MEETING: nearer, HORIZON: above}[kind](geometry, some, seen_by)
+            value = {EDGE: beside_edge, RIM: _facing, MEETING: nearer, HORIZON: _above}[kind](geometry, some, seen_by)
         found = found.index_add(0, own, value)
     return found
 
 
-def ends_of(geometry: Geometry, side: Side) -> tuple[Vec3, Vec3]:
+def _ends_of(geometry: Geometry, side: TriangleSide) -> tuple[Vec3, Vec3]:
     """The ends of sides, attached."""
-    first, second, third = corners_of(geometry, side.prim, side.instance)
+    first, second, third = _corners_of(geometry, side.prim, side.instance)
     return (where(side.corner == 0, second, where(side.corner == 1, third, first)),
             where(side.corner == 0, third, where(side.corner == 1, first, second)))
 
 
 def beside_edge(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
     """On which side rays pass edges."""
-    a, b = ends_of(geometry, curves.edge)
+    a, b = _ends_of(geometry, curves.edge)
     return dot(cross(b - a, ray.d), a - ray.o)
 
 
-def facing(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
+def _facing(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
     """How far shading normals are turned away."""
-    corners = corners_of(geometry, curves.edge.prim, curves.edge.instance)
-    normals = vertex_normals(geometry, between(geometry, curves.edge.prim), curves.edge.instance)
+    corners = _corners_of(geometry, curves.edge.prim, curves.edge.instance)
+    normals = vertex_normals(geometry, _between(geometry, curves.edge.prim), curves.edge.instance)
     return dot(interpolated(normals, *crossed_at(corners, ray)), ray.d)
 
 
-def above(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
+def _above(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
     """How far rays that leave triangles do so on the side of these triangles' own normals."""
-    corners = corners_of(geometry, curves.edge.prim, curves.edge.instance)
+    corners = _corners_of(geometry, curves.edge.prim, curves.edge.instance)
     return dot(cross(corners[1] - corners[0], corners[2] - corners[0]), ray.d)
 
 
@@ -203,7 +204,7 @@ def nearer(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
     """How much farther one of two triangles is than the other."""
     distances = []
     for prim, instance in ((curves.edge.prim, curves.edge.instance), (curves.other, curves.shown_by)):
-        corners = corners_of(geometry, prim, instance)
+        corners = _corners_of(geometry, prim, instance)
         n = cross(corners[1] - corners[0], corners[2] - corners[0])
         along = dot(ray.d, n)
         distances.append(dot(corners[0] - ray.o, n) / torch.where(along != 0, along, 1.0))
@@ -212,13 +213,13 @@ def nearer(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
 
 def across_line(scene: SceneTensors, geometry: Geometry, lines: LineTable, curves: Curves, ray: Ray) -> Tensor:
     """How far beyond a line of a texture rays meet triangles."""
-    u, v = crossed_at(corners_of(geometry, curves.edge.prim, curves.edge.instance), ray)
+    u, v = crossed_at(_corners_of(geometry, curves.edge.prim, curves.edge.instance), ray)
     return level_of_line(scene, lines, curves.edge.prim, curves.line, u, v) - curves.number
 
 
 def across_shadow(scene: SceneTensors, geometry: Geometry, curves: Curves, ray: Ray, draw: LightDraw) -> Tensor:
     """On which side light passes edges on its way to what rays meet."""
-    corners = corners_of(geometry, curves.other, curves.shown_by)
+    corners = _corners_of(geometry, curves.other, curves.shown_by)
     start, d, _ = light_line(scene, interpolated(corners, *crossed_at(corners, ray)), draw)
-    a, b = ends_of(geometry, curves.edge)
+    a, b = _ends_of(geometry, curves.edge)
     return dot(cross(b - a, d), a - start)

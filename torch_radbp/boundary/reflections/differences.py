@@ -10,12 +10,12 @@ from torch import Tensor
 from torch_radbp.boundary.reflections.ideal_paths import IdealPath, Vertices
 from torch_radbp.boundary.reflections.ideal_steps import FRONT, LIT, ONWARDS, OUTSIDE, THROUGH, Reached
 from torch_radbp.boundary.reflections.surfaces import Surfaces
-from torch_radbp.jit.arguments import Taken
+from torch_radbp.jit.arguments import PreparedArgument
 from torch_radbp.jit.board import board
-from torch_radbp.jit.dual import tensors_of
+from torch_radbp.jit.dual import tangents_and_tensors
 from torch_radbp.jit.order import chosen
 from torch_radbp.jit.tape import Played, Tape, structure_of
-from torch_radbp.path.integrand import number as number_of
+from torch_radbp.path.integrand import int32_number as number_of
 from torch_radbp.path.wavefront import put_rows
 from torch_radbp.scene.interaction import triangle_normal
 from torch_radbp.tensors.lookup import lookup
@@ -51,7 +51,7 @@ class Pairing(NamedTuple):
     second: Tensor
 
 
-def difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairing) -> Difference:
+def path_difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairing) -> Difference:
     """How the paths of pairs part: by the first vertex at which they do.
 
     Args:
@@ -61,11 +61,12 @@ def difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairi
         pairs: of them.
     """
     depths = tuple([number_of(depth, pairs.first.device) for depth in range(len(path))])
-    if not isinstance(surfaces, Taken) or not len(pairs.first) or pairs.first.device.type != "cpu" or inside_dual_level():
+    if (not isinstance(surfaces, PreparedArgument) or not len(pairs.first) or pairs.first.device.type != "cpu"
+            or inside_dual_level()):
         return depth_by_depth(stages, surfaces, path, pairs, depths)
     with board() as helpers:
         kind = stages, surfaces.form.structure, *structure_of((path, depths))
-        tape = Tape(tensors_of((path, depths, surfaces.argument)), kind, board=helpers)
+        tape = Tape(tangents_and_tensors((path, depths, surfaces.argument)), kind, board=helpers)
         played = tape.play(("difference",), lambda pairs: Played(depth_by_depth(stages, surfaces, path, pairs, depths)),
                            (pairs,), len(pairs.first))
     return depth_by_depth(stages, surfaces, path, pairs, depths) if played is None else played.results
@@ -73,7 +74,7 @@ def difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairi
 
 def depth_by_depth(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairing,
                    depths: tuple[Tensor, ...]) -> Difference:
-    """As `difference`; `depths`: the numbers of the vertices."""
+    """As `path_difference`; `depths`: the numbers of the vertices."""
     found, whole = stages(unparted)(pairs), None
     for depth, vertices in zip(depths, path):
         found = stages(parted)(surfaces, vertices, pairs, found, depth)
@@ -107,7 +108,7 @@ def parted(surfaces: Surfaces, vertices: Vertices, pairs: Pairing, so_far: Diffe
     one, other = (rows(vertices.met, place.clamp_min(0)) for place in (first, second))
     differs = one.what ^ other.what
     surely, bend = how_bent(surfaces, one, other)
-    together = joined(surfaces, one, other)
+    together = _meet_same_surface(surfaces, one, other)
     smooth = ~surely & ~together & part_of_one(surfaces, one, other) & (bend < SMOOTH)
     drawn = torch.zeros_like(both)
     for cell, another in zip(one.cells, other.cells):
@@ -130,7 +131,7 @@ def parted(surfaces: Surfaces, vertices: Vertices, pairs: Pairing, so_far: Diffe
                       both & ((met == SAME) | (met == BENT)) & ((one.what & ONWARDS) != 0))
 
 
-def joined(surfaces: Surfaces, one: Reached, other: Reached) -> Tensor:
+def _meet_same_surface(surfaces: Surfaces, one: Reached, other: Reached) -> Tensor:
     """(N,) bool: two rays meet the same triangle, neighbours on a smooth surface, or both nothing."""
     same, there = one.hit.prim == other.hit.prim, one.hit.prim.clamp_min(0)
     near = torch.zeros_like(same)

@@ -70,7 +70,7 @@ def ideal_path(integrand: Integrand, start: PathState, surfaces: Surfaces) -> Id
     return tuple(found)
 
 
-def some_of(path: IdealPath, chosen: Tensor) -> IdealPath:
+def some_paths(path: IdealPath, chosen: Tensor) -> IdealPath:
     """Some paths, (M,) int64 which, in this order; as many vertices as the longest of them has."""
     found = []
     for place, met in path:

@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.reflections.surfaces import Surfaces, cells_met
-from torch_radbp.jit.arguments import Taken
+from torch_radbp.jit.arguments import PreparedArgument
 from torch_radbp.jit.board import board
-from torch_radbp.jit.dual import tensors_of
+from torch_radbp.jit.dual import tangents_and_tensors
 from torch_radbp.jit.order import chosen, partition
 from torch_radbp.jit.recording import Reserve
 from torch_radbp.jit.tape import Played, Tape
@@ -136,7 +136,7 @@ def ideal_vertex(surfaces: Surfaces, ray: Ray, hit: Hit, onwards: Vec3) -> Reach
     return Reached(ray, hit, what, cells_met(surfaces, hit))
 
 
-def steps_played(integrand: Integrand, surfaces: Taken, ideal: Ideal, tape: Tape, onward: Onward,
+def steps_played(integrand: Integrand, surfaces: PreparedArgument, ideal: Ideal, tape: Tape, onward: Onward,
                  depth: int) -> tuple[Tensor, Reached, Onward | None]:
     """As `ideal_step`, by machine code where that is possible."""
     def step(onward: Onward, at: Position) -> Played:
@@ -152,13 +152,13 @@ def steps_played(integrand: Integrand, surfaces: Taken, ideal: Ideal, tape: Tape
 
 
 @contextmanager
-def steps_taken(integrand: Integrand, surfaces: Surfaces | Taken, start: PathState) -> Iterator[IdealStep]:
+def steps_taken(integrand: Integrand, surfaces: Surfaces | PreparedArgument, start: PathState) -> Iterator[IdealStep]:
     """What takes one step after the other: `ideal_step`, or machine code that does the same. Args as for `ideal_path`."""
     ideal = ideal_of(integrand)
     if not recordable(integrand):
         yield partial(ideal_step, integrand, surfaces, ideal)
         return
     with board() as helpers:
-        tables = ideal.queue_of, *tensors_of(surfaces.argument)
+        tables = ideal.queue_of, *tangents_and_tensors(surfaces.argument)
         tape = tape_of(integrand, start.pdf.dtype, helpers, tables, ("ideal", ideal.numbers, surfaces.form.structure))
         yield partial(steps_played, integrand, surfaces, ideal, tape)

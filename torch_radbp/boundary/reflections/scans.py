@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.places import FEWEST, NEIGHBOURS, lot_of, picked
-from torch_radbp.boundary.reflections.differences import CHANCE, SURFACE, Difference, Pairing, difference
+from torch_radbp.boundary.reflections.differences import CHANCE, SURFACE, Difference, Pairing, path_difference
 from torch_radbp.boundary.reflections.ideal_paths import IdealPath, LightLooks, begins, ideal_path, with_light
 from torch_radbp.boundary.reflections.surfaces import Surfaces
 from torch_radbp.boundary.shadows.border import Lights, aperture_of, camera_sample
@@ -76,7 +76,7 @@ def paths_from(searched: Searched, points: FilmPoints) -> IdealPath:
 
 def parting(searched: Searched, path: IdealPath, pairs: Pairing) -> Difference:
     """How the paths of pairs part."""
-    return difference(searched.call.stages, searched.tables, path, pairs)
+    return path_difference(searched.call.stages, searched.tables, path, pairs)
 
 
 def looks_of(searched: Searched, count: int) -> LightLooks | None:

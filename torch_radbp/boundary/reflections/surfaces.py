@@ -14,7 +14,7 @@ from torch_radbp.boundary.geometry import Geometry, NormalsOnly, geometry_of, in
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.plugin.jump_lines import JumpLines
-from torch_radbp.raycast.caster_cache import same
+from torch_radbp.raycast.caster_cache import same_values
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene import Scene
 from torch_radbp.scene.interaction import at_corners
@@ -58,7 +58,7 @@ class Surfaces(NamedTuple):
     lines: LineTable | None  # None: no texture jumps
 
 
-class Known(NamedTuple):
+class CachedSmoothParts(NamedTuple):
     """Smooth parts, and what they depend on."""
 
     vertices: Vec3
@@ -66,7 +66,7 @@ class Known(NamedTuple):
     smooth: SmoothParts
 
 
-KNOWN: WeakKeyDictionary[Scene, Known] = WeakKeyDictionary()
+KNOWN: WeakKeyDictionary[Scene, CachedSmoothParts] = WeakKeyDictionary()
 
 
 def surfaces_of(call: RenderCall, meshes: list[Outline], lines: LineTable | None) -> Surfaces:
@@ -78,9 +78,9 @@ def surfaces_of(call: RenderCall, meshes: list[Outline], lines: LineTable | None
         lines: of textures.
     """
     triangles, known = call.scene.triangles, KNOWN.get(call.module)
-    if (known is None or not all(map(same, known.vertices, triangles.vertices.p))
+    if (known is None or not all(map(same_values, known.vertices, triangles.vertices.p))
             or len(meshes) != len(known.meshes) or any(own is not old for own, old in zip(meshes, known.meshes))):
-        known = Known(triangles.vertices.p, meshes, smooth_parts(call.stages, call.scene, meshes))
+        known = CachedSmoothParts(triangles.vertices.p, meshes, smooth_parts(call.stages, call.scene, meshes))
         KNOWN[call.module] = known
     vertices = triangles.vertices._replace(attributes=(), uv=None if lines is None else triangles.vertices.uv)
     triangles = triangles._replace(vertices=vertices, clearance=None, along=None, emitter=None, balls=None, attributes=(),

@@ -51,12 +51,12 @@ BYTES_OF_PLACE = 1200  # where it lies, what it is made of, and how it moves, wh
 BYTES_OF_JUMP = 800  # what is kept of it for the backward pass
 
 
-class Part(NamedTuple):
+class ShadowIntegral(NamedTuple):
     """One of the integrals that are cut off."""
 
     found: Callable[..., Any]  # of a call without derivatives, a view and edges: places; None: there are none
     jumps: Callable[..., FilmJumps]  # of a call, a view's number, edges and the places
-    is_split: bool = False  # `found` also takes a `split.Amount`, beside the first part with its places as `split.Sampled`
+    is_split: bool = False  # `found` also takes a `split.Amount`; its places beside the first part are a `SampledIntegral`
 
 
 def shadows_move(call: RenderCall) -> bool:
@@ -109,8 +109,8 @@ def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) 
     with torch.no_grad():
         edges = Casting(casting, edge_tree(stages, geometry, casting))
         seen = crossing is not None and sees_curves(call, crossing)
-        parts = parts_of(call, segment_tree(stages, geometry, crossing) if seen else None,
-                         None if crossing is None else resting_among(crossing))
+        parts = _parts_of(call, segment_tree(stages, geometry, crossing) if seen else None,
+                          None if crossing is None else resting_among(crossing))
     still, jumps = call.still(), []
     for number in range(len(call.views)):
         with torch.no_grad():
@@ -126,10 +126,10 @@ def glues(call: RenderCall) -> bool:
 
 def sees_curves(call: RenderCall, crossing: Segments) -> bool:
     """True if vertices of paths may see curves along which surfaces pass through each other."""
-    return glues(call) and (call.integrand.max_depth > 2 or crossed_surfaces.shines(call.scene, crossing))
+    return glues(call) and (call.integrand.max_depth > 2 or crossed_surfaces.surfaces_shine(call.scene, crossing))
 
 
-def parts_of(call: RenderCall, curves: SegmentTree | None, contacts: Segments | None) -> list[Part]:
+def _parts_of(call: RenderCall, curves: SegmentTree | None, contacts: Segments | None) -> list[ShadowIntegral]:
     """The integrals of a call that are cut off.
 
     Args:
@@ -145,30 +145,35 @@ def parts_of(call: RenderCall, curves: SegmentTree | None, contacts: Segments | 
     parts = []
     if on_film:
         lights = border.Lights(settings.nee, surfaces, around)
-        parts.append(Part(partial(border.borders_in_view, lights=lights), border.jumps_in_view))
+        parts.append(ShadowIntegral(partial(border.borders_in_view, lights=lights), border.jumps_of_borders))
     if on_film and settings.nee:
-        parts += [Part(partial(pictures.borders_in_view, kind=kind, lines=lines), partial(pictures.jumps_in_view, kind=kind))
+        parts += [ShadowIntegral(partial(pictures.picture_borders_in_view, kind=kind, lines=lines),
+                                 partial(pictures.jumps_of_pictures, kind=kind))
                   for kind, lines in pictures.lines_of_pictures(call).items()]
     if on_film and settings.nee and contacts is not None:
-        parts.append(Part(lambda still, number, _: under_edges.strips_in_view(still, number, contacts),
-                          lambda attached, number, _, found: under_edges.jumps_in_view(attached, number, found)))
+        parts.append(ShadowIntegral(lambda still, number, _: under_edges.strips_in_view(still, number, contacts),
+                                    lambda attached, number, _, found: under_edges.jumps_of_strips(attached, number, found)))
     if glues(call) and (deep or not (surfaces and around)):
-        parts.append(Part(partial(hidden_light.cuts_of_view, first=first), hidden_light.jumps_in_view, is_split=True))
+        parts.append(ShadowIntegral(partial(hidden_light.cuts_of_view, first=first), hidden_light.jumps_of_cuts,
+                                    is_split=True))
     if glues(call) and deep and seen_through.passes_straight(call.scene):
-        parts.append(Part(seen_through.cuts_of_view, hidden_light.jumps_in_view, is_split=True))
+        parts.append(ShadowIntegral(seen_through.cuts_seen_through, hidden_light.jumps_of_cuts, is_split=True))
     if glues(call) and sharp:
-        parts.append(Part(bounced.borders_of_paths, bounced.jumps_in_view))
+        parts.append(ShadowIntegral(bounced.connected_borders_of_paths, bounced.jumps_of_connected_borders))
     if not glues(call) or settings.following:
-        parts.append(Part(partial(followed_light.cuts_of_view, first=first), followed_light.jumps_in_view))
+        parts.append(ShadowIntegral(partial(followed_light.followed_cuts_of_view, first=first),
+                                    followed_light.jumps_of_followed_cuts))
         if sharp:
-            parts.append(Part(followed_borders.borders_of_paths, followed_borders.jumps_in_view))
+            parts.append(ShadowIntegral(followed_borders.followed_borders_of_paths,
+                                        followed_borders.jumps_of_followed_borders))
     if curves is not None:
-        parts.append(Part(lambda still, number, _: crossed_surfaces.curves_of_view(still, number, curves),
-                          lambda attached, number, _, found: crossed_surfaces.jumps_in_view(attached, number, found)))
+        parts.append(ShadowIntegral(lambda still, number, _: crossed_surfaces.curves_of_view(still, number, curves),
+                                    lambda attached, number, _, found: crossed_surfaces.jumps_of_crossed_surfaces(
+                                        attached, number, found)))
     return parts
 
 
-def found_of_view(still: RenderCall, number: int, edges: Casting, parts: Sequence[Part]) -> list[Any]:
+def found_of_view(still: RenderCall, number: int, edges: Casting, parts: Sequence[ShadowIntegral]) -> list[Any]:
     """The places of each part that a view has; of the first all, of the others as many as are worth it beside those.
 
     Args:

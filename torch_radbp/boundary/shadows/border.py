@@ -31,7 +31,7 @@ from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import APART, APERTURE_COUNTER, FEWEST, counts_somewhere, on_film
 from torch_radbp.boundary.shadows.edges_tried import edges_tried, eyes_for_each
 from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
 from torch_radbp.boundary.shadows.light_points import light_eyes, light_line, light_points
 from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
@@ -129,7 +129,7 @@ class BordersInView(NamedTuple):
     sweep: Tensor  # (K,) where the edge moves by a step that is the same for all
 
     def independent(self) -> Tensor:
-        """As of `split.Sampled`: each place has a light sample of its own."""
+        """As of `split.SampledIntegral`: each place has a light sample of its own."""
         return self.strength * self.sweep
 
 
@@ -144,7 +144,7 @@ class BorderCourse(NamedTuple):
     sweep: Tensor
 
 
-def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: BordersInView) -> FilmJumps:
+def jumps_of_borders(call: RenderCall, number: int, casting: Casting, found: BordersInView) -> FilmJumps:
     """What borders of shadows of direct light that view `number` sees add to its derivative.
 
     Args:
@@ -154,7 +154,7 @@ def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: Border
     """
     on_border = border(call.scene, attached_geometry(call.scene), casting.outline, found.borders)
     seen = on_film(call.views[number].camera, on_border, found.aperture)
-    return FilmJumps(found.place, found.strength * swept(seen, found.normal))
+    return FilmJumps(found.place, found.strength * swept_areas(seen, found.normal))
 
 
 def border(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,

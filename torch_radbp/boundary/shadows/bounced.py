@@ -21,9 +21,9 @@ from torch import Tensor
 from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.border import Borders, Lights, light_through, lit_edges, shadows_cast
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
 from torch_radbp.boundary.shadows.lines_through_edges import solid_angle
-from torch_radbp.boundary.shadows.seen_edges import BEFORE, Casting, corners_of, crossed_at, numbers, pace, unhidden
+from torch_radbp.boundary.shadows.seen_edges import BEFORE, Casting, corners_of, crossed_at, pace, unhidden, uniform_numbers
 from torch_radbp.boundary.shadows.slid import less_what_slides
 from torch_radbp.boundary.shadows.spread_borders import spread_borders
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
@@ -49,12 +49,12 @@ class ConnectedBorders(NamedTuple):
     strength: Tensor  # (3, K) float64, the difference of what the path receives from behind and ahead
 
 
-def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: ConnectedBorders) -> FilmJumps:
-    """What such borders add to the derivative of view `number`; args as of `border.jumps_in_view`."""
+def jumps_of_connected_borders(call: RenderCall, number: int, casting: Casting, found: ConnectedBorders) -> FilmJumps:
+    """What such borders add to the derivative of view `number`; args as of `border.jumps_of_borders`."""
     geometry = attached_geometry(call.scene)
     seen = on_receiver(call.scene, geometry, casting.outline, found.borders)
     seen = less_what_slides(call, number, geometry, found.points, found.start, found.borders.receiver, seen)
-    return FilmJumps(found.points.place, found.strength * swept(seen, found.normal))
+    return FilmJumps(found.points.place, found.strength * swept_areas(seen, found.normal))
 
 
 def on_receiver(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,
@@ -63,7 +63,7 @@ def on_receiver(scene: SceneTensors, geometry: Geometry, outline: Outline, borde
     return crossed_at(corners_of(geometry, borders.receiver), light_through(scene, geometry, outline, borders, step, off))
 
 
-class Pairs(NamedTuple):
+class ConnectedPlaces(NamedTuple):
     """N places on borders, and a vertex of a path each; detached."""
 
     points: Viewpoints  # these
@@ -74,7 +74,7 @@ class Pairs(NamedTuple):
     key: LaneKey  # of random numbers
 
 
-def borders_of_paths(call: RenderCall, number: int, casting: Casting) -> ConnectedBorders | None:
+def connected_borders_of_paths(call: RenderCall, number: int, casting: Casting) -> ConnectedBorders | None:
     """Places on borders, each connected to a vertex of a path of view `number`; args as of `border.borders_in_view`."""
     pairs = pairs_of(call, number, casting, False)
     if pairs is None:
@@ -97,7 +97,7 @@ def borders_of_paths(call: RenderCall, number: int, casting: Casting) -> Connect
     return ConnectedBorders(*rows((points, start, borders, normal), kept), torch.where(ahead, light, -light))
 
 
-def pairs_of(call: RenderCall, number: int, casting: Casting, following: bool) -> Pairs | None:
+def pairs_of(call: RenderCall, number: int, casting: Casting, following: bool) -> ConnectedPlaces | None:
     """Places on borders, with a vertex of a path of view `number` each; None: there are none.
 
     Args:
@@ -112,7 +112,7 @@ def pairs_of(call: RenderCall, number: int, casting: Casting, following: bool) -
     if not len(points.depth):
         return None
     place = torch.arange(count, dtype=torch.int32, device=call.scene.device)
-    pick, choice, turn = (numbers(call.views[number].sample_keys[1], place, SALT + which, torch.float64)
+    pick, choice, turn = (uniform_numbers(call.views[number].sample_keys[1], place, SALT + which, torch.float64)
                           for which in range(3))
     connected = (pick * len(points.depth)).long()
     start = rows(vertex_at(call, geometry, number, points), connected)
@@ -123,7 +123,8 @@ def pairs_of(call: RenderCall, number: int, casting: Casting, following: bool) -
     if not len(kept):
         return None
     borders, passed, inwards, times = shadows_cast(geometry, lit, *rows((passed, receiver), kept))
-    return Pairs(rows(points, connected[kept]), rows(start, kept), borders, inwards, times * len(points.depth), passed.key)
+    return ConnectedPlaces(rows(points, connected[kept]), rows(start, kept), borders, inwards, times * len(points.depth),
+                           passed.key)
 
 
 class Way(NamedTuple):

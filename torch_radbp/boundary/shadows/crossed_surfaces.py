@@ -34,7 +34,7 @@ from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry
 from torch_radbp.boundary.shadows.hidden_light import EVEN, FirstVertex, light_beyond, number_of_paths
 from torch_radbp.boundary.shadows.seen_edges import BESIDE, Passed, corners_of, extent_of, salted, unhidden
-from torch_radbp.boundary.shadows.segment_tree import SegmentTree, ends_of, segment_found, segment_passed, surfaces_of
+from torch_radbp.boundary.shadows.segment_tree import SegmentTree, ends_of, segment_found, segment_passed, surfaces_along
 from torch_radbp.boundary.shadows.slid import what_slides
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, vertex_at, viewpoints
 from torch_radbp.boundary.shadows.ways_down import picked_ones, ways_down
@@ -73,7 +73,7 @@ class CrossedOfView(NamedTuple):
     strength: Tensor  # (3, K) float64, what is gained where the level rises by one
 
 
-def jumps_in_view(call: RenderCall, number: int, found: CrossedOfView) -> FilmJumps:
+def jumps_of_crossed_surfaces(call: RenderCall, number: int, found: CrossedOfView) -> FilmJumps:
     """What such curves add to the derivative of view `number`; `call`: of which something moves."""
     geometry, sheets = attached_geometry(call.scene), found.sheets
     met = hit_at(sheets, sheets.at, found.points.hit.u.dtype)
@@ -84,9 +84,9 @@ def jumps_in_view(call: RenderCall, number: int, found: CrossedOfView) -> FilmJu
     return FilmJumps(rows(found.points.place, found.viewpoint), found.strength * (level - primal(level)))
 
 
-def shines(scene: SceneTensors, segments: Segments) -> bool:
+def surfaces_shine(scene: SceneTensors, segments: Segments) -> bool:
     """True if one of the surfaces that pass through each other emits light, which all vertices of paths receive straight."""
-    return any(bool((rows(scene.triangles.emitter, triangle) >= 0).any()) for triangle, _ in surfaces_of(segments))
+    return any(bool((rows(scene.triangles.emitter, triangle) >= 0).any()) for triangle, _ in surfaces_along(segments))
 
 
 def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree) -> CrossedOfView | None:
@@ -144,7 +144,7 @@ def sheets_seen(geometry: Geometry, segments: Segments, at: Vec3, passed: Passed
         extent: () of the scene.
     """
     own, eye = rows(segments, passed.edge), rows(at, passed.eye)
-    surfaces, (start, end) = surfaces_of(own), ends_of(geometry, own)
+    surfaces, (start, end) = surfaces_along(own), ends_of(geometry, own)
     corners, found = [place_of(geometry, *surface) for surface in surfaces], []
     for (surface, other), (mine, passing) in zip((surfaces, surfaces[::-1]), (corners, corners[::-1])):
         rise, run = heights_by(passing, mine), direction_on(mine, end - start)

@@ -36,7 +36,7 @@ CLOSE = 1e-9  # square of the angle by which a direction that was found may be o
 SALT = 0x6A09E667  # tells the numbers that pick lobes from others
 
 
-class Numbers(NamedTuple):
+class DirectionNumbers(NamedTuple):
     """The random numbers of a direction, (N,)."""
 
     choice: Tensor  # of the lobe
@@ -47,7 +47,7 @@ class Numbers(NamedTuple):
 class Drawn(NamedTuple):
     """Directions as vertices draw them, (N,); detached."""
 
-    numbers: Numbers
+    numbers: DirectionNumbers
     share: Tensor  # density of the lobe over that of all; 0: the lobe that was picked has no such direction
     pdf: Tensor  # density over solid angle
     scattered: Vec3  # BSDF times cosine
@@ -94,7 +94,7 @@ def drawn(integrand: Integrand, state: PathState, hit: Hit, d: Vec3) -> Drawn:
     """
     like, key = state.pdf, bounce_key(state.key, SALT)
     choice = uniform(key, BSDF_CHOICE, like.dtype)
-    found = Drawn(Numbers(choice, torch.zeros_like(like), torch.zeros_like(like)), torch.zeros_like(like),
+    found = Drawn(DirectionNumbers(choice, torch.zeros_like(like), torch.zeros_like(like)), torch.zeros_like(like),
                   torch.zeros_like(like), Vec3.buffer(like),
                   None if state.vantage is None else Vantage(*(Vec3.buffer(like) for _ in Vantage._fields)))
     for lanes, material, si in scatterers_met(integrand, state, hit, Settings()):
@@ -102,7 +102,7 @@ def drawn(integrand: Integrand, state: PathState, hit: Hit, d: Vec3) -> Drawn:
             continue
         wo = si.frame.to_local(rows(d, lanes))
         value, pdf = evaluate(material, si.wi, wo)
-        numbers, density = inverted(material, Vec3(*si.wi), Vec3(*wo), choice[lanes])
+        numbers, density = inverted_sampling(material, Vec3(*si.wi), Vec3(*wo), choice[lanes])
         usable = si.valid & (pdf > 0)
         share = torch.where(usable, density / torch.where(usable, pdf.double(), 1.0), 0.0).to(like.dtype)
         own = Drawn(numbers, share, pdf, masked(usable, value), None if found.vantage is None else vantage(si))
@@ -122,7 +122,7 @@ class Try(NamedTuple):
     step: tuple[Tensor, Tensor]  # of Newton's method, by which the numbers are too large
 
 
-def inverted(material: Material, wi: Vec3, wo: Vec3, choice: Tensor) -> tuple[Numbers, Tensor]:
+def inverted_sampling(material: Material, wi: Vec3, wo: Vec3, choice: Tensor) -> tuple[DirectionNumbers, Tensor]:
     """How the lobe that `choice` picks draws directions: the numbers, and its densities over solid angle.
 
     The densities are 0 where the lobe has no such direction, or does not scatter by chance.
@@ -139,7 +139,7 @@ def inverted(material: Material, wi: Vec3, wo: Vec3, choice: Tensor) -> tuple[Nu
     u, v, best = own, own, torch.full_like(own, -2.0)
     for place in places:
         guess = [number.expand_as(own) for number in place]
-        near = dot(direction(fine, wi, own, *guess)[0], wo)
+        near = dot(drawn_direction(fine, wi, own, *guess)[0], wo)
         better = near > best
         u, v, best = (torch.where(better, *parts) for parts in zip((*guess, near), (u, v, best)))
 
@@ -152,10 +152,10 @@ def inverted(material: Material, wi: Vec3, wo: Vec3, choice: Tensor) -> tuple[Nu
         nearer = then.off < at.off
         at = with_leaves(at, [torch.where(nearer, *parts) for parts in zip(leaves_of(then), leaves_of(at))])
         reach = torch.where(nearer, (2.0 * reach).clamp_max(1.0), 0.25 * reach)
-    return Numbers(choice, at.u, at.v), torch.where(at.off < CLOSE, at.density, 0.0)
+    return DirectionNumbers(choice, at.u, at.v), torch.where(at.off < CLOSE, at.density, 0.0)
 
 
-def direction(material: Material, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> tuple[Vec3, Tensor]:
+def drawn_direction(material: Material, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> tuple[Vec3, Tensor]:
     """(N,) what numbers lead to, local, attached to `u` and `v`; and whether that is by a delta lobe."""
     kind, values = material
     lobe = kind.choose(values, wi, choice, u.detach(), v.detach())
@@ -163,12 +163,12 @@ def direction(material: Material, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor
 
 
 def tried(material: Material, wi: Vec3, wo: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Try:
-    """Where numbers `u` and `v` lead to; args as for `inverted`."""
+    """Where numbers `u` and `v` lead to; args as for `inverted_sampling`."""
     axes, slopes = Frame.of(wo), []
     for axis in (axes.s, axes.t):
         with torch.enable_grad():
             numbers = [number.detach().requires_grad_() for number in (u, v)]
-            d, delta = direction(material, wi, choice, *numbers)
+            d, delta = drawn_direction(material, wi, choice, *numbers)
             across = dot(d, axis)
             found = vector_jacobian_product([across], numbers, [torch.ones_like(across)])
             slopes.append([zeros_unless(slope, number).detach() for slope, number in zip(found, numbers)])
@@ -181,7 +181,7 @@ def tried(material: Material, wi: Vec3, wo: Vec3, choice: Tensor, u: Tensor, v: 
     return Try(u, v, off, inverse.abs(), ((t_v * s - s_v * t) * inverse, (s_u * t - t_u * s) * inverse))
 
 
-def directions_drawn(integrand: Integrand, state: PathState, hit: Hit, numbers: Numbers) -> Vec3:
+def directions_drawn(integrand: Integrand, state: PathState, hit: Hit, numbers: DirectionNumbers) -> Vec3:
     """(N,) unit, world, attached: the directions that vertices draw by random numbers.
 
     Args:

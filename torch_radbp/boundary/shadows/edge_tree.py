@@ -120,7 +120,7 @@ def edge_bounds(geometry: Geometry, outline: Outline, slots: Tensor, slot: Tenso
     # The two turn round the edge in one sense, the first as its triangle does: so cones of neighbours may be narrow.
     one = unit_normal(along, tips[0] - a)
     other = where(edges.count == 2, unit_normal(tips[-1] - a, along), one)
-    turned = torch.where(dot(one, normal_of(geometry, edges.corner[0], instance)) < 0.0, -1.0, 1.0)
+    turned = torch.where(dot(one, _normal_of(geometry, edges.corner[0], instance)) < 0.0, -1.0, 1.0)
     axis = normalize(one + other) * turned
     own = geometry.triangles.vertices.p.x.dtype
     between = angle_between(*(rounded(normal, own) for normal in (one, other)))
@@ -141,7 +141,7 @@ def box_around(a: Vec3, b: Vec3, exists: Tensor) -> tuple[Vec3, Vec3]:
     return where(exists, low, Vec3(none, none, none)), where(exists, high, Vec3(-none, -none, -none))
 
 
-def normal_of(geometry: Geometry, corner: Tensor, instance: Tensor | None) -> Vec3:
+def _normal_of(geometry: Geometry, corner: Tensor, instance: Tensor | None) -> Vec3:
     """Normals of the triangles that corners, (N,) int32, belong to, by the order of their vertices; of any length."""
     triangle = torch.div(corner, 3, rounding_mode="floor")
     p = positions(geometry, Between(*lookup(geometry.triangles.corners, triangle)), instance)
@@ -240,11 +240,11 @@ def descended(nodes: EdgeNodes, eyes: Eyes, extent: Tensor, at: Descent, count: 
     """
     eye, first = rows(eyes, at.eye), at.node * count
     angles = [angle_of_node(rows(nodes, first + place), eye, extent).double() for place in range(count)]
-    place, share, u = drawn(angles, at.u)
+    place, share, u = picked_by_weight(angles, at.u)
     return Descent(at.eye, first + place, u, at.chance * share)
 
 
-def drawn(weights: Sequence[Tensor], u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def picked_by_weight(weights: Sequence[Tensor], u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Which of some weights, (N,) each, random numbers pick, (N,) int32; its share of all, 0 if all are; and what is left
     of the random number."""
     total = weights[0]

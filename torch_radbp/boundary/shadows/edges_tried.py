@@ -22,7 +22,7 @@ from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.edge_tree import numbers_to
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.seen_edges import angle_seen
-from torch_radbp.boundary.shadows.ways_down import STEPS, Found
+from torch_radbp.boundary.shadows.ways_down import STEPS, PickedEdges
 from torch_radbp.jit.order import chosen
 from torch_radbp.sampling.sampler import SampleKey, fine_unit, hash32
 from torch_radbp.tensors.record import joined
@@ -51,7 +51,7 @@ class Tried(NamedTuple):
 
 
 def edges_tried(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey, each: int,
-                extent: Tensor) -> tuple[Found, Tensor]:
+                extent: Tensor) -> tuple[PickedEdges, Tensor]:
     """The silhouettes among all edges, and the eyes that see them, (K,) int32.
 
     Args:
@@ -60,13 +60,13 @@ def edges_tried(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes
         each: from how many eyes, which follow each other, an edge is tried in the mean.
         extent: () of the scene.
     """
-    def found_from(edges: Tensor, each: int, seed: SampleKey) -> tuple[Found, Tensor]:
+    def found_from(edges: Tensor, each: int, seed: SampleKey) -> tuple[PickedEdges, Tensor]:
         lane, count = numbers_to(each * len(edges), eyes.w), len(eyes.w)
         numbers = (torch.full((), value, dtype=torch.int32, device=lane.device) for value in (each, count))
         tried = stages(edge_tried)(geometry, outline, eyes, edges, seed, *numbers, extent, lane)
         kept = chosen(tried.angle > 0.0)
         (eye, angle), edge = rows(tried, kept), rows(edges, torch.div(kept, each, rounding_mode="floor"))
-        return Found(edge, torch.full_like(angle, count / each), angle), eye
+        return PickedEdges(edge, torch.full_like(angle, count / each), angle), eye
 
     edges, ways = numbers_to(len(outline.crease), eyes.w), each * len(outline.crease)
     if each == len(eyes.w):

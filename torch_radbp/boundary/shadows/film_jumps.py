@@ -29,7 +29,7 @@ def attached_geometry(scene: SceneTensors) -> Geometry:
     return geometry if has_tangents(geometry) else summed(geometry)
 
 
-def swept(seen: Vec2, normal: Vec2) -> Tensor:
+def swept_areas(seen: Vec2, normal: Vec2) -> Tensor:
     """(K,) zeros, attached: the areas that pieces of curves sweep.
 
     Args:

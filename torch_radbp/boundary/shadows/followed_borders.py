@@ -16,8 +16,8 @@ from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.border import Borders, border
 from torch_radbp.boundary.shadows.bounced import light_sent_on, pairs_of, way_to
-from torch_radbp.boundary.shadows.drawn_directions import Numbers, drawn
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
+from torch_radbp.boundary.shadows.drawn_directions import DirectionNumbers, drawn
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
 from torch_radbp.boundary.shadows.followed_light import moved_directions
 from torch_radbp.boundary.shadows.seen_edges import Casting, finite_normal, pace
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, arriving, path_of, vertex_on
@@ -33,30 +33,30 @@ class FollowedBorders(NamedTuple):
     points: Viewpoints  # these
     borders: Borders
     basis: tuple[Vec3, Vec3]  # across the line of sight
-    numbers: Numbers  # for which the vertices draw directions towards the places
+    numbers: DirectionNumbers  # for which the vertices draw directions towards the places
     normal: Vec2  # in coordinates across the line of sight, as long as the piece that a place stands for
     strength: Tensor  # (3, K) float64, the difference of what the path receives from behind and ahead
 
 
-def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: FollowedBorders) -> FilmJumps:
-    """What such borders add to the derivative of view `number`; args as of `border.jumps_in_view`."""
+def jumps_of_followed_borders(call: RenderCall, number: int, casting: Casting, found: FollowedBorders) -> FilmJumps:
+    """What such borders add to the derivative of view `number`; args as of `border.jumps_of_borders`."""
     geometry = attached_geometry(call.scene)
     rays = arriving(call, number, found.points, all_of_them=True)
     at = vertex_on(geometry, found.points, rays)
-    seen = sight_of(call.scene, geometry, casting.outline, at, found.borders, found.basis)
+    seen = _sight_of(call.scene, geometry, casting.outline, at, found.borders, found.basis)
     d = moved_directions(call, found.points, rays, found.numbers)
     seen = Vec2(*(place - dot(d, across) for place, across in zip(seen, found.basis)))
-    return FilmJumps(found.points.place, found.strength * swept(seen, found.normal))
+    return FilmJumps(found.points.place, found.strength * swept_areas(seen, found.normal))
 
 
-def sight_of(scene: SceneTensors, geometry: Geometry, outline: Outline, at: Vec3, borders: Borders,
-             basis: tuple[Vec3, Vec3], step: Tensor | float = 0.0, off: Vec3 | None = None) -> Vec2:
+def _sight_of(scene: SceneTensors, geometry: Geometry, outline: Outline, at: Vec3, borders: Borders,
+              basis: tuple[Vec3, Vec3], step: Tensor | float = 0.0, off: Vec3 | None = None) -> Vec2:
     """Where shadows end as points `at` see it, (N,) coordinates across the lines of sight, attached; args as of `border`."""
     d = normalize(border(scene, geometry, outline, borders, step, off) - at)
     return Vec2(*(dot(d, across) for across in basis))
 
 
-def borders_of_paths(call: RenderCall, number: int, casting: Casting) -> FollowedBorders | None:
+def followed_borders_of_paths(call: RenderCall, number: int, casting: Casting) -> FollowedBorders | None:
     """Places on borders, each seen by a vertex of a path of view `number`; args as of `border.borders_in_view`."""
     pairs = pairs_of(call, number, casting, True)
     if pairs is None:
@@ -65,8 +65,8 @@ def borders_of_paths(call: RenderCall, number: int, casting: Casting) -> Followe
     scene, geometry, integrand = call.scene, geometry_of(call.scene), integrand_of(call, call.integrand, number)
     way = way_to(start, border(scene, geometry, casting.outline, borders), scene.dtype)
     basis = Frame.of(normalize(way.reach))[:2]
-    here, along = pace(lambda step: sight_of(scene, geometry, casting.outline, start, borders, basis, step), times)
-    shade = sight_of(scene, geometry, casting.outline, start, borders, basis, off=inwards)
+    here, along = pace(lambda step: _sight_of(scene, geometry, casting.outline, start, borders, basis, step), times)
+    shade = _sight_of(scene, geometry, casting.outline, start, borders, basis, off=inwards)
     normal = finite_normal(along, times)
     ahead = (shade.x - here.x) * normal.x + (shade.y - here.y) * normal.y > 0
     eager = integrand.with_stages(EAGER)

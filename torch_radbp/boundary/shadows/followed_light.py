@@ -22,8 +22,8 @@ from torch import Tensor
 
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.rendering import asks_for_derivatives
-from torch_radbp.boundary.shadows.drawn_directions import Drawn, Numbers, directions_drawn, drawn
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
+from torch_radbp.boundary.shadows.drawn_directions import DirectionNumbers, Drawn, directions_drawn, drawn
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
 from torch_radbp.boundary.shadows.hidden_light import (
     LOOKS,
     CutsOfView,
@@ -33,7 +33,7 @@ from torch_radbp.boundary.shadows.hidden_light import (
     eyes_of,
     matter,
     number_of_paths,
-    some_of,
+    some_cuts,
 )
 from torch_radbp.boundary.shadows.lines_through_edges import solid_angle
 from torch_radbp.boundary.shadows.seen_edges import (
@@ -66,11 +66,11 @@ class FollowedCuts(NamedTuple):
     """K places where directions that carry derivatives meet edges, and where edges cut off sampled lamps; detached."""
 
     directions: CutsOfView  # in coordinates across the line of sight
-    numbers: Numbers  # (K,) for which vertices draw them
+    numbers: DirectionNumbers  # (K,) for which vertices draw them
     lamps: CutsOfView
 
 
-class Side(NamedTuple):
+class EdgeSide(NamedTuple):
     """What lies on one side of N edges as vertices see them."""
 
     ray: Ray  # from these
@@ -80,8 +80,8 @@ class Side(NamedTuple):
 class Beyond(NamedTuple):
     """What lies on either side."""
 
-    front: Side  # the blocker
-    back: Side  # the background
+    front: EdgeSide  # the blocker
+    back: EdgeSide  # the background
 
 
 class LightBeside(NamedTuple):
@@ -101,8 +101,8 @@ def directions_turn(call: RenderCall) -> bool:
     return any(map(asks_for_derivatives, turned)) or follows and any_differentiated(call.scene.triangles.vertices.n)
 
 
-def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: FollowedCuts) -> FilmJumps:
-    """What edges add that directions slide over to the derivative of view `number`; args as of `border.jumps_in_view`."""
+def jumps_of_followed_cuts(call: RenderCall, number: int, casting: Casting, found: FollowedCuts) -> FilmJumps:
+    """What edges add that directions slide over to the derivative of view `number`; args as of `border.jumps_of_borders`."""
     geometry, own, lamps = attached_geometry(call.scene), found.directions, found.lamps
     points, viewpoint = own.points, own.cuts.viewpoint
     rays = arriving(call, number, points, all_of_them=True)
@@ -110,11 +110,12 @@ def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: Follow
     seen, of_lamps = (cut_at(geometry, casting.outline, at, cuts) for cuts in (own.cuts, lamps.cuts))
     d = moved_directions(call, rows(points, viewpoint), rows(rays, viewpoint), found.numbers)
     seen = Vec2(*(place - dot(d, across) for place, across in zip(seen, own.cuts.basis)))
-    amount = torch.cat([own.strength * swept(seen, own.normal), lamps.strength * swept(of_lamps, lamps.normal)], 1)
+    amount = torch.cat([own.strength * swept_areas(seen, own.normal),
+                        lamps.strength * swept_areas(of_lamps, lamps.normal)], 1)
     return FilmJumps(rows(points.place, torch.cat([viewpoint, lamps.cuts.viewpoint])), amount)
 
 
-def moved_directions(call: RenderCall, points: Viewpoints, rays: Ray, numbers: Numbers) -> Vec3:
+def moved_directions(call: RenderCall, points: Viewpoints, rays: Ray, numbers: DirectionNumbers) -> Vec3:
     """(K,) unit, float64, attached: the directions in which viewpoints scatter light by these random numbers.
 
     Args:
@@ -129,7 +130,7 @@ def moved_directions(call: RenderCall, points: Viewpoints, rays: Ray, numbers: N
     return found.map(torch.Tensor.double)
 
 
-def cuts_of_view(call: RenderCall, number: int, casting: Casting, first: FirstVertex) -> FollowedCuts | None:
+def followed_cuts_of_view(call: RenderCall, number: int, casting: Casting, first: FirstVertex) -> FollowedCuts | None:
     """Places where edges are met by directions that carry derivatives; None: there are none.
 
     Args:
@@ -150,7 +151,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, first: FirstVe
     if not len(passed.edge):
         return None
     start = rows(at, passed.eye)
-    beyond = beside(integrand, passed, start, BESIDE * extent_of(geometry))
+    beyond = _beside(integrand, passed, start, BESIDE * extent_of(geometry))
     own = rows(points, passed.eye)._replace(key=passed.key)
     eager = integrand.with_stages(EAGER)
     found = drawn(eager, path_of(call, own.ray, own.key), own.hit, beyond.back.ray.d)
@@ -165,10 +166,10 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, first: FirstVe
     kept, of_lamps = matter(directions), matter(lamps)
     if not len(kept) and not len(of_lamps):
         return None
-    return FollowedCuts(some_of(directions, kept), rows(found.numbers, kept), some_of(lamps, of_lamps))
+    return FollowedCuts(some_cuts(directions, kept), rows(found.numbers, kept), some_cuts(lamps, of_lamps))
 
 
-def beside(integrand: Integrand, passed: Passed, start: Vec3, off: Tensor) -> Beyond:
+def _beside(integrand: Integrand, passed: Passed, start: Vec3, off: Tensor) -> Beyond:
     """What lies on either side of places on edges; `start`: (N,) the vertices that see them, `off`: by which rays pass."""
     reach = passed.p - start
     distance = torch.sqrt(dot(reach, reach)).clamp_min(TINY)
@@ -177,8 +178,8 @@ def beside(integrand: Integrand, passed: Passed, start: Vec3, off: Tensor) -> Be
     o, d = (part.map(lambda c: c.to(dtype).contiguous()) for part in (start + to_front * (distance * BEFORE), to_front))
     front, back = integrand.caster.intersect(Ray(o, d)), integrand.caster.intersect(passed.onwards)
     origin = start.map(lambda c: c.to(dtype))
-    return Beyond(Side(Ray(origin, d), front._replace(t=front.t + (distance * BEFORE).to(dtype))),
-                  Side(Ray(origin, passed.onwards.d), back._replace(t=back.t + distance.to(dtype))))
+    return Beyond(EdgeSide(Ray(origin, d), front._replace(t=front.t + (distance * BEFORE).to(dtype))),
+                  EdgeSide(Ray(origin, passed.onwards.d), back._replace(t=back.t + distance.to(dtype))))
 
 
 def light_beside(call: RenderCall, integrand: Integrand, points: Viewpoints, beyond: Beyond, found: Drawn,
@@ -190,7 +191,7 @@ def light_beside(call: RenderCall, integrand: Integrand, points: Viewpoints, bey
         points: (N,) that see the edges.
         beyond: what lies beside these.
         found: how the vertices draw their directions.
-        first: as for `cuts_of_view`.
+        first: as for `followed_cuts_of_view`.
     """
     none = torch.zeros(3, len(points.depth), dtype=torch.float64, device=call.scene.device)
     by_drawing, by_picking = none, none.clone()

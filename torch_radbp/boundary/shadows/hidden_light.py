@@ -34,7 +34,7 @@ from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows import film_density, split
 from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
 from torch_radbp.boundary.shadows.light_points import light_lobes, light_points
 from torch_radbp.boundary.shadows.lines_through_edges import scattered_towards, solid_angle
 from torch_radbp.boundary.shadows.seen_edges import (
@@ -45,12 +45,12 @@ from torch_radbp.boundary.shadows.seen_edges import (
     crossed_at,
     extent_of,
     finite_normal,
-    numbers,
     pace,
     places_seen,
     point_of_edge,
     salted,
     unhidden,
+    uniform_numbers,
 )
 from torch_radbp.boundary.shadows.slid import less_what_slides
 from torch_radbp.boundary.shadows.split import ALL, Amount
@@ -114,7 +114,7 @@ class CutsOfView(NamedTuple):
     sweep: Tensor  # as of `border.BordersInView`
 
     def independent(self) -> Tensor:
-        """As of `split.Sampled`: those of each path together."""
+        """As of `split.SampledIntegral`: those of each path together."""
         _, path = self.cuts.viewpoint.unique(return_inverse=True)
         return self.strength.new_zeros(3, int(path.max()) + 1).index_add(1, path, self.strength * self.sweep)
 
@@ -123,17 +123,17 @@ class CutsOfView(NamedTuple):
         if self.points.tried is None:
             return None, self
         tried, own = rows(self.points.tried, self.cuts.viewpoint), self._replace(points=self.points._replace(tried=None))
-        return tuple(with_used_viewpoints(some_of(own, part.nonzero().squeeze(1))) if part.any() else None
+        return tuple(with_used_viewpoints(some_cuts(own, part.nonzero().squeeze(1))) if part.any() else None
                      for part in (tried, ~tried))
 
 
-def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: CutsOfView) -> FilmJumps:
-    """What edges hide from paths adds to the derivative of view `number`; args as of `border.jumps_in_view`."""
+def jumps_of_cuts(call: RenderCall, number: int, casting: Casting, found: CutsOfView) -> FilmJumps:
+    """What edges hide from paths adds to the derivative of view `number`; args as of `border.jumps_of_borders`."""
     geometry = attached_geometry(call.scene)
     at, viewpoint = vertex_at(call, geometry, number, found.points), found.cuts.viewpoint
     seen, start = cut_at(geometry, casting.outline, at, found.cuts), rows(at.map(primal), viewpoint)
     seen = less_what_slides(call, number, geometry, rows(found.points, viewpoint), start, found.cuts.hit, seen)
-    return FilmJumps(rows(found.points.place, found.cuts.viewpoint), found.strength * swept(seen, found.normal))
+    return FilmJumps(rows(found.points.place, found.cuts.viewpoint), found.strength * swept_areas(seen, found.normal))
 
 
 class CutCourse(NamedTuple):
@@ -177,7 +177,7 @@ def as_worth(first: float, found: Callable[[Amount], CutsOfView | None]) -> Cuts
         return some
     more = found(Amount(worth - split.LEAST, before=split.LEAST))
     share = split.LEAST / worth
-    return together([(own, share) for own, share in ((some, share), (more, 1.0 - share)) if own is not None])
+    return joined_cuts([(own, share) for own, share in ((some, share), (more, 1.0 - share)) if own is not None])
 
 
 def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount = ALL, *,
@@ -203,10 +203,10 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount
         cuts = None if looks is None else cuts_of_looks(call, integrand, casting, looks, first)
         if cuts is not None:
             found.append(cuts if rounds == 1 else fewer(cuts, salted(view, SALT), begun, MOST * PLACES // rounds))
-    return together([(own, 1.0 / rounds) for own in found])
+    return joined_cuts([(own, 1.0 / rounds) for own in found])
 
 
-def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, looks: Looks,
+def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, looks: EdgeSightings,
                   first: FirstVertex) -> CutsOfView | None:
     """Those of the places that are seen at which edges cut off light; None: there are none. Args as for `looks_at_edges`."""
     geometry, (points, at, passed) = geometry_of(call.scene), looks
@@ -230,11 +230,11 @@ def fewer(found: CutsOfView, key: SampleKey, begun: int, most: int) -> CutsOfVie
         begun: the number of the round's first path.
     """
     chance = chances((found.strength * found.sweep).abs().amax(0), most)
-    kept = thinned(chance, numbers(key, begun + found.cuts.edge.new_zeros(1), SALT, torch.float64))
-    return with_used_viewpoints(some_of(found, kept)._replace(strength=found.strength[:, kept] / chance[kept]))
+    kept = thinned(chance, uniform_numbers(key, begun + found.cuts.edge.new_zeros(1), SALT, torch.float64))
+    return with_used_viewpoints(some_cuts(found, kept)._replace(strength=found.strength[:, kept] / chance[kept]))
 
 
-def together(found: Sequence[tuple[CutsOfView, float]]) -> CutsOfView | None:
+def joined_cuts(found: Sequence[tuple[CutsOfView, float]]) -> CutsOfView | None:
     """Several times cuts that stand for the whole, each with the share for which they count; None: there are none."""
     if not found:
         return None
@@ -247,7 +247,7 @@ def together(found: Sequence[tuple[CutsOfView, float]]) -> CutsOfView | None:
     return with_leaves(parts[0], [torch.cat(own, -1) if isinstance(own[0], Tensor) else own[0] for own in columns])
 
 
-class Looks(NamedTuple):
+class EdgeSightings(NamedTuple):
     """What vertices of paths see of edges."""
 
     points: Viewpoints  # (M,)
@@ -256,7 +256,7 @@ class Looks(NamedTuple):
 
 
 def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting: Casting, count: int, first: FirstVertex,
-                   density: Tensor | None = None, begun: int = 0, tried: int = 0) -> Looks | None:
+                   density: Tensor | None = None, begun: int = 0, tried: int = 0) -> EdgeSightings | None:
     """Places on edges that vertices of so many paths see; None: they see none.
 
     Args:
@@ -276,7 +276,7 @@ def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting:
     eyes = eyes_of(call, number, integrand, points, at, first)
     passed = places_seen(call.stages, geometry, casting, eyes, salted(call.views[number], SALT), LOOKS,
                          PLACES * len(points.depth), points.tried)
-    return None if passed is None else Looks(points, at, passed)
+    return None if passed is None else EdgeSightings(points, at, passed)
 
 
 def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoints, at: Vec3, first: FirstVertex) -> Eyes:
@@ -309,7 +309,7 @@ def cuts_that_matter(stages: Stages, geometry: Geometry, casting: Casting, point
     """The cuts at which light is lost; None: there are none. Args as for `all_cuts`."""
     found = all_cuts(stages, geometry, casting, points, at, passed, hit, light)
     kept = matter(found)
-    return with_used_viewpoints(some_of(found, kept)) if len(kept) else None
+    return with_used_viewpoints(some_cuts(found, kept)) if len(kept) else None
 
 
 def all_cuts(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed, hit: Hit,
@@ -334,7 +334,7 @@ def matter(found: CutsOfView) -> Tensor:
     return (found.strength != 0).any(0).nonzero().squeeze(1)
 
 
-def some_of(found: CutsOfView, kept: Tensor) -> CutsOfView:
+def some_cuts(found: CutsOfView, kept: Tensor) -> CutsOfView:
     """The cuts of these numbers."""
     return found._replace(cuts=rows(found.cuts, kept), normal=rows(found.normal, kept), strength=found.strength[:, kept],
                           sweep=found.sweep[kept])

@@ -69,7 +69,7 @@ def light_eyes(scene: SceneTensors, draw: LightDraw) -> Eyes:
     nowhere = Vec3(zero, zero, zero)
     aims = aims_at(scene, nowhere, draw)
     start, d, parallel = line_of(aims, nowhere)
-    return Eyes(where(parallel, -d, start), (~parallel).double(), normal_of(aims, nowhere), zero + BEHIND, zero)
+    return Eyes(where(parallel, -d, start), (~parallel).double(), _normal_of(aims, nowhere), zero + BEHIND, zero)
 
 
 @stage("scene")
@@ -108,7 +108,7 @@ def line_of(aims: Aims, p: Vec3) -> tuple[Vec3, Vec3, Tensor]:
     return where(parallel, p, target), where(parallel, -towards.map(torch.Tensor.double), p - target), parallel
 
 
-def normal_of(aims: Aims, p: Vec3) -> Vec3:
+def _normal_of(aims: Aims, p: Vec3) -> Vec3:
     """The normals of the surfaces that light samples lie on, (N,) unit, world; 0 of those on none."""
     n = aims("n")
     if n is None:

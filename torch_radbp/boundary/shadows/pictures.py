@@ -16,7 +16,7 @@ from torch import Tensor
 from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.places import FEWEST, NEIGHBOURS, counts_somewhere, lot_of, on_film, picked
 from torch_radbp.boundary.shadows.border import MOST, SHARE, aperture_of, camera_sample, seen_at, sees
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
 from torch_radbp.boundary.shadows.seen_edges import Casting, corners_of, crossed_at, pace, salted
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.path.bounce import light_numbers
@@ -103,8 +103,8 @@ class PictureBorders(NamedTuple):
     strength: Tensor  # (3, K) float64, what is lost where the curve moves along that by one
 
 
-def borders_in_view(call: RenderCall, number: int, casting: Casting, kind: int,
-                    lines: PictureLines) -> PictureBorders | None:
+def picture_borders_in_view(call: RenderCall, number: int, casting: Casting, kind: int,
+                            lines: PictureLines) -> PictureBorders | None:
     """Places of borders of pictures on surfaces that view `number` sees; None: there are none.
 
     Args:
@@ -117,11 +117,11 @@ def borders_in_view(call: RenderCall, number: int, casting: Casting, kind: int,
     return None if lit is None else borders_seen(call, number, kind, *lit)
 
 
-def jumps_in_view(call: RenderCall, number: int, casting: Casting, found: PictureBorders, kind: int) -> FilmJumps:
-    """What they add to the derivative of the view; `call`: of which something moves, the rest as for `borders_in_view`."""
+def jumps_of_pictures(call: RenderCall, number: int, casting: Casting, found: PictureBorders, kind: int) -> FilmJumps:
+    """What borders of pictures add to the derivative of a view; `call`: something of it moves, others as for the search."""
     on_curve = lit_at(call.scene, attached_geometry(call.scene), kind, found.curves)
     on_view = on_film(call.views[number].camera, on_curve, found.aperture)
-    return FilmJumps(found.place, found.strength * swept(on_view, found.normal))
+    return FilmJumps(found.place, found.strength * swept_areas(on_view, found.normal))
 
 
 def lit_at(scene: SceneTensors, geometry: Geometry, kind: int, curves: LitCurves, step: Tensor | float = 0.0,
@@ -153,7 +153,7 @@ def light_of(scene: SceneTensors, kind: int, curves: LitCurves, step: Tensor | f
 def curves_lit(call: RenderCall, number: int, kind: int,
                lines: PictureLines) -> tuple[LitCurves, Tensor, LaneKey] | None:
     """Places whose light meets a receiver, how many lines each stands for, and the random numbers of each; args as for
-    `borders_in_view`."""
+    `picture_borders_in_view`."""
     view, scene = call.views[number], call.scene
     run = lines.end + lines.start * -1.0
     weight = torch.hypot(run.x, run.y)
@@ -174,7 +174,7 @@ def curves_lit(call: RenderCall, number: int, kind: int,
 
 def borders_seen(call: RenderCall, number: int, kind: int, curves: LitCurves, times: Tensor,
                  key: LaneKey) -> PictureBorders | None:
-    """Places on curves that a view sees; args as for `borders_in_view` and of `curves_lit`."""
+    """Places on curves that a view sees; args as for `picture_borders_in_view` and of `curves_lit`."""
     view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
     integrand, camera = integrand_of(call, call.integrand, number), view.camera
     aperture, one = aperture_of(view, key), torch.ones_like(curves.receiver.t)

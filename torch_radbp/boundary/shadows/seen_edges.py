@@ -15,7 +15,7 @@ from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import NEIGHBOURS, Lot, picked
 from torch_radbp.boundary.shadows.edge_tree import Descent, EdgeTree, numbers_to
 from torch_radbp.boundary.shadows.eyes import Eyes, how_much_counts, how_much_lobes_count
-from torch_radbp.boundary.shadows.ways_down import Found, PickedOnes, found_among, picked_ones, ways_down
+from torch_radbp.boundary.shadows.ways_down import PickedEdges, PickedOnes, found_among, picked_ones, ways_down
 from torch_radbp.boundary.silhouette import is_silhouette
 from torch_radbp.call.view import View
 from torch_radbp.path.integrand import Integrand
@@ -98,7 +98,7 @@ def angle_of(a: Vec3, b: Vec3, eye: Eyes, extent: Tensor) -> Tensor:
 
 
 @stage("geometry", "slots", "eyes")
-def edge_found(geometry: Geometry, slots: EdgeSlots, eyes: Eyes, at: Descent, extent: Tensor) -> Found:
+def edge_found(geometry: Geometry, slots: EdgeSlots, eyes: Eyes, at: Descent, extent: Tensor) -> PickedEdges:
     """Silhouettes below the last nodes of the tree, in proportion to their angles.
 
     Args:
@@ -113,7 +113,7 @@ def edge_found(geometry: Geometry, slots: EdgeSlots, eyes: Eyes, at: Descent, ex
 
 
 @stage("geometry", "outline", "eyes", "lot", "found", "eye")
-def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, found: Found, eye: Tensor, seed: SampleKey,
+def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, found: PickedEdges, eye: Tensor, seed: SampleKey,
                 extent: Tensor, place: Tensor) -> Passed:
     """Places on some of the edges that were found.
 
@@ -233,7 +233,7 @@ def salted(view: View, salt: int) -> SampleKey:
     return SampleKey(hash32(key.seed ^ salt), key.shared)
 
 
-def numbers(key: SampleKey, lane: Tensor, counter: Tensor | int, dtype: torch.dtype) -> Tensor:
+def uniform_numbers(key: SampleKey, lane: Tensor, counter: Tensor | int, dtype: torch.dtype) -> Tensor:
     """A uniform number in [0, 1) for each of some lanes, (N,) int32."""
     return uniform(bounce_key(LaneKey(hash32(lane + key.seed), torch.zeros_like(lane)), counter), 0, dtype)
 

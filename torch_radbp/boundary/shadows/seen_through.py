@@ -69,7 +69,7 @@ def passes_straight(scene: SceneTensors) -> bool:
     return any(look.kind.straight for look in scene.layout.appearances)
 
 
-def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount = ALL) -> CutsOfView | None:
+def cuts_seen_through(call: RenderCall, number: int, casting: Casting, amount: Amount = ALL) -> CutsOfView | None:
     """Places where lines to edges pass straight through surfaces that paths of a view meet, of which they are cuts; None:
     there are none. Args as for `hidden_light.cuts_of_view`."""
     geometry, begun = geometry_of(call.scene), number_of_paths(call, call.views[number], amount.before)
@@ -99,7 +99,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount
         return None
     passed, beside, on = rows((passed, beside, on), reached)
     return cuts_that_matter(call.stages, geometry, casting, points, at, passed, beside.hit,
-                            lambda cuts: difference(call, integrand, points, at, passed, (beside, on)))
+                            lambda cuts: _difference(call, integrand, points, at, passed, (beside, on)))
 
 
 class Through(NamedTuple):
@@ -141,8 +141,8 @@ def lets_pass(integrand: Integrand, ray: Ray, hit: Hit) -> Tensor:
     return found
 
 
-def difference(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, passed: Passed,
-               ways: Sequence[Through]) -> Tensor:
+def _difference(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, passed: Passed,
+                ways: Sequence[Through]) -> Tensor:
     """(3, N) float64 what the view sees of the difference of what lies beside edges and on them, for each unit of
     `cut_at`'s coordinates.
 

@@ -27,7 +27,7 @@ from torch_radbp.boundary.shadows.edge_tree import (
 )
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.seen_edges import Passed, angle_of, numbers_of_places, passed_at, place_between
-from torch_radbp.boundary.shadows.ways_down import Found, found_among
+from torch_radbp.boundary.shadows.ways_down import PickedEdges, found_among
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import Stages, stage
@@ -78,7 +78,8 @@ def segment_bounds(geometry: Geometry, segments: Segments, slots: Tensor, slot: 
 
 
 @stage("geometry", "segments", "slots", "eyes")
-def segment_found(geometry: Geometry, segments: Segments, slots: Tensor, eyes: Eyes, at: Descent, extent: Tensor) -> Found:
+def segment_found(geometry: Geometry, segments: Segments, slots: Tensor, eyes: Eyes, at: Descent,
+                  extent: Tensor) -> PickedEdges:
     """Segments below the last nodes of the tree, in proportion to the angles under which they are seen.
 
     Args:
@@ -102,8 +103,8 @@ def segment_found(geometry: Geometry, segments: Segments, slots: Tensor, eyes: E
 
 
 @stage("geometry", "segments", "eyes", "lot", "found", "eye")
-def segment_passed(geometry: Geometry, segments: Segments, eyes: Eyes, lot: Lot, found: Found, eye: Tensor, seed: SampleKey,
-                   extent: Tensor, place: Tensor) -> Passed:
+def segment_passed(geometry: Geometry, segments: Segments, eyes: Eyes, lot: Lot, found: PickedEdges, eye: Tensor,
+                   seed: SampleKey, extent: Tensor, place: Tensor) -> Passed:
     """Places on some of the segments that were found, `outwards` to between the surfaces that eyes see there.
 
     Args:
@@ -116,16 +117,16 @@ def segment_passed(geometry: Geometry, segments: Segments, eyes: Eyes, lot: Lot,
     own, segments = rows(eyes, eye), rows(segments, segment.clamp_min(0))
     along, times, p = place_between(*ends_of(geometry, segments), own, turn, times * repeated)
     times = times if segments.share is None else times / segments.share
-    towards = [facing(place_of(geometry, *surface), own.place) for surface in surfaces_of(segments)]
+    towards = [_facing(place_of(geometry, *surface), own.place) for surface in surfaces_along(segments)]
     return passed_at(own, Passed(segment, eye, along, times, p, normalize(towards[0] + towards[1]), None, None, None, key),
                      extent, geometry.triangles.n.x.dtype)
 
 
-def surfaces_of(segments: Segments) -> list[tuple[Tensor, Tensor | None]]:
+def surfaces_along(segments: Segments) -> list[tuple[Tensor, Tensor | None]]:
     """The triangles that meet along segments, and what shows them."""
     return [(segments.triangle, segments.instance), (segments.through, segments.shown_by)]
 
 
-def facing(corners: Corners, eye: Vec3) -> Vec3:
+def _facing(corners: Corners, eye: Vec3) -> Vec3:
     """Unit normals of triangles, (N,), on the side from which they are seen; 0 in their planes."""
     return unit_normal(corners[1] - corners[0], corners[2] - corners[0]) * torch.sign(height_above(corners, eye))

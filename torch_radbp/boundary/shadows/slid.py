@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.shadows.seen_edges import corners_of, crossed_at
-from torch_radbp.boundary.shadows.viewpoints import Viewpoints, is_plain, vertex_at
+from torch_radbp.boundary.shadows.viewpoints import Viewpoints, hits_plain, vertex_at
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import clearance
@@ -64,5 +64,5 @@ def share_of_slide(geometry: Geometry, standing: Hit, start: Vec3, met: Hit, pla
     reach = interpolated(corners, place.x, place.y) - start
     distance = torch.sqrt(dot(reach, reach)).clamp_min(TINY)
     d = reach / distance
-    floor = Floor(start, unit_normal(own[1] - own[0], own[2] - own[0]), is_plain(geometry, standing), clearance(own))
-    return slide_at(Nearby(corners, place.x, place.y, d, distance, is_plain(geometry, met)), floor).share, d
+    floor = Floor(start, unit_normal(own[1] - own[0], own[2] - own[0]), hits_plain(geometry, standing), clearance(own))
+    return slide_at(Nearby(corners, place.x, place.y, d, distance, hits_plain(geometry, met)), floor).share, d

@@ -26,7 +26,7 @@ WORTH = 1 << 16  # paths of an image from which on it is worth trying
 SALT = 0x5851F42D  # tells the random numbers of what is tried from others
 
 
-class Sampled(Protocol):
+class SampledIntegral(Protocol):
     """Samples of one of the integrals."""
 
     def independent(self) -> Tensor:
@@ -66,7 +66,7 @@ def is_worth_trying(call: RenderCall, number: int) -> bool:
     return view.width * view.height * call.spp >= WORTH and not any(kind.delta for kind in lights)
 
 
-def variance(found: Sampled | None) -> float:
+def variance(found: SampledIntegral | None) -> float:
     """That of the sum of samples, where all edges move by the same; None: there are none."""
     return 0.0 if found is None else squares(found.independent())
 
@@ -76,7 +76,7 @@ def squares(amounts: Tensor) -> float:
     return float(torch.where(torch.isfinite(amounts), amounts, 0.0).square().sum())
 
 
-def effort(first: float, tried: Sampled | None) -> float:
+def effort(first: float, tried: SampledIntegral | None) -> float:
     """The share of its samples that an integral is worth.
 
     Args:

@@ -53,7 +53,7 @@ class LightOfEdges(NamedTuple):
         return torch.where(self.parallel, 1.0, density_seen(self.a.d, self.b.d, along))
 
 
-class Span(NamedTuple):
+class EdgeShadow(NamedTuple):
     """Where the light of N edges meets planes, from points."""
 
     a: Vec3  # from the point to where the light of the edge's a does
@@ -119,7 +119,7 @@ def planes_met(call: RenderCall, geometry: Geometry, outline: Outline, lit: LitE
     return found
 
 
-def span_on(corners: Corners, exists: Tensor, light: LightOfEdges, start: Vec3) -> Span:
+def span_on(corners: Corners, exists: Tensor, light: LightOfEdges, start: Vec3) -> EdgeShadow:
     """Where light meets the planes of triangles; it does in a piece of a line if both ends lie on the same side of where it
     comes from."""
     n = cross(corners[1] - corners[0], corners[2] - corners[0])
@@ -127,4 +127,4 @@ def span_on(corners: Corners, exists: Tensor, light: LightOfEdges, start: Vec3) 
     exists = exists & (heights[0] * heights[1] > 0.0)
     met = [ray.o + ray.d * (dot(n, corners[0] - ray.o) / torch.where(exists, height, 1.0))
            for ray, height in zip((light.a, light.b), heights)]
-    return Span(met[0] - start, met[1] - start, *heights, exists)
+    return EdgeShadow(met[0] - start, met[1] - start, *heights, exists)

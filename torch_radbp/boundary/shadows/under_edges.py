@@ -24,7 +24,7 @@ from torch_radbp.boundary.places import FEWEST, Places, Sight, lot_of, on_film, 
 from torch_radbp.boundary.primary import lanes
 from torch_radbp.boundary.segments import Segments, place_of, segment_place, segment_weight
 from torch_radbp.boundary.shadows.border import MOST, SHARE, camera_sample, seen_at, sees
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
 from torch_radbp.boundary.shadows.light_points import light_line, light_points
 from torch_radbp.boundary.shadows.seen_edges import BEFORE, BESIDE, FAR, crossed_at, extent_of
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
@@ -46,13 +46,13 @@ class Strips(NamedTuple):
     strength: Tensor  # (3, K) float64, what the strip has more, for each x_l - x_c
 
 
-def jumps_in_view(call: RenderCall, number: int, strips: Strips) -> FilmJumps:
+def jumps_of_strips(call: RenderCall, number: int, strips: Strips) -> FilmJumps:
     """What such strips add to the derivative of view `number`; `call`: of which something moves."""
     geometry, camera, places = attached_geometry(call.scene), call.views[number].camera, strips.places
     p = places.at(geometry)
     light_ends = on_film(camera, shadow_of(call.scene, geometry, strips, p), places.aperture)
     sight_ends = on_film(camera, p, places.aperture)
-    amount = strips.strength * (swept(light_ends, strips.normal) - swept(sight_ends, strips.normal))
+    amount = strips.strength * (swept_areas(light_ends, strips.normal) - swept_areas(sight_ends, strips.normal))
     return FilmJumps(places.film, amount)
 
 
@@ -85,7 +85,7 @@ def strips_in_view(call: RenderCall, number: int, contacts: Segments) -> Strips 
     integrand = integrand_of(call, call.integrand, number)
     line = integrand.part(Ends.SURROUNDINGS).call(light_line, places.p, draw)
     across = across_edge(geometry, sight, places, line[1] * -1.0)
-    film = beside(sight, places, across.outwards, extent_of(geometry))
+    film = _beside(sight, places, across.outwards, extent_of(geometry))
     sample = camera_sample(call, view, film, places.aperture, places.key)
     corners = place_of(geometry, places.through, places.shown_by)
     u, v = crossed_at(corners, Ray(places.p, across.upwards))
@@ -131,7 +131,7 @@ def across_edge(geometry: Geometry, sight: Sight, places: Places, to_light: Vec3
     return AcrossEdge(outwards, upwards, outwards * torch.where(through, -1.0, 1.0), counts, through)
 
 
-def beside(sight: Sight, places: Places, outwards: Vec3, extent: Tensor) -> Vec2:
+def _beside(sight: Sight, places: Places, outwards: Vec3, extent: Tensor) -> Vec2:
     """Points of the film right beside places, where the surface is seen."""
     return on_film(sight.camera, places.p + outwards * (BESIDE * extent), places.aperture)
 

@@ -11,11 +11,11 @@ from torch import Tensor
 from torch_radbp.adjoint.attached import rays_reaching
 from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.shadows.eyes import Lobe, lobe_around
-from torch_radbp.boundary.shadows.seen_edges import corners_of, numbers, salted
+from torch_radbp.boundary.shadows.seen_edges import corners_of, salted, uniform_numbers
 from torch_radbp.call.render_call import RenderCall, started
 from torch_radbp.path.bounce import CameraSample, sample_camera
 from torch_radbp.path.event import Scatters
-from torch_radbp.path.integrand import Integrand, number
+from torch_radbp.path.integrand import Integrand, int32_number
 from torch_radbp.path.state import PathState
 from torch_radbp.path.taped_bounces import bounces_taken
 from torch_radbp.path.wavefront import Onward, put_rows
@@ -83,7 +83,7 @@ class Picked(NamedTuple):
                       Ray(vector(), vector()), vector(), hit)
 
 
-class Reached(NamedTuple):
+class PathsAtBounce(NamedTuple):
     """What happens to the paths that reach a bounce: of `wavefront.Step` and `wavefront.Onward`."""
 
     state: PathState  # (N,)
@@ -123,7 +123,7 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, 
     if call.scene.triangles.plain is None:
         return found
     geometry = geometry_of(call.scene)
-    near = slides_from(corners_of(geometry, found.hit), found.hit.t.double(), is_plain(geometry, found.hit))
+    near = slides_from(corners_of(geometry, found.hit), found.hit.t.double(), hits_plain(geometry, found.hit))
     return found._replace(slides=found.slides | (near & (found.depth > 0)))
 
 
@@ -131,7 +131,7 @@ def paths_begun(call: RenderCall, number: int, key: SampleKey, count: int, densi
     """Paths that are spread over the film; args as for `viewpoints`, `key`: of random numbers."""
     view, grid = call.views[number], call.views[number].grid
     sample = torch.arange(begun, begun + count, dtype=torch.int32, device=call.scene.device)
-    jitter = numbers(key, sample, SALT, torch.float64)
+    jitter = uniform_numbers(key, sample, SALT, torch.float64)
     cell, area = cells_begun(sample - begun + jitter, count, grid.columns * grid.rows, density)
     row = torch.div(cell, grid.columns, rounding_mode="floor")
     column, pixel = cell - row * grid.columns, view.window.numbers(cell - row * grid.columns, row)
@@ -174,15 +174,15 @@ def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, foll
             meant = [torch.arange(queue.first, queue.last, dtype=torch.int32, device=key.seed.device)
                      for queue in step.queues if queue.event.scatters and scatters_as(integrand, queue.event, following)]
             if meant:
-                reached = Reached(state, step.hit, step.order, step.survives, onward.paths)
-                at = number(SALT + 1 + depth, key.seed.device)
+                reached = PathsAtBounce(state, step.hit, step.order, step.survives, onward.paths)
+                at = int32_number(SALT + 1 + depth, key.seed.device)
                 put_rows(picked, *stages(picked_vertex)(picked, reached, torch.cat(meant), key, at, attached))
             depth += 1
     return picked
 
 
 @stage("picked", "reached")
-def picked_vertex(picked: Picked, reached: Reached, vertex: Tensor, key: SampleKey, counter: Tensor,
+def picked_vertex(picked: Picked, reached: PathsAtBounce, vertex: Tensor, key: SampleKey, counter: Tensor,
                   attached: bool) -> tuple[Tensor, Picked]:
     """The paths of some vertices of a bounce, (N,) int32, and what is picked of them then.
 
@@ -196,7 +196,7 @@ def picked_vertex(picked: Picked, reached: Reached, vertex: Tensor, key: SampleK
     state, hit = rows((reached.state, reached.hit), rows(reached.order, vertex))
     before, weight = rows(picked, state.lane), max_component(state.beta)
     total = before.total + weight
-    taken = numbers(key, state.lane, counter, weight.dtype) * total < weight
+    taken = uniform_numbers(key, state.lane, counter, weight.dtype) * total < weight
     slides = torch.isinf(state.pdf) if state.followed is None else torch.isinf(state.pdf) | state.followed
     density = rows(reached.onwards.pdf, vertex) * rows(reached.survives, vertex).to(weight.dtype)
     depth = (counter - (SALT + 1)) + torch.zeros_like(state.lane)
@@ -207,7 +207,7 @@ def picked_vertex(picked: Picked, reached: Reached, vertex: Tensor, key: SampleK
     return state.lane, with_leaves(here, found)._replace(total=total)
 
 
-def is_plain(geometry: Geometry, hit: Hit) -> Tensor:
+def hits_plain(geometry: Geometry, hit: Hit) -> Tensor:
     """True where a triangle is hit that is plain, (N,) bool; see `scene.nearby`."""
     return (hit.prim >= 0) & lookup(geometry.triangles.plain, hit.prim.clamp_min(0))
 

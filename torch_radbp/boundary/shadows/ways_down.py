@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.places import NEIGHBOURS, Lot, lot_of
-from torch_radbp.boundary.shadows.edge_tree import Descent, EdgeTree, descended, drawn, numbers_to, rounded
+from torch_radbp.boundary.shadows.edge_tree import Descent, EdgeTree, descended, numbers_to, picked_by_weight, rounded
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import SampleKey, fine_unit, hash32
@@ -43,13 +43,13 @@ def ways_down(stages: Stages, tree: EdgeTree, eyes: Eyes, seed: SampleKey, each:
 class PickedOnes(NamedTuple):
     """What K ways down the tree have found, and what places on it are picked by."""
 
-    found: Found
+    found: PickedEdges
     eye: Tensor  # (K,) int32, that sees each
     lot: Lot
     count: int  # of the places
 
 
-def picked_ones(found: Found, eye: Tensor, each: int, count: int, tried: Tensor | None = None) -> PickedOnes | None:
+def picked_ones(found: PickedEdges, eye: Tensor, each: int, count: int, tried: Tensor | None = None) -> PickedOnes | None:
     """What ways have found, so many from each eye, in order, for so many places; None: nothing.
 
     Args:
@@ -89,7 +89,7 @@ def weights_apart(weight: Tensor, tried: Tensor, count: int, share: float) -> tu
     return scaled, places
 
 
-class Found(NamedTuple):
+class PickedEdges(NamedTuple):
     """What N ways down the tree have found."""
 
     edge: Tensor  # (N,) int32; -1: no silhouette
@@ -97,13 +97,13 @@ class Found(NamedTuple):
     angle: Tensor  # (N,) float64, under which it is seen
 
 
-def found_among(slots: Tensor, at: Descent, first: Tensor, angles: Sequence[Tensor]) -> Found:
+def found_among(slots: Tensor, at: Descent, first: Tensor, angles: Sequence[Tensor]) -> PickedEdges:
     """What ways down have found below the last nodes, of `GROUP` slots each, from `first` on, with these angles."""
-    place, share, _ = drawn(angles, at.u)
+    place, share, _ = picked_by_weight(angles, at.u)
     angle = torch.zeros_like(share)
     for number, its in enumerate(angles):
         angle = torch.where(place == number, its, angle)
     chance = at.chance * share
     exists = chance > 0.0
     times = torch.where(exists, 1.0 / torch.where(exists, chance, 1.0), 0.0)
-    return Found(torch.where(exists, lookup(slots, first + place), -1), times, angle)
+    return PickedEdges(torch.where(exists, lookup(slots, first + place), -1), times, angle)

@@ -12,7 +12,7 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 
 from torch_radbp.formats.files import opened
-from torch_radbp.io.gltf.document import Document, Part
+from torch_radbp.io.gltf.document import Document, DocumentPart
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
@@ -37,7 +37,7 @@ class Buffers:
         self.known: dict[int, bytes] = {}
         self.numbers = self.zeros = 0  # claimed so far
 
-    def buffer(self, index: int, user: Part) -> bytes:
+    def buffer(self, index: int, user: DocumentPart) -> bytes:
         """The bytes of a buffer: those inside the GLB file, of a data URI or of a file beside it."""
         if index not in self.known:
             part = self.document.of("buffers", index, user, "buffer")
@@ -53,7 +53,7 @@ class Buffers:
             self.known[index] = content[:length]
         return self.known[index]
 
-    def resource(self, uri: str, user: Part, length: int = -1) -> bytes:
+    def resource(self, uri: str, user: DocumentPart, length: int = -1) -> bytes:
         """The bytes behind a URI: a data URI, or the name of a file relative to the document, of which the first `length`
         bytes are read; -1: all."""
         if uri[:5].lower() == "data:":
@@ -75,7 +75,7 @@ class Buffers:
         except OSError as error:
             raise user.fail(str(error)) from error
 
-    def path(self, uri: str, user: Part) -> Path:
+    def path(self, uri: str, user: DocumentPart) -> Path:
         """The file that a URI names, relative to the document; whether it is there, is not looked at.
 
         Raises:
@@ -95,7 +95,7 @@ class Buffers:
                             "trust it, load it with allow_outside=True (on the command line --allow-outside)")
         return path
 
-    def view(self, index: int, user: Part) -> tuple[memoryview, int | None]:
+    def view(self, index: int, user: DocumentPart) -> tuple[memoryview, int | None]:
         """The bytes of a buffer view, and its stride if it has one."""
         part = self.document.of("bufferViews", index, user, "bufferView")
         packed = any(part.extension(name) is not None for name in MESHOPT)
@@ -109,7 +109,7 @@ class Buffers:
             raise part.fail(f"it ends at byte {start + length} of a buffer of {len(content)} bytes")
         return memoryview(content)[start:start + length], part.integer("byteStride", None, low=1, high=252)
 
-    def array(self, index: int, user: Part, entry: str, types: tuple[str, ...]) -> np.ndarray:
+    def array(self, index: int, user: DocumentPart, entry: str, types: tuple[str, ...]) -> np.ndarray:
         """The elements of an accessor.
 
         Args:
@@ -140,7 +140,7 @@ class Buffers:
             return found.astype(np.int64)
         return np.maximum(found / np.float64(np.iinfo(dtype).max), -1.0)
 
-    def claim(self, part: Part, numbers: int) -> None:
+    def claim(self, part: DocumentPart, numbers: int) -> None:
         """Counts numbers that the scene takes for a part of the document.
 
         Raises:
@@ -151,7 +151,7 @@ class Buffers:
             raise part.fail(f"with its {numbers} numbers the scene has more than {MAX_NUMBERS} numbers, counted as often as "
                             "nodes use them")
 
-    def blank(self, part: Part, count: int, width: int, dtype: np.dtype) -> np.ndarray:
+    def blank(self, part: DocumentPart, count: int, width: int, dtype: np.dtype) -> np.ndarray:
         """(count, width) zeros, of an accessor without a buffer view."""
         self.zeros += count * width
         if self.zeros > MAX_ZEROS:
@@ -159,7 +159,7 @@ class Buffers:
                             f"such numbers a scene may have {MAX_ZEROS}")
         return np.zeros((count, width), dtype)
 
-    def elements(self, part: Part, view: int, count: int, width: int, dtype: np.dtype) -> np.ndarray:
+    def elements(self, part: DocumentPart, view: int, count: int, width: int, dtype: np.dtype) -> np.ndarray:
         """(count, width) elements of a buffer view."""
         content, stride = self.view(view, part)
         start, size = part.integer("byteOffset", 0), width * dtype.itemsize
@@ -171,7 +171,7 @@ class Buffers:
             raise part.fail(f"its {count} elements end at byte {end} of bufferViews[{view}], which has {len(content)}")
         return np.ndarray((count, width), dtype, content, start, (stride, dtype.itemsize))
 
-    def substituted(self, found: np.ndarray, sparse: Part) -> np.ndarray:
+    def substituted(self, found: np.ndarray, sparse: DocumentPart) -> np.ndarray:
         """`found` with the elements that a sparse accessor replaces."""
         count = sparse.integer("count", low=1, high=len(found))
         where, what = sparse.part("indices"), sparse.part("values")

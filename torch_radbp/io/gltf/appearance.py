@@ -8,9 +8,9 @@ import numpy as np
 from torch import nn
 
 from torch_radbp.io.gltf.document import Losses
-from torch_radbp.io.gltf.image_slot import Reading, Slot, joined, quantised, slot, texture_info
+from torch_radbp.io.gltf.image_slot import Reading, Slot, joined_slots, quantised, slot, texture_info
 from torch_radbp.io.gltf.names import Names
-from torch_radbp.io.gltf.surface import Surface, constant, surface_of
+from torch_radbp.io.gltf.surface import GltfSurface, constant_slot, surface_of
 from torch_radbp.io.gltf.written import Written
 from torch_radbp.plugin import BSDF, Plugin, SceneError, Shape, Texture
 from torch_radbp.scene.scene import name_in
@@ -26,7 +26,7 @@ class Peeled(NamedTuple):
     invisible: bool
 
 
-class Appearance(NamedTuple):
+class PrimitiveMaterial(NamedTuple):
     """What a primitive needs to know of its material."""
 
     material: int
@@ -47,9 +47,9 @@ class Appearances:
         for name, _ in root.named_children():  # so that none comes back as another
             self.names.free(name)
         self.named: set[str] = set()
-        self.known: dict[tuple[int, int, bool], Appearance] = {}
+        self.known: dict[tuple[int, int, bool], PrimitiveMaterial] = {}
 
-    def of(self, shape: Shape, mirrored: bool) -> Appearance:
+    def of(self, shape: Shape, mirrored: bool) -> PrimitiveMaterial:
         """The material of a shape; `mirrored`: its image lies the other way round, see `read.is_mirrored`."""
         peeled = self.peeled(shape.bsdf)
         key = id(shape.bsdf), id(shape.emitter), mirrored and peeled.normals is not None
@@ -83,10 +83,10 @@ class Appearances:
             else:
                 return found
 
-    def written(self, shape: Shape, peeled: Peeled, mirrored: bool) -> Appearance:
+    def written(self, shape: Shape, peeled: Peeled, mirrored: bool) -> PrimitiveMaterial:
         """A new material."""
         full = name_in(self.root, peeled.inner)
-        surface = Surface() if peeled.invisible else surface_of(peeled.inner, full, self.losses)
+        surface = GltfSurface() if peeled.invisible else surface_of(peeled.inner, full, self.losses)
         entries: dict[str, Any] = {"name": self.names.free(full) if full in self.named else full}
         self.named.add(full)
         extensions = {name: dict(values) for name, values in surface.extensions.items()}
@@ -111,16 +111,16 @@ class Appearances:
             for name, values in extensions.items():
                 entries["extensions"] |= self.out.extension(name, values)
         colours = None if surface.colours is None else (surface.colours, surface.base.number())
-        return Appearance(self.out.add("materials", entries), colours)
+        return PrimitiveMaterial(self.out.add("materials", entries), colours)
 
-    def base(self, entries: dict[str, Any], rough: dict[str, Any], surface: Surface, peeled: Peeled) -> None:
+    def base(self, entries: dict[str, Any], rough: dict[str, Any], surface: GltfSurface, peeled: Peeled) -> None:
         """Writes base colour and opacity, which share an image."""
         name = entries["name"]
-        opacity = constant(1.0)
+        opacity = constant_slot(1.0)
         if peeled.opacity is not None:
             opacity = slot(peeled.opacity, f"{name}.opacity", self.losses, as_number=True)
-        base = constant(1.0) if surface.colours is not None else surface.base
-        image = joined({"base_color": base, "opacity": opacity}, name, self.losses)
+        base = constant_slot(1.0) if surface.colours is not None else surface.base
+        image = joined_slots({"base_color": base, "opacity": opacity}, name, self.losses)
         for what, values in (("base colour", base.values), ("opacity", opacity.values)):
             self.lose_beyond(f"{name}: its {what}", values)
         if image is None:
@@ -142,10 +142,10 @@ class Appearances:
         if peeled.opacity is not None:
             entries["alphaMode"] = "MASK" if is_cut else "BLEND"
 
-    def metallic_roughness(self, name: str, surface: Surface) -> dict[str, Any]:
+    def metallic_roughness(self, name: str, surface: GltfSurface) -> dict[str, Any]:
         """Roughness and metallic share an image, in its green and blue channels."""
         slots = {"roughness": surface.roughness, "metallic": surface.metallic}
-        image = joined(slots, name, self.losses)
+        image = joined_slots(slots, name, self.losses)
         numbers = {key: min(1.0, max(0.0, each.number())) for key, each in slots.items()}
         for key, each in slots.items():
             self.lose_beyond(f"{name}: its {key}", each.values)

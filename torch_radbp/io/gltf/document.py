@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from torch_radbp.formats.leniency import Repairs
-from torch_radbp.io.attribute_values import shown
+from torch_radbp.io.attribute_values import value_text
 from torch_radbp.plugin import SceneError, nearest
 
 REQUIRED: Any = object()  # in the place of a default: there is none
@@ -40,13 +40,13 @@ def without_nulls(document: dict[str, Any], losses: Losses) -> dict[str, Any]:
     return document
 
 
-class Part:
+class DocumentPart:
     """An object of a document, such as `materials[2] 'gold'`."""
 
     def __init__(self, file: str, place: str, value: Any):
         self.file, self.place, self.value = file, place, value
         if not isinstance(value, dict):
-            raise self.fail(f"must be an object, got {shown(value)}")
+            raise self.fail(f"must be an object, got {value_text(value)}")
 
     def fail(self, message: str) -> SceneError:
         """An error about this object, for the caller to raise."""
@@ -73,10 +73,10 @@ class Part:
     def checked(self, name: str, value: Any, low: float = -math.inf, high: float = math.inf) -> float:
         """`value` as a float within bounds."""
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self.fail(f"{name} must be a number, got {shown(value)}")
+            raise self.fail(f"{name} must be a number, got {value_text(value)}")
         if not (low <= value <= high and abs(value) < 1e300):
             bounds = "finite" if (low, high) == (-math.inf, math.inf) else f"in [{low:g}, {high:g}]"
-            raise self.fail(f"{name} must be {bounds}, got {shown(value)}")
+            raise self.fail(f"{name} must be {bounds}, got {value_text(value)}")
         return float(value)
 
     def numbers(self, name: str, count: int, default: Any = REQUIRED, low: float = -math.inf,
@@ -84,7 +84,7 @@ class Part:
         """A list of `count` numbers."""
         value = self.entry(name, default)
         if not isinstance(value, (list, tuple)) or len(value) != count:
-            raise self.fail(f"{name} must be a list of {count} numbers, got {shown(value)}")
+            raise self.fail(f"{name} must be a list of {count} numbers, got {value_text(value)}")
         return [self.checked(name, item, low, high) for item in value]
 
     def integer(self, name: str, default: Any = REQUIRED, low: int = 0, high: int = 2**53) -> int:
@@ -93,14 +93,14 @@ class Part:
         if value is default:
             return default
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high or value != int(value):
-            raise self.fail(f"{name} must be an integer from {low} to {high}, got {shown(value)}")
+            raise self.fail(f"{name} must be an integer from {low} to {high}, got {value_text(value)}")
         return int(value)
 
     def text(self, name: str, default: Any = REQUIRED) -> str:
         """A string."""
         value = self.entry(name, default)
         if value is not default and not isinstance(value, str):
-            raise self.fail(f"{name} must be a string, got {shown(value)}")
+            raise self.fail(f"{name} must be a string, got {value_text(value)}")
         return value
 
     def choice(self, name: str, known: dict[Any, Any], default: Any = REQUIRED) -> Any:
@@ -109,37 +109,38 @@ class Part:
         try:
             return known[value]
         except (KeyError, TypeError):
-            raise self.fail(f"{name} {shown(value)} is not known; {nearest(str(value), map(str, known))}") from None
+            raise self.fail(f"{name} {value_text(value)} is not known; {nearest(str(value), map(str, known))}") from None
 
     def flag(self, name: str, default: bool = False) -> bool:
         """True or false."""
         value = self.entry(name, default)
         if not isinstance(value, bool):
-            raise self.fail(f"{name} must be true or false, got {shown(value)}")
+            raise self.fail(f"{name} must be true or false, got {value_text(value)}")
         return value
 
-    def part(self, name: str) -> Part:
+    def part(self, name: str) -> DocumentPart:
         """The object `name`, without entries if it is missing."""
-        return Part(self.file, self.inside(name), self.entry(name, {}))
+        return DocumentPart(self.file, self.inside(name), self.entry(name, {}))
 
-    def parts(self, name: str) -> list[Part]:
+    def parts(self, name: str) -> list[DocumentPart]:
         """The objects of a list."""
-        return [Part(self.file, f"{self.inside(name)}[{number}]", item) for number, item in enumerate(self.items(name))]
+        return [DocumentPart(self.file, f"{self.inside(name)}[{number}]", item)
+                for number, item in enumerate(self.items(name))]
 
     def items(self, name: str) -> list[Any]:
         """A list; the empty one if it is missing."""
         value = self.entry(name, [])
         if not isinstance(value, list):
-            raise self.fail(f"{name} must be a list, got {shown(value)}")
+            raise self.fail(f"{name} must be a list, got {value_text(value)}")
         return value
 
-    def extension(self, name: str) -> Part | None:
+    def extension(self, name: str) -> DocumentPart | None:
         """The object of an extension, or None."""
         extensions = self.part("extensions")
         return extensions.part(name) if extensions.has(name) else None
 
 
-class Document(Part):
+class Document(DocumentPart):
     """The whole document."""
 
     def __init__(self, file: str, value: Any):
@@ -148,17 +149,17 @@ class Document(Part):
         if version.split(".")[0] != "2":
             raise self.fail(f"glTF version {version!r} is not supported; supported: 2.0")
 
-    def of(self, name: str, index: int, user: Part, entry: str) -> Part:
+    def of(self, name: str, index: int, user: DocumentPart, entry: str) -> DocumentPart:
         """The object number `index` of the list `name`, to which the entry of another refers."""
         items = self.items(name)
         if not 0 <= index < len(items):
             last = f"0 to {len(items) - 1}" if items else "none"
             raise user.fail(f"{entry} {index} does not exist; the document has {name} {last}")
-        part = Part(self.file, f"{name}[{index}]", items[index])
+        part = DocumentPart(self.file, f"{name}[{index}]", items[index])
         title = part.text("name", "")
-        return Part(self.file, f"{part.place} {shown(title)}", part.value) if title else part
+        return DocumentPart(self.file, f"{part.place} {value_text(title)}", part.value) if title else part
 
-    def referred(self, name: str, user: Part, entry: str, default: Any = REQUIRED) -> Part | None:
+    def referred(self, name: str, user: DocumentPart, entry: str, default: Any = REQUIRED) -> DocumentPart | None:
         """The object of the list `name` that an entry of `user` refers to; None if there is no such entry."""
         index = user.integer(entry, default)
         return None if index is None else self.of(name, index, user, entry)

@@ -19,7 +19,7 @@ from torch_radbp.emitter.envmap import Envmap
 from torch_radbp.formats.image import save_image
 from torch_radbp.io.file_names import file_name
 from torch_radbp.io.gltf.accessor import Buffers
-from torch_radbp.io.gltf.document import Losses, Part
+from torch_radbp.io.gltf.document import DocumentPart, Losses
 
 ENVIRONMENT = "environment"
 
@@ -42,7 +42,7 @@ def written_environment(emitter: Envmap, name: str, target: Path, losses: Losses
     return file, {ENVIRONMENT: {"uri": quote(file.name)}}
 
 
-def environment(node: Part, to_world: np.ndarray, buffers: Buffers, losses: Losses) -> Envmap | None:
+def environment(node: DocumentPart, to_world: np.ndarray, buffers: Buffers, losses: Losses) -> Envmap | None:
     """The environment map that a node names; None if it names none, or its file is gone.
 
     Raises:

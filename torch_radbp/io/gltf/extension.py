@@ -23,7 +23,7 @@ from typing import Any
 
 from torch_radbp.bsdf.principled import MOST_SPECULAR
 from torch_radbp.io.gltf.accessor import MESHOPT
-from torch_radbp.io.gltf.document import Document, Losses, Part
+from torch_radbp.io.gltf.document import Document, DocumentPart, Losses
 from torch_radbp.plugin import nearest
 
 READ = ("KHR_lights_punctual", "KHR_materials_anisotropy", "KHR_materials_clearcoat", "KHR_materials_emissive_strength",
@@ -58,7 +58,7 @@ def check_extensions(document: Document, losses: Losses) -> None:
             losses.add("extensionsUsed", f"{name!r} is not read")
 
 
-def reflection(material: Part, losses: Losses) -> dict[str, float]:
+def reflection(material: DocumentPart, losses: Losses) -> dict[str, float]:
     """`eta` or `specular` of the boundary; neither if it has the default of both."""
     ior, specular = material.extension("KHR_materials_ior"), material.extension("KHR_materials_specular")
     index = 1.5 if ior is None else ior.number("ior", 1.5, low=0.0)
@@ -79,7 +79,7 @@ def reflection(material: Part, losses: Losses) -> dict[str, float]:
     return {"specular": min(MOST_SPECULAR, factor * ((index - 1.0) / (index + 1.0)) ** 2 / 0.08)}
 
 
-def is_diffuse(material: Part, metallic: float) -> bool:
+def is_diffuse(material: DocumentPart, metallic: float) -> bool:
     """True if nothing is left but the diffuse base: no metal, no reflections, no layer."""
     specular = material.extension("KHR_materials_specular")
     layers = ("KHR_materials_transmission", "KHR_materials_clearcoat", "KHR_materials_sheen")
@@ -87,7 +87,7 @@ def is_diffuse(material: Part, metallic: float) -> bool:
             and not specular.has("specularTexture") and all(material.extension(name) is None for name in layers))
 
 
-def anisotropy(material: Part, roughness: float | None, losses: Losses) -> dict[str, float]:
+def anisotropy(material: DocumentPart, roughness: float | None, losses: Losses) -> dict[str, float]:
     """`anisotropic`, and the `roughness` that goes with it; nothing if the material is isotropic.
 
     Along and across the direction, microfacets have the roughness a + (1 - a) s^2 and a there, with a = roughness^2 and the
@@ -111,7 +111,7 @@ def anisotropy(material: Part, roughness: float | None, losses: Losses) -> dict[
     return {"anisotropic": min(1.0, (1.0 - across / along) / 0.9), "roughness": (along * across) ** 0.25}
 
 
-def transmission(material: Part, losses: Losses) -> Part | None:
+def transmission(material: DocumentPart, losses: Losses) -> DocumentPart | None:
     """The extension KHR_materials_transmission, if it says that light passes."""
     extension, volume = (material.extension(f"KHR_materials_{name}") for name in ("transmission", "volume"))
     if extension is None or extension.number("transmissionFactor", 0.0, low=0.0, high=1.0) == 0:
@@ -123,7 +123,7 @@ def transmission(material: Part, losses: Losses) -> Part | None:
     return extension
 
 
-def clearcoat(material: Part, losses: Losses) -> Part | None:
+def clearcoat(material: DocumentPart, losses: Losses) -> DocumentPart | None:
     """The extension KHR_materials_clearcoat, if there is such a layer."""
     extension = material.extension("KHR_materials_clearcoat")
     if extension is None or extension.number("clearcoatFactor", 0.0, low=0.0, high=1.0) == 0:
@@ -145,7 +145,7 @@ def roughness_of(gloss: float) -> float:
     return math.sqrt(DULLEST + (SHARPEST - DULLEST) * gloss)
 
 
-def sheen(material: Part, losses: Losses) -> dict[str, Any]:
+def sheen(material: DocumentPart, losses: Losses) -> dict[str, Any]:
     """`sheen` and `sheen_tint`."""
     extension = material.extension("KHR_materials_sheen")
     colour = [0.0] if extension is None else extension.numbers("sheenColorFactor", 3, [0, 0, 0], low=0.0, high=1.0)

@@ -65,28 +65,29 @@ def slot(texture: Texture, name: str, losses: Losses, as_number: bool = False) -
     """
     if isinstance(texture, Colour):
         values = texture.scalars().expand(1, 1, 3) if as_number else texture.texels()
-        return Slot(checked(values, name), None)
+        return Slot(checked_values(values, name), None)
     if isinstance(texture, Bitmap):
         values = texture.scalars()[..., None].expand(-1, -1, 3) if as_number else texture.texels()
         if texture.filter_type == "trilinear":
             losses.add(name, "its filter trilinear is written as linear: glTF leaves to readers how images shrink")
-        return Slot(checked(values, name), Reading(texture.wrap_mode, texture.filter_type == "nearest", rows(texture.to_uv)))
+        return Slot(checked_values(values, name),
+                    Reading(texture.wrap_mode, texture.filter_type == "nearest", _rows(texture.to_uv)))
     if isinstance(texture, Checkerboard):
         names = texture.numbers if as_number else ("color0", "color1")
         first, second = (slot(getattr(texture, part), f"{name}.{part}", losses, as_number) for part in names)
         if first.is_constant and second.is_constant:
             board = np.stack([first.values, second.values, second.values, first.values]).reshape(2, 2, 3)
-            return Slot(board, Reading("repeat", True, rows(texture.to_uv)))
+            return Slot(board, Reading("repeat", True, _rows(texture.to_uv)))
     if not texture.tabulated:
         raise SceneError(f"{name}: a {type(texture).__name__} cannot be written as glTF; put a bitmap in its place, or save "
                          "its `state_dict()` with torch.save or safetensors")
     losses.add(name, f"a {texture.type} is written as its mean colour")
     parts = [slot(part, name, losses, as_number).constant for part in texture.parts()]
-    values = np.mean(parts, axis=0) if parts else checked(texture.texels(), name).mean((0, 1))
+    values = np.mean(parts, axis=0) if parts else checked_values(texture.texels(), name).mean((0, 1))
     return Slot(values.reshape(1, 1, 3), None)
 
 
-def checked(values: Tensor, name: str) -> np.ndarray:
+def checked_values(values: Tensor, name: str) -> np.ndarray:
     """`values` as float64.
 
     Raises:
@@ -98,7 +99,7 @@ def checked(values: Tensor, name: str) -> np.ndarray:
     return array
 
 
-def rows(to_uv: Tensor) -> tuple[float, ...]:
+def _rows(to_uv: Tensor) -> tuple[float, ...]:
     """The six numbers of a transform of surface coordinates."""
     matrix = to_uv.detach().cpu().double().numpy()
     return tuple(float(matrix[row, column]) for row in (0, 1) for column in (0, 1, 3))
@@ -136,12 +137,12 @@ def texture_info(out: Written, pixels: np.ndarray, reading: Reading, name: str, 
     mode = WRAPS[reading.wrap]
     sampler = out.once("samplers", {"wrapS": mode, "wrapT": mode, "magFilter": NEAREST if reading.nearest else LINEAR})
     texture = out.once("textures", {"sampler": sampler, "source": out.image(pixels, name)})
-    transform = uv_transform(reading.to_uv, name, losses)
+    transform = _uv_transform(reading.to_uv, name, losses)
     extensions = {"extensions": out.extension("KHR_texture_transform", transform)} if transform else {}
     return {"index": texture, **extensions}
 
 
-def uv_transform(to_uv: tuple[float, ...], name: str, losses: Losses) -> dict[str, Any]:
+def _uv_transform(to_uv: tuple[float, ...], name: str, losses: Losses) -> dict[str, Any]:
     """The entries of KHR_texture_transform; none of the identity. See `texture.uv_transform`."""
     a, b, x, c, d, y = to_uv
     if to_uv == Reading().to_uv:
@@ -155,7 +156,7 @@ def uv_transform(to_uv: tuple[float, ...], name: str, losses: Losses) -> dict[st
     return {"offset": [x, y], "rotation": angle, "scale": [across, down]}
 
 
-def joined(slots: dict[str, Slot], name: str, losses: Losses) -> tuple[dict[str, np.ndarray], Reading] | None:
+def joined_slots(slots: dict[str, Slot], name: str, losses: Losses) -> tuple[dict[str, np.ndarray], Reading] | None:
     """Slots that go into the channels of one image, as arrays of one size; None if all are constant.
 
     The first that is an image says how it is read. Constants become 1 x 1 arrays. What is read in another way is a loss and

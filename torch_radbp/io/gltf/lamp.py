@@ -19,7 +19,7 @@ from torch_radbp.emitter.directional import Directional
 from torch_radbp.emitter.point import Point
 from torch_radbp.emitter.spot import Spot
 from torch_radbp.film.hdrfilm import HDRFilm
-from torch_radbp.io.gltf.document import Losses, Part
+from torch_radbp.io.gltf.document import DocumentPart, Losses
 from torch_radbp.plugin import Emitter, Sensor
 from torch_radbp.pose import look_at
 from torch_radbp.sensor.orthographic import Orthographic
@@ -33,7 +33,7 @@ FIELD_OF_VIEW = 40.0  # degrees, of a camera that the file does not have
 VIEWPOINT = (0.55, 0.45, 1.0)  # direction from which it looks at the scene; its front faces +z
 
 
-def light(part: Part, to_world: np.ndarray, lumens_per_watt: float, losses: Losses) -> Emitter:
+def emitter_of_light(part: DocumentPart, to_world: np.ndarray, lumens_per_watt: float, losses: Losses) -> Emitter:
     """The emitter of a light of KHR_lights_punctual; inside a spot's penumbra it falls off linearly with the angle.
 
     Args:
@@ -46,7 +46,7 @@ def light(part: Part, to_world: np.ndarray, lumens_per_watt: float, losses: Loss
     if part.has("range"):
         losses.add(part.place, "range is not read: light falls off with the squared distance and does not end")
     if kind == "directional":
-        return Directional(irradiance=colour, to_world=rigid(part, to_world))
+        return Directional(irradiance=colour, to_world=_rigid(part, to_world))
     if kind == "point":
         return Point(intensity=colour, position=torch.from_numpy(to_world[:3, 3].copy()))
     if kind != "spot":
@@ -56,10 +56,10 @@ def light(part: Part, to_world: np.ndarray, lumens_per_watt: float, losses: Loss
     inner = cone.number("innerConeAngle", 0.0, low=0.0, high=math.pi / 2 + 1e-6)
     angles = {"cutoff_angle": math.degrees(outer), "beam_width": math.degrees(inner)}
     angles = Spot.of_file(angles, lambda what: losses.add(part.place, what))
-    return Spot(intensity=colour, to_world=rigid(part, to_world), **angles)
+    return Spot(intensity=colour, to_world=_rigid(part, to_world), **angles)
 
 
-def rigid(part: Part, to_world: np.ndarray) -> Tensor:
+def _rigid(part: DocumentPart, to_world: np.ndarray) -> Tensor:
     """(4, 4) pose of what looks along -z there and +z here: the rotation and place of a transform, float64."""
     up, ahead = to_world[:3, 1], -to_world[:3, 2]
     left = np.cross(up, ahead)
@@ -71,7 +71,7 @@ def rigid(part: Part, to_world: np.ndarray) -> Tensor:
     return torch.from_numpy(pose)
 
 
-def camera(part: Part, to_world: np.ndarray, resolution: int | None, spp: int, reach: float) -> Sensor:
+def sensor_of_camera(part: DocumentPart, to_world: np.ndarray, resolution: int | None, spp: int, reach: float) -> Sensor:
     """The sensor of a camera.
 
     Args:
@@ -89,13 +89,13 @@ def camera(part: Part, to_world: np.ndarray, resolution: int | None, spp: int, r
         fov = math.degrees(lens.number("yfov", low=1e-6, high=math.pi - 1e-6))
         near = lens.number("znear", low=1e-12)
         far = lens.number("zfar", max(FAR, reach, 2 * near), low=near)
-        return Perspective(to_world=rigid(part, to_world), fov=fov, fov_axis="y", near_clip=near, far_clip=far,
+        return Perspective(to_world=_rigid(part, to_world), fov=fov, fov_axis="y", near_clip=near, far_clip=far,
                            sampler=sampler, film=film(aspect, resolution, pixels))
     if kind != "orthographic":
         raise part.fail(f"type must be perspective or orthographic, got {kind!r:.60}")
     lens = part.part("orthographic")
     across, up = (lens.number(name, low=1e-9, high=1e12) for name in ("xmag", "ymag"))
-    pose = rigid(part, to_world) @ torch.diag(torch.tensor([across, across, 1.0, 1.0], dtype=torch.float64))
+    pose = _rigid(part, to_world) @ torch.diag(torch.tensor([across, across, 1.0, 1.0], dtype=torch.float64))
     far = lens.number("zfar", low=1e-12)
     return Orthographic(to_world=pose, near_clip=max(lens.number("znear", low=0.0), NEAREST * far), far_clip=far,
                         sampler=sampler, film=film(across / up, resolution, pixels))

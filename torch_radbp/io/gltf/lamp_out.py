@@ -28,7 +28,7 @@ def column_major(matrix: np.ndarray) -> dict[str, list[float]]:
     return {} if np.array_equal(matrix, np.eye(4)) else {"matrix": matrix.T.reshape(-1).tolist()}
 
 
-def rigid(pose: np.ndarray) -> np.ndarray:
+def _rigid(pose: np.ndarray) -> np.ndarray:
     """The node of what looks along +z of a pose, without its scale."""
     ahead, up = pose[:3, 2] / np.linalg.norm(pose[:3, 2]), pose[:3, 1]
     left = np.cross(up, ahead)
@@ -38,7 +38,7 @@ def rigid(pose: np.ndarray) -> np.ndarray:
     return found @ HALF_TURN
 
 
-def brightness(colour: Texture) -> dict[str, Any]:
+def _brightness(colour: Texture) -> dict[str, Any]:
     """Colour and intensity."""
     values = colour.texels().detach().cpu().double().reshape(3).numpy()
     intensity = float(values.max())
@@ -48,11 +48,11 @@ def brightness(colour: Texture) -> dict[str, Any]:
 def point(emitter: Emitter, name: str, losses: Losses) -> tuple[dict[str, Any], np.ndarray]:
     place = np.eye(4)
     place[:3, 3] = emitter.position.detach().cpu().double().numpy()
-    return {"type": "point", **brightness(emitter.intensity)}, place
+    return {"type": "point", **_brightness(emitter.intensity)}, place
 
 
 def directional(emitter: Emitter, name: str, losses: Losses) -> tuple[dict[str, Any], np.ndarray]:
-    return {"type": "directional", **brightness(emitter.irradiance)}, rigid(matrix_of(emitter.to_world))
+    return {"type": "directional", **_brightness(emitter.irradiance)}, _rigid(matrix_of(emitter.to_world))
 
 
 def spot(emitter: Emitter, name: str, losses: Losses) -> tuple[dict[str, Any], np.ndarray]:
@@ -62,14 +62,14 @@ def spot(emitter: Emitter, name: str, losses: Losses) -> tuple[dict[str, Any], n
         losses.add(name, "the cutoff_angle of a spot is written as 90 degrees, the widest that glTF has")
     outer = min(math.radians(float(emitter.cutoff_angle)), math.pi / 2)
     cone = {"innerConeAngle": min(math.radians(float(emitter.beam_width)), 0.999 * outer), "outerConeAngle": outer}
-    return {"type": "spot", **brightness(emitter.intensity), "spot": cone}, rigid(matrix_of(emitter.to_world))
+    return {"type": "spot", **_brightness(emitter.intensity), "spot": cone}, _rigid(matrix_of(emitter.to_world))
 
 
 Light = Callable[[Emitter, str, Losses], tuple[dict[str, Any], np.ndarray]]
 LIGHTS: dict[str, Light] = {"point": point, "directional": directional, "spot": spot}
 
 
-def light(emitter: Emitter, name: str, losses: Losses) -> tuple[dict[str, Any], np.ndarray] | None:
+def light_of_emitter(emitter: Emitter, name: str, losses: Losses) -> tuple[dict[str, Any], np.ndarray] | None:
     """A light of KHR_lights_punctual and its node's transform; None if glTF has none of this kind."""
     if emitter.type not in LIGHTS:
         losses.add(name, f"a {emitter.type} emitter has no counterpart in glTF, and is not written; those that have one: "
@@ -78,16 +78,16 @@ def light(emitter: Emitter, name: str, losses: Losses) -> tuple[dict[str, Any], 
     return LIGHTS[emitter.type](emitter, name, losses)
 
 
-def unknown(sensor: Sensor, name: str, losses: Losses) -> None:
+def _unknown(sensor: Sensor, name: str, losses: Losses) -> None:
     """Notes that there is no such camera."""
     losses.add(name, f"a {sensor.type} sensor has no counterpart in glTF, and is not written; those that have one: "
                      "orthographic, perspective")
 
 
-def camera(sensor: Sensor, name: str, losses: Losses) -> tuple[dict[str, Any], np.ndarray] | None:
+def camera_of_sensor(sensor: Sensor, name: str, losses: Losses) -> tuple[dict[str, Any], np.ndarray] | None:
     """A camera and its node's transform; None if glTF has none of this kind."""
     if not (hasattr(sensor, "film") and hasattr(sensor, "to_world")):
-        return unknown(sensor, name, losses)
+        return _unknown(sensor, name, losses)
     if isinstance(sensor, Calibrated) and not sensor.is_fisheye:
         if beyond := sensor.beyond_perspective():
             losses.add(name, f"its {', '.join(beyond)} is not written: cameras of glTF are pinholes with square pixels")
@@ -104,12 +104,12 @@ def camera(sensor: Sensor, name: str, losses: Losses) -> tuple[dict[str, Any], n
             losses.add(name, "its principal point is written as the middle of the image")
         lens = {"aspectRatio": aspect, "yfov": 2 * math.atan(math.tan(math.radians(float(sensor.x_fov)) / 2) / aspect),
                 "znear": sensor.near_clip, "zfar": sensor.far_clip}
-        return {"type": "perspective", "perspective": lens, **size}, rigid(pose)
+        return {"type": "perspective", "perspective": lens, **size}, _rigid(pose)
     if sensor.type != "orthographic":
-        return unknown(sensor, name, losses)
+        return _unknown(sensor, name, losses)
     across, up, ahead = np.linalg.norm(pose[:3, :3], axis=0)
     if abs(across - up) > SQUARE * across:
         losses.add(name, "its pixels are not square, and come back as squares")
     near = sensor.near_clip * ahead
     lens = {"xmag": across, "ymag": up / aspect, "znear": near, "zfar": near + sensor.far_clip - sensor.near_clip}
-    return {"type": "orthographic", "orthographic": {key: float(value) for key, value in lens.items()}, **size}, rigid(pose)
+    return {"type": "orthographic", "orthographic": {key: float(value) for key, value in lens.items()}, **size}, _rigid(pose)

@@ -17,9 +17,9 @@ from torch_radbp.bsdf.normalmap import NormalMap
 from torch_radbp.bsdf.principled import Principled
 from torch_radbp.bsdf.twosided import TwoSided
 from torch_radbp.io.gltf import extension
-from torch_radbp.io.gltf.document import Document, Losses, Part
+from torch_radbp.io.gltf.document import Document, DocumentPart, Losses
 from torch_radbp.io.gltf.names import Names
-from torch_radbp.io.gltf.texture import Image, Textures
+from torch_radbp.io.gltf.texture import GltfTextures, Image
 from torch_radbp.plugin import BSDF, Plugin, Texture
 from torch_radbp.texture.mesh_attribute import MeshAttribute
 from torch_radbp.texture.rgb import RGB
@@ -37,19 +37,20 @@ class Look(NamedTuple):
     factor: tuple[float, float, float]  # of the colours of vertices, which are its base colour; (1, 1, 1) if they are not
 
 
-class Materials:
+class GltfMaterials:
     """The looks that a scene's surfaces have, made when they are first asked for."""
 
-    def __init__(self, document: Document, textures: Textures, losses: Losses, names: Names, children: dict[str, Plugin]):
+    def __init__(self, document: Document, textures: GltfTextures, losses: Losses, names: Names,
+                 children: dict[str, Plugin]):
         self.document, self.textures, self.losses, self.names, self.children = document, textures, losses, names, children
         self.known: dict[tuple[int | None, str | None, bool], Look] = {}
 
-    def material(self, primitive: Part) -> Part:
+    def material(self, primitive: DocumentPart) -> DocumentPart:
         """The material of a primitive, as the document has it."""
         part = self.document.referred("materials", primitive, "material", None)
-        return Part(self.document.file, "the default material", {}) if part is None else part
+        return DocumentPart(self.document.file, "the default material", {}) if part is None else part
 
-    def look(self, primitive: Part, colours: str | None, mirrored: bool) -> Look:
+    def look(self, primitive: DocumentPart, colours: str | None, mirrored: bool) -> Look:
         """The look of a primitive.
 
         Args:
@@ -64,7 +65,7 @@ class Materials:
             self.known[key] = self.made(part, name, colours, mirrored)
         return self.known[key]
 
-    def made(self, part: Part, name: str, colours: str | None, mirrored: bool) -> Look:
+    def made(self, part: DocumentPart, name: str, colours: str | None, mirrored: bool) -> Look:
         """A look; its plugins are added to the scene."""
         sets: list[int] = []
         rough = part.part("pbrMetallicRoughness")
@@ -91,29 +92,29 @@ class Materials:
         self.children[self.names.free(name)] = bsdf
         return bsdf
 
-    def principled(self, part: Part, rough: Part, base: Texture, sets: list[int]) -> BSDF:
+    def principled(self, part: DocumentPart, rough: DocumentPart, base: Texture, sets: list[int]) -> BSDF:
         """The material itself, seen from its front."""
         image = self.textures.image(part, rough, "metallicRoughnessTexture", sets)
         numbers = {name: rough.number(f"{name}Factor", 1.0, low=0.0, high=1.0) for name in ("roughness", "metallic")}
         if extension.is_diffuse(part, numbers["metallic"]):
             return Diffuse(reflectance=base)
-        found: dict[str, Any] = {"roughness": scaled(image, 1, numbers["roughness"]),
-                                 "metallic": scaled(image, 2, numbers["metallic"])}
+        found: dict[str, Any] = {"roughness": _scaled(image, 1, numbers["roughness"]),
+                                 "metallic": _scaled(image, 2, numbers["metallic"])}
         found |= extension.reflection(part, self.losses) | extension.sheen(part, self.losses)
         found |= extension.anisotropy(part, numbers["roughness"] if image is None else None, self.losses)
         passes, coat = extension.transmission(part, self.losses), extension.clearcoat(part, self.losses)
         if passes is not None:
             image = self.textures.image(part, passes, "transmissionTexture", sets)
-            found["spec_trans"] = scaled(image, 0, passes.number("transmissionFactor"))
+            found["spec_trans"] = _scaled(image, 0, passes.number("transmissionFactor"))
             if "specular" not in found:
                 found.setdefault("eta", 1.5)
         if coat is not None:
             image = self.textures.image(part, coat, "clearcoatTexture", sets)
-            found["clearcoat"] = scaled(image, 0, coat.number("clearcoatFactor"))
+            found["clearcoat"] = _scaled(image, 0, coat.number("clearcoatFactor"))
             found["clearcoat_gloss"] = extension.gloss_of(coat.number("clearcoatRoughnessFactor", 0.0, low=0.0, high=1.0))
         return Principled(base_color=base, **found)
 
-    def turned(self, part: Part, bsdf: BSDF, name: str, sets: list[int], mirrored: bool) -> BSDF:
+    def turned(self, part: DocumentPart, bsdf: BSDF, name: str, sets: list[int], mirrored: bool) -> BSDF:
         """The material with the normals of its normalTexture, whose y points to where v falls, and here across u."""
         image = self.textures.image(part, part, "normalTexture", sets)
         if image is None:
@@ -123,7 +124,7 @@ class Materials:
         normals = torch.from_numpy(image.texels[:, :, :3] / 127.5 - 1.0) * factors
         return self.add(f"{name}_normalmap", NormalMap(normalmap=image.bitmap(0.5 * normals + 0.5), nested_bsdf=bsdf))
 
-    def masked(self, part: Part, bsdf: BSDF, name: str, alpha: float, image: Image | None) -> BSDF:
+    def masked(self, part: DocumentPart, bsdf: BSDF, name: str, alpha: float, image: Image | None) -> BSDF:
         """The material where it is opaque."""
         mode = part.text("alphaMode", "OPAQUE")
         if mode not in ("OPAQUE", "MASK", "BLEND"):
@@ -136,7 +137,7 @@ class Materials:
         texture = opacity.item() if opacity.numel() == 1 else image.bitmap(opacity, "nearest" if mode == "MASK" else None)
         return self.add(f"{name}_mask", Mask(nested_bsdf=bsdf, opacity=texture))
 
-    def radiance(self, part: Part, sets: list[int]) -> Texture | None:
+    def radiance(self, part: DocumentPart, sets: list[int]) -> Texture | None:
         """What the surface emits; glTF's nits (cd / m^2) count as W / (m^2 sr)."""
         strength = part.extension("KHR_materials_emissive_strength")
         factor = [component * (1.0 if strength is None else strength.number("emissiveStrength", 1.0, low=0.0))
@@ -159,6 +160,6 @@ def tinted(image: Image | None, factor: list[float]) -> Texture:
     return RGB(value=colour) if image is None else image.bitmap(image.colour() * colour)
 
 
-def scaled(image: Image | None, channel: int, factor: float) -> Tensor | float | Texture:
+def _scaled(image: Image | None, channel: int, factor: float) -> Tensor | float | Texture:
     """A number, or one channel of an image times a number."""
     return factor if image is None or factor == 0 else image.bitmap(image.channel(channel) * factor)

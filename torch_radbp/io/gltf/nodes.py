@@ -8,21 +8,21 @@ from typing import NamedTuple
 import numpy as np
 
 from torch_radbp.io.gltf.accessor import Buffers
-from torch_radbp.io.gltf.document import Document, Part
+from torch_radbp.io.gltf.document import Document, DocumentPart
 from torch_radbp.io.transform import scale, translate
 
 MAX_NODES = 100_000
 
 
-class Placed(NamedTuple):
+class PlacedNode(NamedTuple):
     """A node and where it is."""
 
-    node: Part
+    node: DocumentPart
     to_world: np.ndarray  # (4, 4) float64, column vectors
     visible: bool  # False: by KHR_node_visibility, with all below; cameras do not care
 
 
-def placed_nodes(document: Document, scene: int | None) -> Iterator[Placed]:
+def placed_nodes(document: Document, scene: int | None) -> Iterator[PlacedNode]:
     """The nodes of a scene, each after its parent.
 
     Args:
@@ -46,11 +46,11 @@ def placed_nodes(document: Document, scene: int | None) -> Iterator[Placed]:
         to_world = parent @ local_transform(node)
         visibility = node.extension("KHR_node_visibility")
         visible = visible and (visibility is None or visibility.flag("visible", True))
-        yield Placed(node, to_world, visible)
+        yield PlacedNode(node, to_world, visible)
         waiting += [(child, node, to_world, visible) for child in reversed(indices(node, "children"))]
 
 
-def roots(document: Document, scene: int | None) -> list[tuple[int, Part]]:
+def roots(document: Document, scene: int | None) -> list[tuple[int, DocumentPart]]:
     """The numbers of the nodes at the top, each with what refers to it."""
     number = document.integer("scene", 0) if scene is None else scene
     if scene is None and not document.items("scenes"):
@@ -60,7 +60,7 @@ def roots(document: Document, scene: int | None) -> list[tuple[int, Part]]:
     return [(index, part) for index in indices(part, "nodes")]
 
 
-def indices(part: Part, name: str) -> list[int]:
+def indices(part: DocumentPart, name: str) -> list[int]:
     """A list of numbers of other objects."""
     items = part.items(name)
     for item in items:
@@ -69,18 +69,18 @@ def indices(part: Part, name: str) -> list[int]:
     return items
 
 
-def local_transform(node: Part) -> np.ndarray:
+def local_transform(node: DocumentPart) -> np.ndarray:
     """(4, 4) the node's own transform: its matrix, or translation times rotation times scale."""
     if node.has("matrix"):
         matrix = np.reshape(node.numbers("matrix", 16), (4, 4)).T  # column after column
         if not np.allclose(matrix[3], (0, 0, 0, 1)):
             raise node.fail(f"matrix must be affine, its last row 0, 0, 0, 1, got {matrix[3].tolist()}")
         return matrix
-    turn = rotation(node, np.asarray(node.numbers("rotation", 4, [0, 0, 0, 1])))
+    turn = _rotation(node, np.asarray(node.numbers("rotation", 4, [0, 0, 0, 1])))
     return translate(node.numbers("translation", 3, [0, 0, 0])) @ turn @ scale(node.numbers("scale", 3, [1, 1, 1]))
 
 
-def copies(place: Placed, buffers: Buffers) -> list[np.ndarray]:
+def instance_transforms(place: PlacedNode, buffers: Buffers) -> list[np.ndarray]:
     """The (4, 4) places at which the mesh of a node stands: its own, or those of EXT_mesh_gpu_instancing."""
     instancing = place.node.extension("EXT_mesh_gpu_instancing")
     if instancing is None:
@@ -95,11 +95,11 @@ def copies(place: Placed, buffers: Buffers) -> list[np.ndarray]:
     if not all(np.isfinite(values).all() for values in columns.values()):
         raise part.fail("TRANSLATION, ROTATION and SCALE must be finite")
     default = {"TRANSLATION": np.zeros(3), "ROTATION": np.array([0.0, 0.0, 0.0, 1.0]), "SCALE": np.ones(3)}
-    return [place.to_world @ translate(move) @ rotation(part, turn) @ scale(size)
+    return [place.to_world @ translate(move) @ _rotation(part, turn) @ scale(size)
             for move, turn, size in zip(*(columns.get(name, [default[name]] * max(counts)) for name in default))]
 
 
-def rotation(part: Part, quaternion: np.ndarray) -> np.ndarray:
+def _rotation(part: DocumentPart, quaternion: np.ndarray) -> np.ndarray:
     """(4, 4) the rotation of a quaternion x, y, z, w of any length."""
     length = np.linalg.norm(quaternion)
     if not length > 1e-12:

@@ -11,7 +11,7 @@ from torch_radbp.formats.image import SIGNATURES
 from torch_radbp.formats.pillow import open_picture
 from torch_radbp.formats.png import check_pixel_data
 from torch_radbp.io.gltf.accessor import Buffers
-from torch_radbp.io.gltf.document import Document, Part
+from torch_radbp.io.gltf.document import Document, DocumentPart
 
 KINDS = ("PNG", "JPEG")  # by their first bytes; what mimeType and file names say does not count
 MAX_TEXELS = 2**28  # of all images together
@@ -25,7 +25,7 @@ class Pictures:
         self.known: dict[int, np.ndarray] = {}
         self.texels = 0  # so far
 
-    def pixels(self, index: int, user: Part) -> np.ndarray:
+    def pixels(self, index: int, user: DocumentPart) -> np.ndarray:
         """(H, W, 4) bytes of an image as they are coded, alpha last; row 0 is at the top."""
         if index not in self.known:
             part = self.document.of("images", index, user, "source")
@@ -35,7 +35,7 @@ class Pictures:
             self.known[index] = self.decoded(content, part)
         return self.known[index]
 
-    def decoded(self, content: bytes, part: Part) -> np.ndarray:
+    def decoded(self, content: bytes, part: DocumentPart) -> np.ndarray:
         """(H, W, 4) bytes; of 16 bits the high ones."""
         kind = next((kind for kind in KINDS if content.startswith(SIGNATURES[kind])), None)
         if kind is None:

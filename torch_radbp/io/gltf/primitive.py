@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from torch_radbp.io.gltf.accessor import Buffers
-from torch_radbp.io.gltf.document import Losses, Part
+from torch_radbp.io.gltf.document import DocumentPart, Losses
 from torch_radbp.shape.normals import angle_weighted_normals
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
@@ -41,7 +41,7 @@ class Primitives:
         self.buffers, self.losses = buffers, losses
         self.known: dict[str, Primitive | None] = {}
 
-    def of(self, part: Part) -> Primitive | None:
+    def of(self, part: DocumentPart) -> Primitive | None:
         """The triangles of a primitive; None of points and lines.
 
         Raises:
@@ -54,7 +54,7 @@ class Primitives:
         return self.known[part.place]
 
 
-def read_primitive(part: Part, buffers: Buffers, losses: Losses) -> Primitive | None:
+def read_primitive(part: DocumentPart, buffers: Buffers, losses: Losses) -> Primitive | None:
     """The triangles of a primitive; None, and a loss, of points and lines, and where there are no triangles."""
     mode = part.integer("mode", TRIANGLES, high=6)
     if mode in MODES:
@@ -111,7 +111,7 @@ def is_own(name: str) -> bool:
     return name[1:].isidentifier() and name[1:].lower() not in ("positions", "normals", "texcoords", "color")
 
 
-def finite_uv(uv: np.ndarray | None, part: Part, losses: Losses) -> np.ndarray | None:
+def finite_uv(uv: np.ndarray | None, part: DocumentPart, losses: Losses) -> np.ndarray | None:
     """Surface coordinates, (0, 0) where they are not finite."""
     bad = np.zeros(0, bool) if uv is None else ~np.isfinite(uv).all(axis=1)
     if not bad.any():
@@ -131,7 +131,7 @@ def triangles(corners: np.ndarray, mode: int) -> np.ndarray:
     return corners[np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)]
 
 
-def usable(normals: np.ndarray | None, positions: np.ndarray, faces: np.ndarray, part: Part,
+def usable(normals: np.ndarray | None, positions: np.ndarray, faces: np.ndarray, part: DocumentPart,
            losses: Losses) -> np.ndarray | None:
     """The normals, with those of the triangles around a vertex where one has no direction."""
     if normals is None:

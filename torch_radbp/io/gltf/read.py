@@ -16,16 +16,16 @@ from torch_radbp.emitter.constant import Constant
 from torch_radbp.integrator.path import Path as PathIntegrator
 from torch_radbp.io.gltf.accessor import Buffers
 from torch_radbp.io.gltf.container import read_container
-from torch_radbp.io.gltf.document import Document, GltfWarning, Losses, Part, without_nulls
+from torch_radbp.io.gltf.document import Document, DocumentPart, GltfWarning, Losses, without_nulls
 from torch_radbp.io.gltf.environment import environment
 from torch_radbp.io.gltf.extension import check_extensions
-from torch_radbp.io.gltf.lamp import camera, light, overview
-from torch_radbp.io.gltf.material import VERTEX_COLOUR, Materials
+from torch_radbp.io.gltf.lamp import emitter_of_light, overview, sensor_of_camera
+from torch_radbp.io.gltf.material import VERTEX_COLOUR, GltfMaterials
 from torch_radbp.io.gltf.names import Names
-from torch_radbp.io.gltf.nodes import Placed, copies, placed_nodes
+from torch_radbp.io.gltf.nodes import PlacedNode, instance_transforms, placed_nodes
 from torch_radbp.io.gltf.picture import Pictures
 from torch_radbp.io.gltf.primitive import SETS, Primitive, Primitives
-from torch_radbp.io.gltf.texture import Textures
+from torch_radbp.io.gltf.texture import GltfTextures
 from torch_radbp.plugin import Integrator, Plugin, SceneError, nearest
 from torch_radbp.scene.scene import Scene
 from torch_radbp.shape.mesh import Mesh, TensorMesh, has_area
@@ -45,7 +45,7 @@ class Options(NamedTuple):
     lumens_per_watt: float = 1.0  # see `lamp`
 
 
-def options(file: str, given: dict[str, Any]) -> Options:
+def gltf_options(file: str, given: dict[str, Any]) -> Options:
     """The options from keyword arguments, or from text on a command line.
 
     Raises:
@@ -94,7 +94,7 @@ def read_gltf(path: str | os.PathLike, given: dict[str, Any], allow_outside: boo
         SceneError: names the file and the place in its document.
     """
     file = os.fspath(path)
-    chosen = options(file, given)
+    chosen = gltf_options(file, given)
     return _Reader(file, chosen, allow_outside, strict).scene()
 
 
@@ -108,8 +108,8 @@ class _Reader:
         self.primitives = Primitives(self.buffers, self.losses)
         self.children: dict[str, Plugin] = {}
         self.names = Names()
-        textures = Textures(self.document, Pictures(self.document, self.buffers), self.losses)
-        self.materials = Materials(self.document, textures, self.losses, self.names, self.children)
+        textures = GltfTextures(self.document, Pictures(self.document, self.buffers), self.losses)
+        self.materials = GltfMaterials(self.document, textures, self.losses, self.names, self.children)
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
 
     def scene(self) -> Scene:
@@ -139,7 +139,7 @@ class _Reader:
         except ValueError as error:
             raise SceneError(f"{self.file}: {error}") from error
 
-    def is_hidden(self, place: Placed) -> bool:
+    def is_hidden(self, place: PlacedNode) -> bool:
         """True if a node flattens space, as some writers do to hide what hangs on it."""
         linear = place.to_world[:3, :3]
         flat = abs(np.linalg.det(linear)) <= 1e-30 or not np.isfinite(linear).all()
@@ -147,11 +147,11 @@ class _Reader:
             self.losses.add(place.node.place, "is left out: its transform flattens space")
         return flat
 
-    def name(self, part: Part, other: Part, fallback: str) -> str:
+    def name(self, part: DocumentPart, other: DocumentPart, fallback: str) -> str:
         """A free name for what a node holds: the node's, or that of what it refers to."""
         return self.names.free(part.text("name", "") or other.text("name", "") or fallback)
 
-    def add_shapes(self, place: Placed) -> None:
+    def add_shapes(self, place: PlacedNode) -> None:
         """One shape for each primitive of the node's mesh. A mesh of several nodes is copied: each has its vertices."""
         mesh = self.document.referred("meshes", place.node, "mesh", None)
         if mesh is None:
@@ -162,7 +162,7 @@ class _Reader:
         title = place.node.text("name", "") or mesh.text("name", "") or f"mesh_{place.node.integer('mesh')}"
         if not parts:
             self.losses.add(mesh.place, "is left out: it has no primitives")
-        copied = copies(place, self.buffers)
+        copied = instance_transforms(place, self.buffers)
         for to_world, (number, part) in itertools.product(copied, enumerate(parts)):
             primitive, copy = self.primitives.of(part), place._replace(to_world=to_world)
             if primitive is None or (len(copied) > 1 and self.is_hidden(copy)):
@@ -206,7 +206,7 @@ class _Reader:
             shape.add_attribute(f"vertex_{name}", torch.from_numpy(values))
         return shape
 
-    def coordinates(self, part: Part, primitive: Primitive, number: int | None) -> np.ndarray | None:
+    def coordinates(self, part: DocumentPart, primitive: Primitive, number: int | None) -> np.ndarray | None:
         """The surface coordinates of a primitive: the set that its textures read, or the first if it has no textures."""
         uv = primitive.uv[number or 0] if (number or 0) < len(primitive.uv) else None
         if uv is None and number is not None:
@@ -216,7 +216,7 @@ class _Reader:
             return np.zeros((len(primitive.positions), 2))
         return uv
 
-    def is_mirrored(self, part: Part, primitive: Primitive) -> bool:
+    def is_mirrored(self, part: DocumentPart, primitive: Primitive) -> bool:
         """True if the normal map of a primitive lies mirrored on most of its triangles.
 
         The y of a normal map points to where v falls in glTF, and across the direction of u here: that is the same where
@@ -229,7 +229,7 @@ class _Reader:
             return False
         return lies_mirrored(uv, primitive.faces, part.place, self.losses)
 
-    def add_light(self, place: Placed) -> None:
+    def add_light(self, place: PlacedNode) -> None:
         """The light of a node, or the environment map that it names."""
         if self.options.light is None:
             sky = self.checked(place.node, environment, place.to_world, self.buffers, self.losses)
@@ -243,20 +243,21 @@ class _Reader:
         number, known = reference.integer("light"), lights.items("lights")
         if number >= len(known):
             raise reference.fail(f"light {number} does not exist; there are {len(known)}")
-        part = Part(self.file, f"{lights.inside('lights')}[{number}]", known[number])
+        part = DocumentPart(self.file, f"{lights.inside('lights')}[{number}]", known[number])
         name = self.name(place.node, part, f"light_{number}")
-        self.children[name] = self.checked(part, light, place.to_world, self.options.lumens_per_watt, self.losses)
+        self.children[name] = self.checked(part, emitter_of_light, place.to_world, self.options.lumens_per_watt, self.losses)
 
-    def add_camera(self, place: Placed) -> None:
+    def add_camera(self, place: PlacedNode) -> None:
         """The camera of a node."""
         part = self.document.referred("cameras", place.node, "camera", None)
         if part is None:
             return
         reach = 4 * float(np.abs([self.low - place.to_world[:3, 3], self.high - place.to_world[:3, 3]]).max())
         name = self.name(place.node, part, f"camera_{place.node.integer('camera')}")
-        self.children[name] = self.checked(part, camera, place.to_world, self.options.resolution, self.options.spp, reach)
+        self.children[name] = self.checked(part, sensor_of_camera, place.to_world, self.options.resolution, self.options.spp,
+                                           reach)
 
-    def checked(self, part: Part, make, *arguments) -> Plugin:
+    def checked(self, part: DocumentPart, make, *arguments) -> Plugin:
         """The plugin that `make` makes of a part; its errors name the place."""
         try:
             return make(part, *arguments)

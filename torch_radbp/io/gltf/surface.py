@@ -29,21 +29,21 @@ DEFAULT_IOR = 1.5
 SOLID = {"thicknessFactor": 1.0}  # of KHR_materials_volume; any that is not 0
 
 
-def constant(value: float) -> Slot:
+def constant_slot(value: float) -> Slot:
     """A number as a slot."""
     return Slot(np.full((1, 1, 3), float(value)), None)
 
 
 @dataclass
-class Surface:
+class GltfSurface:
     """A material in the words of glTF."""
 
-    base: Slot = field(default_factory=lambda: constant(1.0))
+    base: Slot = field(default_factory=lambda: constant_slot(1.0))
     colours: str | None = None  # the attribute of vertices or faces that is the base colour
-    roughness: Slot = field(default_factory=lambda: constant(1.0))
-    metallic: Slot = field(default_factory=lambda: constant(0.0))
-    transmission: Slot = field(default_factory=lambda: constant(0.0))
-    clearcoat: Slot = field(default_factory=lambda: constant(0.0))
+    roughness: Slot = field(default_factory=lambda: constant_slot(1.0))
+    metallic: Slot = field(default_factory=lambda: constant_slot(0.0))
+    transmission: Slot = field(default_factory=lambda: constant_slot(0.0))
+    clearcoat: Slot = field(default_factory=lambda: constant_slot(0.0))
     extensions: dict[str, dict] = field(default_factory=dict)
 
     def set_ior(self, ior: float) -> None:
@@ -51,7 +51,7 @@ class Surface:
             self.extensions["KHR_materials_ior"] = {"ior": ior}
 
 
-class Reader:
+class SurfaceTextures:
     """The textures of one material.
 
     Args:
@@ -81,17 +81,17 @@ class Reader:
     def lose(self, what: str) -> None:
         self.losses.add(self.name, what)
 
-    def base(self, surface: Surface, attribute: str) -> None:
+    def base(self, surface: GltfSurface, attribute: str) -> None:
         """Takes the base colour from a texture, or from vertices or faces."""
         texture = getattr(self.bsdf, attribute)
         if texture.type == "mesh_attribute":
-            surface.colours, surface.base = texture.name, constant(float(texture.scale.detach()))
+            surface.colours, surface.base = texture.name, constant_slot(float(texture.scale.detach()))
         else:
             surface.base = self.colour(attribute)
 
 
-def principled(read: Reader) -> Surface:
-    surface, bsdf = Surface(), read.bsdf
+def principled(read: SurfaceTextures) -> GltfSurface:
+    surface, bsdf = GltfSurface(), read.bsdf
     read.base(surface, "base_color")
     surface.roughness, surface.metallic = read.number("roughness"), read.number("metallic")
     surface.transmission, surface.clearcoat = read.number("spec_trans"), read.number("clearcoat")
@@ -110,7 +110,7 @@ def principled(read: Reader) -> Surface:
     return surface
 
 
-def stretched(surface: Surface, read: Reader) -> None:
+def stretched(surface: GltfSurface, read: SurfaceTextures) -> None:
     """Writes `anisotropic`; see `extension.anisotropy`."""
     anisotropic = read.mean("anisotropic")
     if anisotropic == 0:
@@ -122,15 +122,15 @@ def stretched(surface: Surface, read: Reader) -> None:
     along_and_across(surface, alpha / aspect, alpha * aspect, 0.0)
 
 
-def along_and_across(surface: Surface, along: float, across: float, rotation: float) -> None:
+def along_and_across(surface: GltfSurface, along: float, across: float, rotation: float) -> None:
     """Writes the roughness of microfacets along a direction, the greater one, and across it."""
     strength = math.sqrt(max(0.0, min(1.0, (along - across) / max(1.0 - across, 1e-6))))
-    surface.roughness = constant(math.sqrt(across))
+    surface.roughness = constant_slot(math.sqrt(across))
     surface.extensions["KHR_materials_anisotropy"] = {"anisotropyStrength": strength,
                                                       **({"anisotropyRotation": rotation} if rotation else {})}
 
 
-def cloth(surface: Surface, read: Reader) -> None:
+def cloth(surface: GltfSurface, read: SurfaceTextures) -> None:
     """Writes `sheen`."""
     sheen = read.mean("sheen")
     if sheen == 0:
@@ -141,15 +141,15 @@ def cloth(surface: Surface, read: Reader) -> None:
     surface.extensions["KHR_materials_sheen"] = {"sheenColorFactor": (sheen * tinted).tolist(), "sheenRoughnessFactor": 0.5}
 
 
-def diffuse(read: Reader) -> Surface:
-    surface = Surface(extensions={"KHR_materials_specular": {"specularFactor": 0.0}})
+def diffuse(read: SurfaceTextures) -> GltfSurface:
+    surface = GltfSurface(extensions={"KHR_materials_specular": {"specularFactor": 0.0}})
     read.base(surface, "reflectance")
     return surface
 
 
-def metal(read: Reader) -> Surface:
+def metal(read: SurfaceTextures) -> GltfSurface:
     """The reflectance from straight above as base colour. Reference: Born and Wolf, section 14.2."""
-    surface = Surface(metallic=constant(1.0), roughness=constant(0.0))
+    surface = GltfSurface(metallic=constant_slot(1.0), roughness=constant_slot(0.0))
     eta, k, factor = (read.colour(name) for name in ("eta", "k", "specular_reflectance"))
     textured = next((each for each in (factor, eta, k) if not each.is_constant), None)
     if any(not each.is_constant and (each.reading, each.values.shape) != (textured.reading, textured.values.shape)
@@ -165,14 +165,14 @@ def metal(read: Reader) -> Surface:
     return surface
 
 
-def rough(surface: Surface, read: Reader) -> None:
+def rough(surface: GltfSurface, read: SurfaceTextures) -> None:
     """Writes the roughness of what has `alpha`, or `alpha_u` and `alpha_v`; else it is 0."""
     bsdf = read.bsdf
     if getattr(bsdf, "distribution", "ggx") != "ggx":
         read.lose(f"its {bsdf.distribution} microfacets are written as ggx")
     if getattr(bsdf, "alpha", None) is not None:
         if isinstance(bsdf.alpha, torch.Tensor):
-            surface.roughness = constant(math.sqrt(min(1.0, float(bsdf.alpha))))
+            surface.roughness = constant_slot(math.sqrt(min(1.0, float(bsdf.alpha))))
             return
         alpha = read.number("alpha")
         surface.roughness = Slot(np.sqrt(alpha.values.clip(0.0, 1.0)), alpha.reading)
@@ -181,11 +181,11 @@ def rough(surface: Surface, read: Reader) -> None:
         if u != v:
             along_and_across(surface, max(u, v), min(u, v), 0.0 if u > v else math.pi / 2)
         else:
-            surface.roughness = constant(math.sqrt(u))
+            surface.roughness = constant_slot(math.sqrt(u))
 
 
-def plastic(read: Reader) -> Surface:
-    surface = Surface(roughness=constant(0.0))
+def plastic(read: SurfaceTextures) -> GltfSurface:
+    surface = GltfSurface(roughness=constant_slot(0.0))
     read.base(surface, "diffuse_reflectance")
     surface.set_ior(float(read.bsdf.eta))
     rough(surface, read)
@@ -193,8 +193,8 @@ def plastic(read: Reader) -> Surface:
     return surface
 
 
-def glass(read: Reader) -> Surface:
-    surface = Surface(roughness=constant(0.0), transmission=constant(1.0))
+def glass(read: SurfaceTextures) -> GltfSurface:
+    surface = GltfSurface(roughness=constant_slot(0.0), transmission=constant_slot(1.0))
     eta = float(read.bsdf.eta)
     if eta < 1:
         read.lose(f"the index of refraction {eta:g} is written as {1 / eta:g}: glTF has none below 1")
@@ -211,8 +211,8 @@ def glass(read: Reader) -> Surface:
     return surface
 
 
-def sheet(read: Reader) -> Surface:
-    surface = Surface()
+def sheet(read: SurfaceTextures) -> GltfSurface:
+    surface = GltfSurface()
     read.base(surface, "base_color")
     surface.roughness, surface.transmission = read.number("roughness"), read.number("spec_trans")
     surface.set_ior(read.mean("eta"))
@@ -224,16 +224,16 @@ def sheet(read: Reader) -> Surface:
     return surface
 
 
-KINDS: dict[str, Callable[[Reader], Surface]] = {
+KINDS: dict[str, Callable[[SurfaceTextures], GltfSurface]] = {
     "principled": principled, "principledthin": sheet, "diffuse": diffuse, "conductor": metal, "roughconductor": metal,
     "plastic": plastic, "roughplastic": plastic, "dielectric": glass, "roughdielectric": glass, "thindielectric": glass,
 }
 
 
-def surface_of(bsdf: BSDF, name: str, losses: Losses) -> Surface:
+def surface_of(bsdf: BSDF, name: str, losses: Losses) -> GltfSurface:
     """A material that holds no other in the words of glTF; grey if it has none."""
     if bsdf.type not in KINDS:
         losses.add(name, f"a {bsdf.type} has no counterpart in glTF, and is written as grey; those that have one: "
                          f"{', '.join(sorted(KINDS))}")
-        return Surface(base=constant(0.5))
-    return KINDS[bsdf.type](Reader(bsdf, name, losses))
+        return GltfSurface(base=constant_slot(0.5))
+    return KINDS[bsdf.type](SurfaceTextures(bsdf, name, losses))

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.formats.image import srgb_to_linear
-from torch_radbp.io.gltf.document import Document, Losses, Part
+from torch_radbp.io.gltf.document import Document, DocumentPart, Losses
 from torch_radbp.io.gltf.picture import Pictures
 from torch_radbp.texture.bitmap import Bitmap
 
@@ -41,13 +41,13 @@ class Image(NamedTuple):
         return torch.from_numpy(self.texels[:, :, number:number + 1] / 255.0)
 
 
-class Textures:
+class GltfTextures:
     """Makes bitmaps of texture infos. One material reads one set of surface coordinates, since meshes here have one."""
 
     def __init__(self, document: Document, pictures: Pictures, losses: Losses):
         self.document, self.pictures, self.losses = document, pictures, losses
 
-    def image(self, material: Part, owner: Part, name: str, sets: list[int]) -> Image | None:
+    def image(self, material: DocumentPart, owner: DocumentPart, name: str, sets: list[int]) -> Image | None:
         """The image of the texture info `name` of `owner`; None if there is none, or it cannot be read.
 
         Args:
@@ -72,7 +72,7 @@ class Textures:
             self.losses.add(texture.place, "is not read: it has no PNG or JPEG image")
             return None
         sets.append(chosen)
-        sampler = self.document.referred("samplers", texture, "sampler", None) or Part(texture.file, "sampler", {})
+        sampler = self.document.referred("samplers", texture, "sampler", None) or DocumentPart(texture.file, "sampler", {})
         wraps = [sampler.choice(direction, WRAPS, 10497) for direction in ("wrapS", "wrapT")]
         if wraps[0] != wraps[1]:
             self.losses.add(sampler.place, f"wrapS {wraps[0]!r} is used for wrapT, which is {wraps[1]!r}, too")
@@ -81,7 +81,7 @@ class Textures:
                      None if transform is None else uv_transform(transform))
 
 
-def uv_transform(transform: Part) -> Tensor:
+def uv_transform(transform: DocumentPart) -> Tensor:
     """(4, 4) matrix of a KHR_texture_transform: scale, then rotation, then offset.
 
     The rotation is counter-clockwise where v points down, as the text of the extension, its example, Blender and Babylon.js

@@ -16,7 +16,7 @@ from torch_radbp.io.gltf.appearance import Appearances
 from torch_radbp.io.gltf.container import glb
 from torch_radbp.io.gltf.document import GltfWarning, Losses
 from torch_radbp.io.gltf.environment import written_environment
-from torch_radbp.io.gltf.image_slot import checked
+from torch_radbp.io.gltf.image_slot import checked_values
 from torch_radbp.io.gltf.lamp_out import column_major, matrix_of
 from torch_radbp.io.gltf.read import said
 from torch_radbp.io.gltf.written import Written
@@ -103,21 +103,21 @@ class _Writer:
     def geometry(self, name: str, surface: Triangles, pose: np.ndarray) -> dict[str, int]:
         """Positions, normals and surface coordinates."""
         inverse = np.linalg.inv(pose)
-        positions = checked(surface.vertices, f"{name}.vertex_positions") @ inverse[:3, :3].T + inverse[:3, 3]
+        positions = checked_values(surface.vertices, f"{name}.vertex_positions") @ inverse[:3, :3].T + inverse[:3, 3]
         found = {"POSITION": self.out.vertices(positions, bounds=True)}
         if surface.normals is not None:
-            normals = checked(surface.normals, f"{name}.vertex_normals") @ pose[:3, :3]
+            normals = checked_values(surface.normals, f"{name}.vertex_normals") @ pose[:3, :3]
             length = np.linalg.norm(normals, axis=1, keepdims=True)
             found["NORMAL"] = self.out.vertices(normals / np.where(length > 0, length, 1.0))
         if surface.uv is not None:
-            found["TEXCOORD_0"] = self.out.vertices(checked(surface.uv, f"{name}.vertex_texcoords"))
+            found["TEXCOORD_0"] = self.out.vertices(checked_values(surface.uv, f"{name}.vertex_texcoords"))
         return found
 
     def attributes(self, name: str, surface: Triangles, colours: tuple[str, float] | None) -> dict[str, int]:
         """The attributes of vertices: the base colour, and others under names of an application."""
         found: dict[str, int] = {}
         for attribute, tensor in surface.attributes:
-            values = checked(tensor, f"{name}.{attribute}")
+            values = checked_values(tensor, f"{name}.{attribute}")
             own = attribute.removeprefix("vertex_")
             if colours is not None and attribute == colours[0]:
                 if attribute.startswith("face_"):
@@ -141,7 +141,7 @@ class _Writer:
             self.files.append(file)
             self.out.add("nodes", {"name": name, "extras": extras, **column_major(matrix_of(emitter.to_world))})
             return
-        written = lamp_out.light(emitter, name, self.losses)
+        written = lamp_out.light_of_emitter(emitter, name, self.losses)
         if written is not None:
             entries, place = written
             extensions = self.out.light({"name": name, **entries})
@@ -149,7 +149,7 @@ class _Writer:
 
     def add_camera(self, name: str, sensor: Plugin) -> None:
         """A node with a camera."""
-        written = lamp_out.camera(sensor, name, self.losses)
+        written = lamp_out.camera_of_sensor(sensor, name, self.losses)
         if written is not None:
             entries, place = written
             number = self.out.add("cameras", {"name": name, **entries})
