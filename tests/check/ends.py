@@ -58,7 +58,7 @@ def blended(second: dict[str, Any]) -> Ends:
 
 ENDS = {
     **{f"principled {name}": in_scene("principled", f"{name}.value") for name in PRINCIPLED},
-    "principled specular": in_scene("principled", "specular"),
+    "principled specular": in_scene("principled", "specular", high=4.0),
     "principled glass": in_scene("principled glass", "spec_trans.value"),
     **{f"principledthin {name}": in_scene("principled sheet", f"{name}.value") for name in SHEET},
     "principledthin diff_trans": in_scene("principled sheet", "diff_trans.value", high=2.0),
