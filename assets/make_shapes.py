@@ -16,7 +16,7 @@ from torch_radbp.formats.ply import write_ply
 from torch_radbp.formats.volume import write_volume
 
 FOLDER = Path(__file__).parent / "shapes"
-AROUND, ACROSS, GRID = 32, 16, 24
+AROUND, ACROSS, GRID = 20, 10, 16
 
 
 def torus() -> MeshArrays:

@@ -20,19 +20,20 @@ import torch_radbp as rb
 
 
 # %%
-def camera(*origin):
-    film = {"type": "hdrfilm", "width": 128, "height": 128}
-    return {"type": "perspective", "fov": 38, "to_world": rb.look_at(origin, [0, 0, 0], [0, 1, 0]), "film": film}
+pose = rb.look_at([0, 1, 4], [0, 0, 0], [0, 1, 0])
+film = {"type": "hdrfilm", "width": 128, "height": 128}
+camera = {"type": "perspective", "fov": 38, "to_world": pose, "film": film}
 
 
-def scene_of(bsdf, **others):
-    return rb.load_dict({"type": "scene", "camera": camera(0, 1, 4), "ball": {"type": "sphere", "bsdf": bsdf}, **others})
+def diffuse(colour):
+    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": colour}}
 
 
 def lit_ball(colour, light, **beside):
     emitter = {"type": "area", "radiance": {"type": "rgb", "value": light}}
     lamp = {"type": "sphere", "center": [2, 4, 3], "radius": 0.8, "emitter": emitter}
-    return scene_of({"type": "diffuse", "reflectance": {"type": "rgb", "value": colour}}, lamp=lamp, **beside)
+    ball = {"type": "sphere", "bsdf": diffuse(colour)}
+    return rb.load_dict({"type": "scene", "eye": camera, "ball": ball, "lamp": lamp} | beside)
 
 
 def recover(start, photograph, **beside):
@@ -44,12 +45,13 @@ def recover(start, photograph, **beside):
         register_parametrization(part, "value", inside)
     renderer = rb.Renderer(scene, spp=8, share_samples=True)
     found = [each for each in scene.parameters() if each.requires_grad]
-    optimizer = torch.optim.LBFGS(found, max_iter=40, tolerance_change=0, line_search_fn="strong_wolfe")
+    optimizer = torch.optim.LBFGS(found, max_iter=40, line_search_fn="strong_wolfe")
 
     def closure():
-        """The loss by the same samples at each look, which this optimiser takes for a function without noise."""
+        """The loss by the same samples each time: to this optimiser it has no noise."""
         optimizer.zero_grad()
-        loss = rb.losses.two_buffer_l2(renderer(seed=0), renderer(seed=1), photograph) / photograph.square().mean()
+        images = renderer(seed=0), renderer(seed=1)
+        loss = rb.losses.two_buffer_l2(*images, photograph) / photograph.square().mean()
         loss.backward()
         return loss
 
@@ -61,18 +63,21 @@ truth, warm, white = [0.75, 0.3, 0.12], [30.0, 24.0, 17.0], [24.0, 24.0, 24.0]
 
 
 def compare(**beside):
-    """Draws what two runs find, by its lamp and by a white one; by how many percent images and colours are apart."""
+    """Draws what two runs find; by how many percent images and colours are apart."""
     photograph = rb.render(lit_ball(truth, warm, **beside), spp=256, seed=10**6)
-    found = [(truth, warm), recover(0.3, photograph, **beside), recover(0.85, photograph, **beside)]
-    rows = [torch.cat([rb.render(lit_ball(colour, light, **beside), spp=256) for colour, light in each])
+    runs = [recover(start, photograph, **beside) for start in (0.3, 0.85)]
+    found = [(truth, warm), *runs]
+    rows = [torch.cat([rb.render(lit_ball(*pair, **beside), spp=256) for pair in each])
             for each in (found, [(colour, white) for colour, _ in found])]
-    sheet = rb.contact_sheet(dict(zip(("by its lamp", "by a white lamp"), rows)), ["as it is", "from dark", "from bright"])
-    plt.figure(figsize=(8, 4.5)).add_axes((0, 0, 1, 1)).imshow(sheet.movedim(0, -1) ** (1 / 2.2))
-    plt.axis("off")
+    sheet = rb.contact_sheet({"by its lamp": rows[0], "by a white lamp": rows[1]},
+                             ["as it is", "from dark", "from bright"])
+    axes = plt.figure(figsize=(8, 4.5)).add_axes((0, 0, 1, 1))
+    axes.imshow(sheet.movedim(0, -1) ** (1 / 2.2))
+    axes.axis("off")
     plt.show()
-    print("colours found:", *([round(value, 2) for value in colour] for colour, _ in found[1:]), "of", truth)
-    pairs = rows[0][1:], torch.tensor([colour for colour, _ in found[1:]])
-    return [100 * ((one - other).square().mean() / one.square().mean()).sqrt().item() for one, other in pairs]
+    colours = torch.tensor([colour for colour, _ in runs], dtype=torch.float64)
+    print("colours found:", colours.round(decimals=2).tolist(), "of", truth)
+    return [100 * float((a - b).norm() / a.norm()) for a, b in (rows[0][1:], colours)]
 
 
 alone = compare()
@@ -89,20 +94,19 @@ print("two runs: images {:.1f} % apart, colours {:.0f} %".format(*alone))
 
 
 # %%
-def change(scene, *directions):
-    """By how many percent an image changes along the first of some directions, and along all of them together."""
-    size = rb.render(scene, spp=64).square().mean()
-    together = {name: tangent for each in directions for name, tangent in each.items()}
-    return [100 * (rb.jvp(scene, each, spp=64).square().mean() / size).sqrt().item() for each in (directions[0], together)]
+def change(scene, colour, light):
+    """By how many percent an image changes with colour, and with both at once."""
+    changes = [rb.jvp(scene, each, spp=64).norm() for each in (colour, colour | light)]
+    return [100 * float(each / rb.render(scene, spp=64).norm()) for each in changes]
 
 
 flat = torch.tensor([[4.0, 0, 0, 0], [0, 0, 4, -1], [0, -4, 0, 0], [0, 0, 0, 1]])
-card = {"type": "rectangle", "to_world": flat, "bsdf": {"type": "diffuse", "reflectance": 0.5}}
+card = {"type": "rectangle", "to_world": flat, "bsdf": diffuse([0.5, 0.5, 0.5])}
 for name, beside in {"alone": {}, "beside a grey card": {"card": card}}.items():
     brighter = {"ball.bsdf.reflectance.value": 0.01 * torch.tensor(truth)}
     darker = {"lamp.emitter.radiance.value": -0.01 * torch.tensor(warm)}
     seen = change(lit_ball(truth, warm, **beside), brighter, darker)
-    print("{}: 1 % of colour changes the image by {:.2f} %, against 1 % of light by {:.2f} %".format(name, *seen))
+    print("{}: colour by 1 %: {:.2f} %, against light: {:.2f} %".format(name, *seen))
 
 # %% [markdown]
 # ## The remedy: something known in view

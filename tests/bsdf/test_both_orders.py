@@ -17,7 +17,7 @@ from typing import NamedTuple
 import pytest
 import torch
 
-from tests.bsdf.lanes import KINDS, ROUGH, choices, light, material, numbers, values_of
+from tests.bsdf.lanes import KINDS, ROUGH, choices, light, material, random_numbers, values_of
 from tests.deep import deep_but_every
 from tests.scenes.materials import MATERIALS
 from torch_radbp.bsdf.kind import Kind, LobeChoice, Values
@@ -106,7 +106,7 @@ def integral(name: str, what: str, theta: float, z: float, random) -> float:
 def test_both_orders_agree_with_differences(name, what, z):
     if z < 0 and (name == "mask" or not KINDS[name].transmits or (what in IN_FRONT and "principled" in name)):
         pytest.skip("black from behind")
-    random = numbers(COUNT)
+    random = random_numbers(COUNT)
     expected = (integral(name, what, STEP, z, random) - integral(name, what, -STEP, z, random)) / (2 * STEP)
     theta = torch.zeros(COUNT, dtype=torch.float64, requires_grad=True)
     at = setting(name, what, theta, z)

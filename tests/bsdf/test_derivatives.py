@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from tests.bsdf.lanes import DELTA, KINDS, ROUGH, SMOOTH, direction, directions, material, numbers, sampled, values_of
+from tests.bsdf.lanes import DELTA, KINDS, ROUGH, SMOOTH, direction, directions, material, random_numbers, sampled, values_of
 from tests.scenes.materials import MATERIALS
 from torch_radbp.tensors.vec import Vec3
 
@@ -16,7 +16,7 @@ class Setting:
 
     def __init__(self, name: str, wi: Vec3 | None = None):
         bsdf = material(MATERIALS[name])
-        self.kind, self.random = bsdf.kind(), numbers(COUNT)
+        self.kind, self.random = bsdf.kind(), random_numbers(COUNT)
         self.wi = directions(COUNT, 3) if wi is None else wi
         if not self.kind.transmits:
             self.wi = self.wi._replace(z=self.wi.z.abs())

@@ -3,7 +3,18 @@
 import pytest
 import torch
 
-from tests.bsdf.lanes import IDEAL, KINDS, SIMPLE, SMOOTH, direction, directions, material, numbers, sampled, values_of
+from tests.bsdf.lanes import (
+    IDEAL,
+    KINDS,
+    SIMPLE,
+    SMOOTH,
+    direction,
+    directions,
+    material,
+    random_numbers,
+    sampled,
+    values_of,
+)
 from tests.scenes.materials import MATERIALS
 from torch_radbp.bsdf.principled_lobes import PrincipledKind
 from torch_radbp.bsdf.principledthin import PrincipledThinKind
@@ -63,7 +74,7 @@ def energy(description: dict, z: float) -> torch.Tensor:
     bsdf = material(description)
     kind, wi = bsdf.kind(), direction(z, 0.4, COUNT)
     values = values_of(bsdf, wi.z)
-    choice, wo = sampled(kind, values, wi, numbers(COUNT))
+    choice, wo = sampled(kind, values, wi, random_numbers(COUNT))
     weight = kind.eval(values, wi, wo) / kind.pdf(values, wi, wo).clamp_min(1e-30)
     if kind.delta:
         weight = where(choice.is_delta(kind), kind.specular(values, wi, choice) / choice.probability, weight)
@@ -151,21 +162,21 @@ def test_what_a_smooth_surface_does_is_not_found_otherwise(name):
     bsdf = material(MATERIALS[name])
     kind, wi = bsdf.kind(), directions(100)
     values = values_of(bsdf, wi.z)
-    choice, wo = sampled(kind, values, wi, numbers(100))
+    choice, wo = sampled(kind, values, wi, random_numbers(100))
     assert (kind.eval(values, wi, wo).stack() == 0).all() and (kind.pdf(values, wi, wo) == 0).all()
 
 
 def test_kinds_that_scatter_into_all_directions_have_no_specular_weight():
     bsdf = material(MATERIALS["diffuse"])
     wi = directions(3)
-    choice, _ = sampled(bsdf.kind(), values_of(bsdf, wi.z), wi, numbers(3))
+    choice, _ = sampled(bsdf.kind(), values_of(bsdf, wi.z), wi, random_numbers(3))
     with pytest.raises(TypeError, match="DiffuseKind .* use eval"):
         bsdf.kind().specular(values_of(bsdf, wi.z), wi, choice)
 
 
 def test_a_smooth_dielectric_refracts_by_snell():
     bsdf = material({"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0})
-    kind, wi, random = bsdf.kind(), directions(1000), numbers(1000)
+    kind, wi, random = bsdf.kind(), directions(1000), random_numbers(1000)
     values = values_of(bsdf, wi.z)
     choice, wo = sampled(kind, values, wi, random)
     crossed = choice.lobe > 0

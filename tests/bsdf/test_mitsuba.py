@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.bsdf import reference
-from tests.bsdf.lanes import DELTA, GLASS, IDEAL, KINDS, SMOOTH, directions, material, numbers, sampled, values_of
+from tests.bsdf.lanes import DELTA, GLASS, IDEAL, KINDS, SMOOTH, directions, material, random_numbers, sampled, values_of
 from tests.bsdf.reference import ROUGH_COAT
 from tests.plugin.plugin_table import beyond_mitsuba
 from tests.scenes.materials import MATERIALS, as_dict
@@ -64,7 +64,7 @@ def test_eval_and_pdf_agree(name):
     # Half of the pairs where samples go, which random pairs of a sharp lobe hardly meet.
     bsdf = material(MATERIALS[name])
     values = values_of(bsdf, wi.z)
-    _, likely = sampled(bsdf.kind(), values, wi, numbers(COUNT))
+    _, likely = sampled(bsdf.kind(), values, wi, random_numbers(COUNT))
     half = (torch.arange(COUNT) % 2 == 0) & (likely.z.abs() > 1e-3)
     wo = torch.where(half[:, None], likely.stack().detach(), wo.stack()).numpy()
     wi = wi.stack().numpy()
@@ -79,7 +79,7 @@ WEIGHED_ALIKE = [name for name in [*DELTA, *GLASS] if name in IDEAL or MATERIALS
 def test_weights_of_a_sample_agree(mi, name):
     """The weight over the choice's probability, for what Mitsuba samples with the same number for the choice."""
     theirs, bsdf, context = mi.load_dict(as_dict(MATERIALS[name])), material(MATERIALS[name]), mi.BSDFContext()
-    kind, wi, random = bsdf.kind(), directions(300), numbers(300)
+    kind, wi, random = bsdf.kind(), directions(300), random_numbers(300)
     values = values_of(bsdf, wi.z)
     choice, wo = sampled(kind, values, wi, random)
     compared = 0

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.bsdf.lanes import Numbers, direction, directions, light, material, numbers, sampled, values_of
+from tests.bsdf.lanes import LaneNumbers, direction, directions, light, material, random_numbers, sampled, values_of
 from tests.scenes import load, rectangle, rgb, sensor
 from tests.scenes.materials import MATERIALS
 from torch_radbp.check.finite import Lanes
@@ -28,7 +28,7 @@ def holder(holds: str, weight: float, moving: bool = True):
     return material(description | {name: weight}).requires_grad_(moving)
 
 
-def reflected(kind, values, wi: Vec3, random: Numbers) -> torch.Tensor:
+def reflected(kind, values, wi: Vec3, random: LaneNumbers) -> torch.Tensor:
     """(N,) estimates of the light that a material scatters towards wi, by its own samples, attached to the values."""
     fixed = tuple(value.detach() for value in values)
     choice, wo = sampled(kind, fixed, wi, random)
@@ -45,7 +45,7 @@ def reflected(kind, values, wi: Vec3, random: Numbers) -> torch.Tensor:
 @pytest.mark.parametrize("name", HOLDERS)
 def test_the_derivative_by_the_weight_is_the_difference_of_the_parts(name, weight, z):
     """What is scattered is linear in the weight, so that the difference of its ends is the derivative everywhere."""
-    wi, random = direction(z, 0.4, COUNT), numbers(COUNT)
+    wi, random = direction(z, 0.4, COUNT), random_numbers(COUNT)
     ends = []
     for end in (0.0, 1.0):
         bsdf = holder(name, end)
@@ -89,7 +89,7 @@ def test_values_and_derivatives_stay_finite(name, dtype):
     for result in kind.eval_pdf(values, wi, wo):
         assert not Lanes(values, wi, wo).not_finite("evaluation", result)
     for number in itertools.product((0.0, 0.019, 0.5, 1 - 2.0**-24), (0.0, 0.7), (0.3,)):
-        random = Numbers(*(torch.full_like(z, x) for x in number))
+        random = LaneNumbers(*(torch.full_like(z, x) for x in number))
         choice = kind.choose(values, wi, *random)
         assert (choice.probability > 0).all() and (choice.probability <= 1).all()
         wo = kind.sample(values, wi, choice, random.u, random.v)

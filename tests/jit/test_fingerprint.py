@@ -108,7 +108,8 @@ def test_what_is_exchanged_while_the_program_runs_counts(written):
 
 def test_it_is_the_same_in_another_process_whatever_was_run_before():
     code = ("import torch, torch_radbp as rb; from torch_radbp.jit.fingerprint import fingerprint; "
-            "from torch_radbp.tensors.stage import DECLARED; {}; print([fingerprint(stage) for stage in DECLARED])")
+            "import torch_radbp.public; from torch_radbp.tensors.stage import DECLARED; {}; "
+            "print([fingerprint(stage) for stage in DECLARED])")
     rendered = "rb.render(rb.load('assets/cornell_box/scene.xml', resolution=4), spp=1)"
     # Leaves something in the class.
     copied = "from torch_radbp.tensors.vec import Vec3; import copy; copy.copy(Vec3(1, 2, 3))"

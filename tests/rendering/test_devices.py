@@ -69,6 +69,7 @@ OF_CROSSINGS = {"segment_bounds", "segment_found", "segment_passed", "sheets_see
 OF_SHADOWS = {"descended", "edge_found", "edge_tried", "edge_passed", "direct_light", "scattered", "border_course",
               "cut_course", "light_eyes", "light_lobes", "light_samples", "picked_vertex", "meets", "film_sample",
               *OF_CROSSINGS}
+OF_CONTACTS = {"light_line"}  # of bodies that touch
 OF_MIRRORS = {"goes_on", "ideal_vertex", "no_direction", "scattered_ideally", "parted", "unparted", "drawn_by_steps"}
 OF_FEW_EDGES = {"edge_tried"}  # few beside the samples
 # Stages that a scene does without.
@@ -86,7 +87,7 @@ NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},
 def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling):
     calls, scene = calls_of(name, sampling), build(name)
     without = NOT_IN.get(name, {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES}) | (OF_SHADOWS if sampling == "attached" else set())
-    assert {stage for stage, cases in calls.items() if not cases} <= without
+    assert {stage for stage, cases in calls.items() if not cases} <= without | OF_CONTACTS
     scatterers = {arguments[0].layout.scatterer for arguments in calls["bounce"].values()}
     assert scatterers == set(rb.scene.pack.pack(scene).layout.appearances)
     for name, cases in calls.items():

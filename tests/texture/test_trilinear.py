@@ -79,8 +79,8 @@ def test_a_value_lies_between_those_of_two_levels(mode, monkeypatch):
 
     def read(level: int, u: float, v: float) -> np.ndarray:
         data = images[level]
-        monkeypatch.setattr("tests.scene.test_texture.HEIGHT", data.shape[0])
-        monkeypatch.setattr("tests.scene.test_texture.WIDTH", data.shape[1])
+        monkeypatch.setattr("tests.texture.texel_by_texel.HEIGHT", data.shape[0])
+        monkeypatch.setattr("tests.texture.texel_by_texel.WIDTH", data.shape[1])
         return reference(data, u, v, mode, nearest=False)
 
     for (u, v), level, value in zip(uv, np.clip(levels, 0, 3), found.stack().detach().numpy()):
