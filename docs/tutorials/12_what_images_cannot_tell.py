@@ -22,18 +22,18 @@ import torch_radbp as rb
 # %%
 pose = rb.look_at([0, 1, 4], [0, 0, 0], [0, 1, 0])
 film = {"type": "hdrfilm", "width": 128, "height": 128}
-camera = {"type": "perspective", "fov": 38, "to_world": pose, "film": film}
+eye = {"type": "perspective", "fov": 38, "to_world": pose, "film": film}
 
 
 def diffuse(colour):
     return {"type": "diffuse", "reflectance": {"type": "rgb", "value": colour}}
 
 
-def lit_ball(colour, light, **beside):
+def lit_ball(colour, light, **more):
     emitter = {"type": "area", "radiance": {"type": "rgb", "value": light}}
     lamp = {"type": "sphere", "center": [2, 4, 3], "radius": 0.8, "emitter": emitter}
     ball = {"type": "sphere", "bsdf": diffuse(colour)}
-    return rb.load_dict({"type": "scene", "eye": camera, "ball": ball, "lamp": lamp} | beside)
+    return rb.load_dict({"type": "scene", "eye": eye, "ball": ball, "lamp": lamp} | more)
 
 
 def recover(start, photograph, **beside):
