@@ -90,7 +90,7 @@ class LightKind(ABC):
 
     def table(self, emitters: Sequence[Light], like: Tensor) -> Table:
         """The table of all emitters of this kind in a scene, attached; `like` gives dtype and device."""
-        return _stacked([emitter.row() for emitter in emitters], like)
+        return stacked([emitter.row() for emitter in emitters], like)
 
     def bounds(self, table: Table, luminance: Tensor) -> LightBounds:
         """The bounds of the light of each row, detached, in the dtype of `luminance`. Of kinds that are `bounded`.
@@ -206,9 +206,9 @@ class Light(Emitter):
         return self.kind().delta or self.sampling_weight > 0
 
 
-def _stacked(records: Sequence[Table], like: Tensor) -> Table:
+def stacked(records: Sequence[Table], like: Tensor) -> Table:
     """Records of () tensors as one record of columns."""
     first = records[0]
     if isinstance(first, Tensor):
         return torch.stack(tuple(records)).to(like)
-    return first if first is None else type(first)(*(_stacked(parts, like) for parts in zip(*records)))
+    return first if first is None else type(first)(*(stacked(parts, like) for parts in zip(*records)))

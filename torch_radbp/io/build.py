@@ -45,7 +45,7 @@ from torch_radbp.shape.mesh import TensorMesh
 MAX_DEPTH = 100  # of objects in objects, references followed
 MAX_OBJECTS = 100_000
 
-TOP_LEVEL = ("shape", "bsdf", "texture", "emitter", "sensor", "integrator", "sampler", "film", "rfilter")
+TOP_LEVEL = ("shape", "bsdf", "texture", "emitter", "medium", "sensor", "integrator", "sampler", "film", "rfilter")
 PARTS_OF_SENSORS = ("sampler", "film", "rfilter")  # stand there to be referred to
 
 

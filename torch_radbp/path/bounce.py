@@ -39,6 +39,7 @@ from torch_radbp.sampling.sampler import (
 from torch_radbp.scene.cone import Cone, camera_cone, cone_beyond
 from torch_radbp.scene.interaction import Corners, SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import (
+    FAR,
     LightSample,
     emission_places,
     emitted,
@@ -53,6 +54,7 @@ from torch_radbp.scene.light import (
 )
 from torch_radbp.scene.light_choice import LightNumbers, LightPick, TreeChoice, chance_of_emitter, drawn_element
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, material_places, sample, sampling_at
+from torch_radbp.scene.media import attenuated, transmittance, transmittance_to_light
 from torch_radbp.scene.outgoing_ray import outgoing_ray
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
@@ -82,13 +84,13 @@ class Scattering(NamedTuple):
     F = sample.weight * thinning.
     """
 
-    Le: Vec3  # emission, weighted against next-event estimation
+    Le: Vec3  # emission, weighted against next-event estimation, as the next two after the way through media
     Ld: Vec3  # light by next-event estimation if the shadow ray is free
     si: SurfaceInteraction
     light: LightSample | None  # None without next-event estimation
     material: Material | None  # None where nothing is scattered, as what follows
     sample: BSDFSample | None  # the direction in which the path goes on
-    thinning: Tensor | None  # what F has from roulette: 1 / survival probability
+    thinning: Tensor | Vec3 | None  # what F has from media, and from roulette: 1 / survival probability
     survives: Tensor  # bool: the path goes on
 
 
@@ -262,6 +264,8 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at
                  else pdf_of_surface(geometry, si, proposal, arrival.picked))
         weight = mis_weight(state.pdf, other, "attached" if follows else settings.sampling)
         Le = Le * (torch.where(state.followed, weight, weight.detach()) if follows else weight)
+    through = transmittance(scene, state.ray, torch.where(si.valid, si.t, FAR))
+    Le = attenuated(Le, through)
     if scene.layout.scatterer is None:
         return Scattering(Le, none, si, None, None, None, None, torch.zeros_like(si.valid))
 
@@ -274,17 +278,19 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at
     light, Ld = None, none
     if settings.nee:
         light = sample_light(scene, proposal, si.p, light_numbers(key), arrival.picked, of_sampled)
-        light, Ld = next_event(material, si, light, settings)
+        light, Ld = next_event(scene, material, si, light, settings)
+        Ld = attenuated(Ld, through)
 
     # Sample the BSDF for the next direction.
     choice = number(BSDF_CHOICE) if material.kind.discrete else None
     chosen = sample(material, si.wi, choice, number(BSDF_U), number(BSDF_V), settings.sampling)
 
     # Play roulette. The floor keeps black paths alive: a reflectance of zero still has a derivative.
-    promise = max_component((state.beta * chosen.weight).detach())
+    promise = max_component(attenuated(state.beta * chosen.weight, through).detach())
     survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
     survives = si.valid & (chosen.pdf > 0) & (number(ROULETTE) < survival)
-    return Scattering(Le, Ld, si, light, material, chosen, 1.0 / survival, survives)
+    thinning = 1.0 / survival if through is None else through / survival
+    return Scattering(Le, Ld, si, light, material, chosen, thinning, survives)
 
 
 def shares_of(scene: SceneTensors, texture_values: tuple[TextureValue, ...]) -> tuple[tuple[TextureValue, ...], ...]:
@@ -334,7 +340,7 @@ def chance_of_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, l
     return chance_of_emitter(choice, state.vantage, lookup(scene.triangles.emitter, hit.prim))
 
 
-def next_event(material: Material, si: SurfaceInteraction, light: LightSample,
+def next_event(scene: SceneTensors, material: Material, si: SurfaceInteraction, light: LightSample,
                settings: Settings) -> tuple[LightSample, Vec3]:
     """The light that arrives from a light sample if nothing is in between; a sample that cannot connect gets density 0."""
     reflected, pdf = evaluate(material, si.wi, si.frame.to_local(light.d))
@@ -343,7 +349,7 @@ def next_event(material: Material, si: SurfaceInteraction, light: LightSample,
     chance, connects = torch.where(connects, light.pdf, 1.0), connects.to(pdf.dtype)
     weighing = chance if light.weighing is light.pdf else torch.where(connects > 0, light.weighing, 1.0)
     weight = mis_weight(weighing, pdf * light.findable, sampling_at(material.kind, settings.sampling))
-    Ld = reflected * light.radiance * (connects * weight / chance)
+    Ld = attenuated(reflected * light.radiance * (connects * weight / chance), transmittance_to_light(scene, si.p, light))
     return light._replace(pdf=light.pdf.detach() * connects), Ld
 
 

@@ -21,6 +21,7 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.light import emission_places, light_aims, sample_light, sample_places
 from torch_radbp.scene.light_choice import LightNumbers, LightPick
 from torch_radbp.scene.material import evaluate, material_at, material_places, sampling_at
+from torch_radbp.scene.media import attenuated, transmittance, transmittance_to_light
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Vec3, masked, rows
@@ -50,13 +51,14 @@ def direct_light(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: Lig
     arrival, draw = rows((arrival, draw), lanes)
     si = surface_met(scene, arrival, Settings())
     of_material, _, of_sampled = shares_of(scene, texture_values)
-    material = material_at(scene, si, of_material)
+    material, through = material_at(scene, si, of_material), transmittance(scene, arrival.state.ray, si.t)
     light = sample_light(scene, scene, si.p, draw.numbers, draw.picked, of_sampled)
     if sampling_at(material.kind, settings.sampling) == "attached":
-        return next_event(material, si, light, settings)[1]
+        return attenuated(next_event(scene, material, si, light, settings)[1], through)
     reflected, _ = evaluate(material, si.wi, si.frame.to_local(light.d))
     connects = si.valid & (light.pdf > 0)
-    return reflected * light.radiance * (connects.to(light.pdf.dtype) / torch.where(connects, light.pdf, 1.0))
+    Ld = reflected * light.radiance * (connects.to(light.pdf.dtype) / torch.where(connects, light.pdf, 1.0))
+    return attenuated(attenuated(Ld, transmittance_to_light(scene, si.p, light)), through)
 
 
 def direct_light_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: LightDraw) -> tuple[Place, ...]:
@@ -88,7 +90,7 @@ def scattered(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3,
     si = surface_met(scene, arrival, Settings())
     of_material, *_ = shares_of(scene, texture_values)
     reflected, _ = evaluate(material_at(scene, si, of_material), si.wi, si.frame.to_local(d))
-    return masked(si.valid, reflected)
+    return masked(si.valid, attenuated(reflected, transmittance(scene, arrival.state.ray, si.t)))
 
 
 def light_sent_back(integrand: Integrand, state: PathState, hit: Hit, draw: LightDraw) -> Vec3:

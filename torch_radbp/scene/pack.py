@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 import torch
 
-from torch_radbp.emitter.kind import Light
+from torch_radbp.emitter.kind import Light, stacked
+from torch_radbp.medium.kind import Medium, Table
 from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.scene.attributes import any_attribute_differentiated, check_attributes
 from torch_radbp.scene.geometry import Columns, PlacedShape, TriangleNumbering, placed_shape, shown_instances, triangle_table
@@ -41,6 +42,7 @@ class Objects(NamedTuple):
     groups: tuple[tuple[Instance, ...], ...]  # the instances of each
     emitters: tuple[Light, ...]
     lamps: tuple[Light, ...]  # those that are on no surface
+    media: tuple[Medium, ...]
     dtype: torch.dtype
     device: torch.device
 
@@ -81,7 +83,8 @@ def pack(scene: Scene, cache: PackCache | None = None, light_choice: str | None 
                         light_choice, *bounding)
     textures = tuple(bank_of_textures(cache, number, own, objects) for number, own in enumerate(materials.textures))
     check_networks(cache, (*layout.readers, *layout.lit), (*textures, *lit_banks), dtype, device)
-    return SceneTensors(triangles, materials.table, textures, lights, bank, lit_banks, layout)
+    media = cache.part("media", tables_of_media, scene, inventory.reach(objects.media), objects)
+    return SceneTensors(triangles, materials.table, textures, lights, bank, lit_banks, media, layout)
 
 
 def objects_of(scene: Scene) -> Objects:
@@ -89,7 +92,8 @@ def objects_of(scene: Scene) -> Objects:
     emitters = tuple(scene.emitters)
     return Objects(scene, tuple(scene.bsdfs()), tuple(scene.shapes), tuple(each is not None for each in scene.shown_by),
                    tuple(map(tuple, scene.groups.values())), emitters,
-                   tuple(emitter for emitter in emitters if not emitter.kind().on_surface), scene.dtype, scene.device)
+                   tuple(emitter for emitter in emitters if not emitter.kind().on_surface), tuple(scene.media),
+                   scene.dtype, scene.device)
 
 
 def placed_shapes(cache: PackCache, objects: Objects) -> tuple[PlacedShape, ...]:
@@ -113,7 +117,8 @@ def layout_of(cache: PackCache, objects: Objects, materials: Materials, radiance
         back_sides=materials.back_sides, appearances=materials.appearances,
         readers=materials.readers, radiance=radiances.reader,
         radiance_bitmaps=radiances.has_bitmaps or any(reader.needs_uv for reader in radiances.lit), attributes=attributes,
-        lights=kinds_of(objects.emitters), lit=radiances.lit, still=materials.still)
+        lights=kinds_of(objects.emitters), media=tuple(medium.kind() for medium in objects.media), lit=radiances.lit,
+        still=materials.still)
 
 
 def _columns_of(cache: PackCache, objects: Objects, layout: Layout, aovs: bool) -> Columns:
@@ -154,6 +159,12 @@ def _lights_of(cache: PackCache, objects: Objects, triangles: TriangleTable, emi
     """The elements for next-event estimation; the banks of radiance if these are picked by a tree."""
     lamps = tuple(cache.twin(number, lamp) for number, lamp in enumerate(objects.lamps))
     return light_table(cache, triangles, emissions, lamps, layout, bank, lit_banks, light_choice)
+
+
+def tables_of_media(cache: PackCache, objects: Objects) -> tuple[Table, ...]:
+    """The tables of the media, attached."""
+    like = torch.empty(0, dtype=objects.dtype, device=objects.device)
+    return tuple(stacked([cache.twin(number, medium).row()], like) for number, medium in enumerate(objects.media))
 
 
 def bank_of_textures(cache: PackCache, number: int, own: MaterialTextures, objects: Objects) -> Any:

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from torch_radbp.formats.html_table import html_table
 from torch_radbp.integrator.path import Path
+from torch_radbp.medium.kind import Medium
 from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Integrator, Plugin, SceneError, Sensor, nearest, with_article
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
@@ -76,7 +77,7 @@ class Scene(nn.Module):
             TypeError: if it is of another category.
         """
         old = self._modules.get(name)
-        if old is None and plugin.category in ("shape", "emitter", "sensor"):
+        if old is None and plugin.category in ("shape", "emitter", "sensor", "medium"):
             return
         if old is None:
             raise AttributeError(f"the scene has no object {name!r}, and {with_article(plugin.category)} that no shape has "
@@ -166,6 +167,11 @@ class Scene(nn.Module):
         """All emitters: those of the scene, then those of its shapes."""
         own = [child for child in self._modules.values() if isinstance(child, Emitter) and not child.kind().on_surface]
         return own + [shape.emitter for shape in self.shapes if shape.emitter is not None]
+
+    @property
+    def media(self) -> list[Medium]:
+        """What light travels through, everywhere between the surfaces."""
+        return [child for child in self._modules.values() if isinstance(child, Medium)]
 
     @property
     def dtype(self) -> torch.dtype:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.kind import LightKind, Table
+from torch_radbp.medium.kind import MediumKind
 from torch_radbp.sampling.alias import AliasTable
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.light_choice import TreeChoice
@@ -34,6 +35,7 @@ class Layout:
     radiance_bitmaps: bool  # some of them have coordinates
     attributes: tuple[str, ...]  # of meshes, that textures read
     lights: tuple[LightKind, ...]  # kinds of light
+    media: tuple[MediumKind, ...] = ()  # that light travels through
     lit: tuple[OutsideReader, ...] = ()  # of those textures of emitters that are read outside
     scatterer: Appearance | None = None  # of a part of a scene, what light is scattered by; None: nothing
     # Of each value of each of `appearances` whether no parameter that it comes from is differentiated. Of a part: of the
@@ -152,6 +154,7 @@ class SceneTensors(NamedTuple):
     lights: LightTable
     radiance: Any  # the bank of `Layout.radiance`
     lit: tuple[Any, ...]  # the banks of `Layout.lit`
+    media: tuple[Any, ...]  # the tables of `Layout.media`
     layout: Layout
 
     @property
