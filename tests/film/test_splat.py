@@ -10,7 +10,7 @@ import torch_radbp as rb
 from tests.gradients import assert_informative, cotangent, relative_error
 from tests.scenes import cornell, sensor
 from torch_radbp.call import chunks
-from torch_radbp.call.pixels import asked_of_pixels, deposit, developed, film_places, filters_of, lane_adjoint
+from torch_radbp.call.pixels import deposit, developed, film_places, filters_of
 from torch_radbp.film.box import Box
 from torch_radbp.film.gaussian import Gaussian
 from torch_radbp.film.hdrfilm import HDRFilm
@@ -81,7 +81,7 @@ def test_images_are_the_sums_of_samples_over_the_sums_of_the_filter(name, border
     found = developed(call._replace(workers=1), work)
     assert np.abs(sums).max() > 0.5 and np.abs(expected).max() > 1
     np.testing.assert_allclose(found.filters[0].numpy(), sums, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(found.pixels[0].numpy(), expected, rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(found.values[0].numpy(), expected, rtol=1e-9, atol=1e-10)
 
 
 @pytest.mark.parametrize("compile", [False, True])
@@ -113,8 +113,8 @@ def test_what_lanes_are_asked_for_is_the_transpose(name):
     places, values = samples(call)
     wanted = cotangent(torch.zeros(1, 3, 7, 9, dtype=torch.float64))
     filters = filters_of(call, 0)
-    pixels = asked_of_pixels(call, wanted, filters)
-    asked = torch.cat([torch.stack(lane_adjoint(call, wavefront, film_places(call, wavefront, 0), pixels))
+    pixels = call.sink.asked(call, wanted, filters)
+    asked = torch.cat([torch.stack(call.sink.adjoint(call, wavefront, film_places(call, wavefront, 0), pixels))
                        for wavefront in call.wavefronts], 1)
     expected, _ = written_out(FILTERS[name], places, values)
     product = float((wanted[0, 0] * torch.from_numpy(expected[0])).sum())

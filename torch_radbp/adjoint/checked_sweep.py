@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.bounce import bounce_adjoint
+from torch_radbp.adjoint.local_adjoint import LocalAdjoints
 from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.call.finite import FirstNonFinite
 from torch_radbp.path.state import Arrival, PathState
@@ -35,5 +36,5 @@ class CheckedSweep(Sweep):
             return above, tables, adj_values
 
         self.integrand = self.integrand.with_stages(PlainStages({bounce_adjoint: checked}))
-        self.adjoints = {}
+        self.local = LocalAdjoints(self.integrand, self.local.numbered)
         super().adjoint(state, depth)

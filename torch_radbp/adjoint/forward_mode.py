@@ -36,12 +36,12 @@ def render_tangents(call: RenderCall) -> Tensor:
     Raises:
         RuntimeError: if a leaf also requires a gradient, which would be missing.
     """
-    leaves = leaves_of((call.scene, [view.camera for view in call.views]))
+    leaves = leaves_of((call.scene, call.source.tensors))
     if torch.is_grad_enabled() and any(leaf.requires_grad for leaf in leaves if isinstance(leaf, Tensor)):
         raise RuntimeError("a rendering is differentiated either forward or backward, but parameters have tangents and "
                            "parameters require grad: render under torch.no_grad(), or with adjoint=TapeAdjoint() for both")
     with torch.no_grad():
-        return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached).pixels
+        return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached).values
 
 
 def inside_transforms() -> bool:

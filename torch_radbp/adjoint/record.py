@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.sweep import PathRecord
-from torch_radbp.call.pixels import deposit, weighted
+from torch_radbp.call.pixels import weighted
 from torch_radbp.call.render_call import (
     RenderCall,
     camera_samples,
-    integrand_of,
+    integrand_of_wavefront,
     samples_of_chunks,
     start_paths,
     started,
@@ -38,7 +38,7 @@ MANY = 2 * TILE  # lanes of an image from which on those of its derivative are t
 
 def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront, which: int, record: bool,
                     tracer: Callable = trace) -> tuple[list[Tensor], PathRecord]:
-    """What the lanes count in pixels, as of `deposit`, and what the backward pass will need of them.
+    """What the lanes bring to the sink, as of `Sink.deposit`, and what the backward pass will need of them.
 
     Args:
         which: samples of the image, 0, or of its derivative, 1.
@@ -46,22 +46,22 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
         tracer: `trace`, or what does the same.
     """
     samples, recorder = camera_samples(call, wavefront, which), Recorder(call.adjoint, integrand.max_depth, record)
-    integrand = integrand_of(call, integrand, wavefront.sensor)
+    integrand = integrand_of_wavefront(call, integrand, wavefront)
     asked = record or call.quantities is not None  # of the quantities some ask for what camera rays meet
     L = tracer(integrand, started(call, samples), recorder.visit if asked else None)
     radiance = L if record and call.adjoint.keep_radiance else None
-    return (deposit(call, wavefront, _shown(call, integrand, samples, recorder.hit, L), samples.place),
+    return (call.sink.deposit(call, wavefront, _shown(call, integrand, samples, recorder.hit, L), samples),
             recorder.record(partial(start_paths, call, wavefront, which), radiance, samples))
 
 
 def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> tuple[list[Tensor], PathRecord]:
     """What `trace_wavefront` gives for the samples of the image and `record_wavefront` for those of the derivative."""
     recorder = Recorder(call.adjoint, integrand.max_depth)
-    integrand = integrand_of(call, integrand, wavefront.sensor)
+    integrand = integrand_of_wavefront(call, integrand, wavefront)
     apart = wavefront.lanes >= MANY and call.quantities is None and goes_whole(integrand, wavefront.lanes)
     traced = traced_apart if apart else traced_as_one
     image, derivative, hit, L = traced(call, integrand, wavefront, recorder)
-    return (deposit(call, wavefront, _shown(call, integrand, image, hit, L), image.place),
+    return (call.sink.deposit(call, wavefront, _shown(call, integrand, image, hit, L), image),
             recorder.record(partial(start_paths, call, wavefront, 1), None, derivative))
 
 
@@ -118,7 +118,7 @@ def record_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefron
     if call.adjoint.keep_radiance:
         return trace_wavefront(call, integrand, wavefront, 1, record=True)[1]
     samples, recorder = camera_samples(call, wavefront, 1), Recorder(call.adjoint, integrand.max_depth)
-    walk(integrand_of(call, integrand, wavefront.sensor), Onward(started(call, samples), None), recorder.visit)
+    walk(integrand_of_wavefront(call, integrand, wavefront), Onward(started(call, samples), None), recorder.visit)
     return recorder.record(partial(start_paths, call, wavefront, 1), None, samples)
 
 

@@ -32,7 +32,7 @@ class TapeAdjoint(AdjointStrategy):
 
     def dual_image(self, call: RenderCall) -> Tensor:
         """The images by the samples of the call, with all derivatives of either mode."""
-        return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached).pixels
+        return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached).values
 
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
         """No depths: autograd keeps what it needs."""

@@ -12,8 +12,7 @@ from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.aov import material, path, surface
 from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, UNDIFFERENTIATED, plain
 from torch_radbp.aov.surface import surface_values
-from torch_radbp.call.pixels import deposit, developed
-from torch_radbp.call.render_call import RenderCall, camera_samples, integrand_of, started
+from torch_radbp.call.render_call import RenderCall, camera_samples, integrand_of_wavefront, started
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
@@ -45,7 +44,7 @@ def render_aovs(call: RenderCall, names: tuple[str, ...], channels: Tensor | Non
         channels: what the call has of them beside its image; None: it has no image.
     """
     images = by_name(names, channels) if channels is not None else quantities_of(call.still(), names)
-    record = call.scene, [view.camera for view in call.views]
+    record = call.scene, call.source.tensors
     moving = tuple(name for name in names if plain(name) not in UNDIFFERENTIATED)
     if not moving or not (has_tangents(record) or (torch.is_grad_enabled() and differentiable(record))):
         return images
@@ -66,16 +65,16 @@ def quantities_of(call: RenderCall, names: tuple[str, ...], attached: bool = Fal
 
     @public_call
     def sums(wavefront: Wavefront) -> tuple[list[Tensor], None]:
-        samples, seen = camera_samples(call, wavefront, 0), integrand_of(call, integrand, wavefront.sensor)
+        samples, seen = camera_samples(call, wavefront, 0), integrand_of_wavefront(call, integrand, wavefront)
         start, weight = started(call, samples), samples.weight
         channels = channels_of(names, lane_values(seen, start, quantities))
-        return deposit(call, wavefront, channels if weight is None else [channel * weight for channel in channels],
-                       samples.place), None
+        return call.sink.deposit(
+            call, wavefront, channels if weight is None else [channel * weight for channel in channels], samples), None
 
     def sums_kept(wavefront: Wavefront) -> tuple[list[Tensor], None]:
         return checkpoint(sums, wavefront, use_reentrant=False, preserve_rng_state=False) if attached else sums(wavefront)
 
-    return by_name(names, developed(call, sums_kept).pixels)
+    return by_name(names, call.sink.gather(call, sums_kept).values)
 
 
 def by_name(names: tuple[str, ...], channels: Tensor) -> dict[str, Tensor]:

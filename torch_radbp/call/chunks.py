@@ -8,7 +8,7 @@ images are rendered in bands, one after the other, so that only the sums of a fe
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -17,6 +17,26 @@ from torch_radbp.film.splat import TOGETHER
 
 LEAST_LANES = 1 << 17  # of a chunk if the user does not say: below, a second one costs more in Python than it gains
 BAND = 1 << 18  # pixels of a band, about
+
+
+class Lanes(Protocol):
+    """A block of lanes that is traced together."""
+
+    @property
+    def lanes(self) -> int:
+        """How many there are."""
+
+    @property
+    def group(self) -> int:
+        """Those of one number are traced side by side, one after the other number."""
+
+
+class LaneRange(NamedTuple):
+    """Lanes of no pixels, one after the other."""
+
+    first: int
+    lanes: int
+    group: int = 0
 
 
 class Rows(NamedTuple):

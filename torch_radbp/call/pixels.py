@@ -2,30 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import groupby
-from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
 from torch_radbp.call.chunks import Chunk
-from torch_radbp.call.render_call import RenderCall, film_places, of_wavefronts
+from torch_radbp.call.render_call import RenderCall, of_wavefronts
+from torch_radbp.call.sink import Gathered, Sink, Work
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.film.develop import Development, Grid, across, row_sums
 from torch_radbp.film.splat import Block, asked, asked_of, deposited, offset_sums, sums_in_pairs
+from torch_radbp.path.bounce import CameraSample
 from torch_radbp.tensors.record import joined, rows_between
 from torch_radbp.tensors.vec import Vec2, Vec3, rows
 
-Result = TypeVar("Result")
 
+class Films(Sink):
+    """The films of the views of a call: each pixel is the mean of the samples around it, by the reconstruction filter.
 
-class Images(NamedTuple):
-    """Developed images."""
+    `Gathered.values` are images (B, C, H, W), and `Gathered.filters`, (B, H, W), the sums of the filter over samples.
+    """
 
-    pixels: Tensor  # (B, C, H, W)
-    filters: Tensor  # (B, H, W) the sums of the reconstruction filter over the samples around pixels
-    results: list  # what else was found of each wavefront
+    def deposit(self, call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor],
+                samples: CameraSample) -> list[Tensor]:
+        return deposit(call, wavefront, values, samples.place)
+
+    def gather(self, call: RenderCall, work: Work) -> Gathered:
+        return developed(call, work)
+
+    def asked(self, call: RenderCall, gradient: Tensor, filters: Tensor | None) -> list[Vec3]:
+        """For each view the derivative of the loss by what samples add to the sums of pixels."""
+        filters = filters_of(call, 1) if filters is None else filters
+        return [Vec3(*view.grid.quotient(own, sums).flatten(1))
+                for view, own, sums in zip(call.views, self.radiance(gradient), filters)]
+
+    def adjoint(self, call: RenderCall, wavefront: Wavefront, place: Vec2 | None, asked: list[Vec3]) -> Vec3:
+        return joined([adjoint_of_chunk(call, chunk, rows_between(place, first, last), asked[chunk.sensor])
+                       for chunk, first, last in wavefront.parts()])
+
+    def radiance(self, values: Tensor) -> Tensor:
+        return values[:, :3]
 
 
 def deposit(call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor], place: Vec2) -> list[Tensor]:
@@ -47,7 +65,7 @@ def deposit_of_chunk(call: RenderCall, chunk: Chunk, values: Sequence[Tensor], p
     return offset_sums(stage, grid.kernel, tuple(values), block)  # moved once all samples of the row are there
 
 
-def developed(call: RenderCall, work: Callable[[Wavefront], tuple[list[Tensor], Result]]) -> Images:
+def developed(call: RenderCall, work: Work) -> Gathered:
     """The images of C values of lanes: means of the samples around each pixel, weighted by the reconstruction filter.
 
     Args:
@@ -63,7 +81,7 @@ def developed(call: RenderCall, work: Callable[[Wavefront], tuple[list[Tensor], 
             developments[sensor].add(put_together(call.views[sensor].grid, band, list(parts)))
     pixels, filters = zip(*(development.image() for development in developments))
     # Stacked in their final shape: what is no view may be changed in place, also where gradients are wanted.
-    return Images(torch.stack(pixels), torch.stack(filters), results)
+    return Gathered(torch.stack(pixels), torch.stack(filters), results)
 
 
 def put_together(grid: Grid, band: range, parts: list[tuple[Chunk, Tensor]]) -> Tensor:
@@ -80,8 +98,13 @@ def put_together(grid: Grid, band: range, parts: list[tuple[Chunk, Tensor]]) -> 
     return total
 
 
+def film_places(call: RenderCall, wavefront: Wavefront, which: int) -> Vec2:
+    """Where in their pixels a wavefront's lanes lie, (N,) in [0, 1); `which`: of the image, 0, or of its derivative, 1."""
+    return joined([call.source.places(chunk, which, call.stages) for chunk in wavefront.chunks])
+
+
 def filters_of(call: RenderCall, which: int) -> Tensor:
-    """(B, H, W) as in `Images`, of the samples of the image (0) or of its derivative (1)."""
+    """(B, H, W) as in `Gathered`, of the samples of the image (0) or of its derivative (1)."""
     if all(view.grid.kernel.flat for view in call.views):
         view = call.views[0]
         return torch.full((len(call.views), view.height, view.width), float(call.spp), dtype=call.scene.dtype,
@@ -93,25 +116,8 @@ def filters_of(call: RenderCall, which: int) -> Tensor:
     return developed(call, work).filters
 
 
-def asked_of_pixels(call: RenderCall, grad_images: Tensor, filters: Tensor) -> list[Vec3]:
-    """For each view the derivative of the loss by what samples add to the sums of pixels; tables for `lane_adjoint`."""
-    return [Vec3(*view.grid.quotient(own, sums).flatten(1))
-            for view, own, sums in zip(call.views, grad_images, filters)]
-
-
-def lane_adjoint(call: RenderCall, wavefront: Wavefront, place: Vec2, pixels: Sequence[Vec3]) -> Vec3:
-    """Derivative of the loss with respect to what counts of L_1 of each lane.
-
-    Args:
-        place: (N,) of the lanes in their pixels.
-        pixels: of each view, as `asked_of_pixels` has them.
-    """
-    return joined([adjoint_of_chunk(call, chunk, rows_between(place, first, last), pixels[chunk.sensor])
-                   for chunk, first, last in wavefront.parts()])
-
-
 def adjoint_of_chunk(call: RenderCall, chunk: Chunk, place: Vec2, pixels: Vec3) -> Vec3:
-    """As `lane_adjoint`, of one chunk and its lanes, with what its view's pixels ask for."""
+    """As `Films.adjoint`, of one chunk and its lanes, with what its view's pixels ask for."""
     grid = call.views[chunk.sensor].grid
     width = grid.columns + 2 * grid.kernel.reach
     entry = chunk.rows.numbers(call.scene.device, width)

@@ -10,29 +10,24 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from itertools import groupby
 from typing import NamedTuple
 
-from torch_radbp.call.chunks import LEAST_LANES, Chunk
+from torch_radbp.call.chunks import LEAST_LANES, Chunk, Lanes
 
 
 class Wavefront(NamedTuple):
     """Chunks that are traced as one, and their lanes one after the other."""
 
-    chunks: tuple[Chunk, ...]
+    chunks: tuple[Lanes, ...]
 
     @property
     def lanes(self) -> int:
         return sum(chunk.lanes for chunk in self.chunks)
 
     @property
-    def sensor(self) -> int:
-        """That of the first chunk; a far plane that cuts the scene is its own, for then there is no other."""
-        return self.chunks[0].sensor
-
-    @property
     def group(self) -> int:
         """Of bands that are rendered side by side."""
         return self.chunks[0].group
 
-    def parts(self) -> Iterator[tuple[Chunk, int, int]]:
+    def parts(self) -> Iterator[tuple[Lanes, int, int]]:
         """Each chunk with its first lane, and the one after its last."""
         first = 0
         for chunk in self.chunks:

@@ -22,6 +22,10 @@ class Scatters(NamedTuple):
         """What light is scattered by."""
         return layout.appearances[self.appearance]
 
+    def still(self, layout: Layout) -> tuple[bool, ...]:
+        """Of each value of the material, whether no parameter that it comes from is differentiated."""
+        return layout.still[self.appearance]
+
     @property
     def stage(self) -> Callable:
         """The stage that computes the vertex."""
@@ -36,11 +40,15 @@ class Ends(Enum):
 
     @property
     def scatters(self) -> bool:
-        """False."""
+        """No path goes on."""
         return False
 
     def scatterer(self, layout: Layout) -> None:
-        """Nothing."""
+        """Nothing scatters light."""
+
+    def still(self, layout: Layout) -> tuple[()]:
+        """There is no material."""
+        return ()
 
     @property
     def stage(self) -> Callable:

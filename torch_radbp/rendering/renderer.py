@@ -17,7 +17,9 @@ from torch_radbp.adjoint.rendered import rendered
 from torch_radbp.aov.images import beside_image
 from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
 from torch_radbp.boundary import EdgesOfCall, JumpWatch, edges_of_call, rendering_of
+from torch_radbp.call.pixels import Films
 from torch_radbp.call.render_call import RenderCall
+from torch_radbp.call.source import Cameras
 from torch_radbp.call.view import OF_NO_SENSOR, Shot, view_of
 from torch_radbp.call.zeroed_memory import ZeroedMemory
 from torch_radbp.jit.stages import compiled
@@ -361,7 +363,7 @@ class Renderer(nn.Module):
         def make_integrand(tensors: SceneTensors) -> Integrand:
             return integrand._replace(scene=tensors, proposal=proposal_of(tensors), parts={})
 
-        call = RenderCall(scene, caster, make_integrand, integrand, stages, self.adjoint, views,
+        call = RenderCall(scene, caster, make_integrand, integrand, stages, self.adjoint, Cameras(views), Films(),
                           wavefronts_of(views, plan, spp, workers), spp, seeds[0] == seeds[1], record_bytes, plan.together,
                           workers, self.memory, settings.following, self.scene, parameters)
         if self.memory_budget is None:

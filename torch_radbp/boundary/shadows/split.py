@@ -52,7 +52,7 @@ def trying(call: RenderCall) -> RenderCall:
 
 def with_numbers(call: RenderCall, salt: int) -> RenderCall:
     """The call with other random numbers."""
-    return call._replace(views=[view._replace(sample_keys=tuple(
+    return call.with_views([view._replace(sample_keys=tuple(
         SampleKey(hash32(key.seed ^ salt), key.shared) for key in view.sample_keys)) for view in call.views])
 
 
