@@ -15,9 +15,9 @@ from tests.gradients import EXACT, cotangent, relative_error
 from tests.scenes import diffuse, furnace, load, overhead, rectangle, rgb
 from torch_radbp.call.render_call import of_wavefronts
 from torch_radbp.call.sink import Gathered, Sink
-from torch_radbp.call.source import Source
+from torch_radbp.call.source import PathSource
 from torch_radbp.path.bounce import CameraSample
-from torch_radbp.rendering.gather import gather
+from torch_radbp.rendering.transport import transport
 from torch_radbp.sampling.sampler import film_lane_key, film_order
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Ray, Vec3
@@ -32,7 +32,7 @@ class RayTable(NamedTuple):
 
 
 @dataclass(frozen=True)
-class RayList(Source):
+class RayList(PathSource):
     """One path along each ray of a list."""
 
     table: RayTable
@@ -90,7 +90,7 @@ def rays(seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
 
 def grid_of(scene, o, d, cell, seed: int = 3, **settings) -> Tensor:
     renderer = rb.Renderer(scene, **settings)
-    return gather(renderer, lambda keys: RayList(RayTable(Vec3.of(o), Vec3.of(d)), keys), Grid(cell), LANES, seed)
+    return transport(renderer, lambda keys: RayList(RayTable(Vec3.of(o), Vec3.of(d)), keys), Grid(cell), LANES, seed)
 
 
 def lit_floor():

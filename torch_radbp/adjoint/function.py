@@ -16,7 +16,7 @@ from torch_radbp.adjoint.record import record_wavefront
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import Sweep, numbered_leaves
 from torch_radbp.adjoint.taped_sweep import sweep_of
-from torch_radbp.call.chunks import Lanes
+from torch_radbp.call.chunks import LaneBlock
 from torch_radbp.call.finite import FirstNonFinite, NonFiniteError, all_finite, count_of_bad, gradient_error
 from torch_radbp.call.pixels import weighted
 from torch_radbp.call.render_call import (
@@ -173,7 +173,7 @@ def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
     return [source for source, need in zip(sources, ctx.needs_input_grad[1:]) if need]
 
 
-def source_adjoint(call: RenderCall, chunk: Lanes, wanted: Sequence[bool], adj_ray: Ray,
+def source_adjoint(call: RenderCall, chunk: LaneBlock, wanted: Sequence[bool], adj_ray: Ray,
                    adj_cone: Cone | None) -> Iterator[tuple[int, Tensor]]:
     """What the rays, and cones, of one chunk add to the gradients of the wanted leaves of the source, with the number of
     each among these; where each ray reads entries of its own, they are summed in float64."""

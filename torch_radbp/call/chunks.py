@@ -19,7 +19,7 @@ LEAST_LANES = 1 << 17  # of a chunk if the user does not say: below, a second on
 BAND = 1 << 18  # pixels of a band, about
 
 
-class Lanes(Protocol):
+class LaneBlock(Protocol):
     """A block of lanes that is traced together."""
 
     @property

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.call.sink import Sink
-from torch_radbp.call.source import Cameras, Source
+from torch_radbp.call.source import Cameras, PathSource
 from torch_radbp.call.view import View
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.call.workers import in_turns
@@ -38,7 +38,7 @@ class RenderCall(NamedTuple):
     integrand: Integrand | None  # of the detached scene, made once for all that is traced
     stages: Stages
     adjoint: object  # the strategy
-    source: Source  # where paths begin
+    source: PathSource  # where paths begin
     sink: Sink  # where their radiance goes
     wavefronts: list[Wavefront]
     spp: int
@@ -88,7 +88,7 @@ def start_paths(call: RenderCall, wavefront: Wavefront, which: int) -> PathState
 
 
 def camera_samples(call: RenderCall, wavefront: Wavefront, which: int) -> CameraSample:
-    """The rays of a wavefront's lanes; see `Source.samples`. `which` as for `start_paths`."""
+    """The rays of a wavefront's lanes; see `PathSource.samples`. `which` as for `start_paths`."""
     return joined(samples_of_chunks(call, wavefront, which))
 
 

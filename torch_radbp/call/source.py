@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torch_radbp.call.chunks import Chunk, Lanes, Rows
+from torch_radbp.call.chunks import Chunk, LaneBlock, Rows
 from torch_radbp.call.view import View
 from torch_radbp.film.window import Window
 from torch_radbp.path.bounce import CameraSample, film_place, sample_camera
@@ -27,7 +27,7 @@ from torch_radbp.tensors.vec import Vec2
 FEW = 1 << 16  # lanes whose numbers are kept for the next call
 
 
-class Source(ABC):
+class PathSource(ABC):
     """Where paths begin. Its random numbers are of two kinds: those of the image, 0, and those of its derivative, 1."""
 
     @property
@@ -36,11 +36,11 @@ class Source(ABC):
         """What the rays depend on: a record of tensors, attached."""
 
     @abstractmethod
-    def with_tensors(self, tensors: Any) -> Source:
+    def with_tensors(self, tensors: Any) -> PathSource:
         """The same source of other tensors; their tables are read by `lookup`."""
 
     @abstractmethod
-    def samples(self, chunk: Lanes, which: int, stages: Stages, cones: bool) -> CameraSample:
+    def samples(self, chunk: LaneBlock, which: int, stages: Stages, cones: bool) -> CameraSample:
         """The rays with which the paths of a chunk begin, (chunk.lanes,), attached to the tensors.
 
         Args:
@@ -51,24 +51,24 @@ class Source(ABC):
         """
 
     @abstractmethod
-    def of_derivative(self) -> Source:
+    def of_derivative(self) -> PathSource:
         """The source whose image has the random numbers of the derivative."""
 
-    def leaves_read(self, chunk: Lanes) -> range:
+    def leaves_read(self, chunk: LaneBlock) -> range:
         """Which leaves of `tensors` the rays of a chunk depend on, as `leaves_of` counts them."""
         return range(len(leaves_of(self.tensors)))
 
-    def clipping(self, chunk: Lanes) -> Camera | None:
+    def clipping(self, chunk: LaneBlock) -> Camera | None:
         """The camera whose far plane ends the rays of a chunk; None: nothing does."""
         return None
 
-    def still(self) -> Source:
+    def still(self) -> PathSource:
         """The same source without derivatives."""
         return self.with_tensors(detached(self.tensors))
 
 
 @dataclass(frozen=True)
-class Cameras(Source):
+class Cameras(PathSource):
     """The cameras of the views of a call: each lane begins at a sample of a pixel."""
 
     views: list[View]

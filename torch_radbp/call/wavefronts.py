@@ -10,13 +10,13 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from itertools import groupby
 from typing import NamedTuple
 
-from torch_radbp.call.chunks import LEAST_LANES, Chunk, Lanes
+from torch_radbp.call.chunks import LEAST_LANES, Chunk, LaneBlock
 
 
 class Wavefront(NamedTuple):
     """Chunks that are traced as one, and their lanes one after the other."""
 
-    chunks: tuple[Lanes, ...]
+    chunks: tuple[LaneBlock, ...]
 
     @property
     def lanes(self) -> int:
@@ -27,7 +27,7 @@ class Wavefront(NamedTuple):
         """Of bands that are rendered side by side."""
         return self.chunks[0].group
 
-    def parts(self) -> Iterator[tuple[Lanes, int, int]]:
+    def parts(self) -> Iterator[tuple[LaneBlock, int, int]]:
         """Each chunk with its first lane, and the one after its last."""
         first = 0
         for chunk in self.chunks:

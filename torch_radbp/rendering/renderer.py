@@ -337,9 +337,8 @@ class Renderer(nn.Module):
         named, seen = self.scene.named_sensors, [shot.sensor for shot in shots]
         spp = samples_per_pixel(self.chosen_spp if spp is None else spp, seen)
         seeds = checked_seeds(seed, seed_grad, self.share_samples)
-        device = self.scene.device
+        device, fused = self.scene.device, self.runs_compiled()
         workers = threads() if device.type == "cpu" else 1
-        fused = self.runs_compiled()
         parameters = wanted_parameters(self.scene, seen, cache, beside)
         record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
@@ -392,9 +391,8 @@ class Renderer(nn.Module):
 
     def caster_of(self, scene: SceneTensors) -> RayCaster:
         """The ray caster of a scene's triangles: that of the last call if they are the same, else a new one."""
-        triangles = scene.triangles
-        return self.casters.of(CastTriangles(triangles.vertices.p.map(primal), triangles.corners, triangles.balls,
-                                             triangles.casting_instances), self.caster_name)
+        return self.casters.of(CastTriangles(scene.triangles.vertices.p.map(primal), scene.triangles.corners,
+                                             scene.triangles.balls, scene.triangles.casting_instances), self.caster_name)
 
     @property
     def last_caster(self) -> RayCaster | None:

@@ -11,7 +11,7 @@ from torch_radbp.adjoint.rendered import rendered
 from torch_radbp.boundary.warning import SilhouetteWarning
 from torch_radbp.call.chunks import LEAST_LANES, LaneRange
 from torch_radbp.call.sink import Sink
-from torch_radbp.call.source import Source
+from torch_radbp.call.source import PathSource
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.rendering.settings import settings_of_integrand
@@ -22,7 +22,7 @@ from torch_radbp.tensors.differentiated import any_differentiated
 Keys = tuple[SampleKey, SampleKey]  # of random numbers: of the image, and of its derivative
 
 
-def gather(renderer: Renderer, source: Callable[[Keys], Source], sink: Sink, lanes: int, seed: int | None = None) -> Tensor:
+def transport(renderer: Renderer, source: Callable[[Keys], PathSource], sink: Sink, lanes: int, seed: int | None = None) -> Tensor:
     """What a sink has of paths that begin at a source; attached to the scene and to the source's tensors, in either mode.
 
     Its derivatives are those of radiance along each path; where rays have no area, jumps at the edges of what moves are left
