@@ -22,7 +22,8 @@ from torch_radbp.tensors.differentiated import any_differentiated
 Keys = tuple[SampleKey, SampleKey]  # of random numbers: of the image, and of its derivative
 
 
-def transport(renderer: Renderer, source: Callable[[Keys], PathSource], sink: Sink, lanes: int, seed: int | None = None) -> Tensor:
+def transport(renderer: Renderer, source: Callable[[Keys], PathSource], sink: Sink, lanes: int,
+              seed: int | None = None) -> Tensor:
     """What a sink has of paths that begin at a source; attached to the scene and to the source's tensors, in either mode.
 
     Its derivatives are those of radiance along each path; where rays have no area, jumps at the edges of what moves are left
