@@ -52,7 +52,9 @@ class Brute:
         return torch.cat(chunks).view(ray.o.x.shape)
 
     def _chunks(self, ray: Ray):
-        """Yields (rays as (lanes, 1) columns, slice of these lanes); one empty chunk if there are no lanes."""
+        """Yields chunks of the rays as (lanes, 1) columns, with the slice of lanes; one empty chunk if there are no
+        lanes.
+        """
         o, d = (vector.detach().map(lambda component: component.reshape(-1, 1)) for vector in ray)
         size = max(1, TABLE_BYTES // (len(self.faces) * torch.float64.itemsize))
         for start in range(0, max(1, len(o.x)), size):
@@ -69,7 +71,9 @@ class Brute:
         return Hit(torch.where(found, prim.squeeze(1), -1).to(torch.int32), u, v, t)
 
     def _crossings(self, ray: Ray) -> tuple[Tensor, Tensor, Tensor]:
-        """The crossings of lines with triangles, (lanes, F): t, infinite unless that is a hit, and the weights u and v."""
+        """The crossings of all rays with all triangles' planes, (lanes, F): t, infinite for a miss, and the barycentric u
+        and v.
+        """
         dtype, (o, d) = ray.o.x.dtype, (vector.map(torch.Tensor.double) for vector in ray)
         corners = self.vertices.double()[self.faces.long()]
         a, b, c = (Vec3.of(corners[:, corner]) - o for corner in range(3))

@@ -101,12 +101,12 @@ class Embree:
         return hidden
 
     def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
-        """What the loops read beside rays of a dtype, as a `Recording` is given it."""
+        """The tables and addresses that the loops read beside the rays, in a form that a `Recording` takes."""
         return [self._intersect, self._occluded, self._scene.handle, self._near.data_ptr(),
                 *(table.data_ptr() for table in self._tables)]
 
     def _run(self, loop: Callable, query: int, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
-        """Runs a loop of `queries` over all lanes."""
+        """Runs one of the loops of `queries` over all lanes."""
         lanes = columns[0].numel()
         columns = columns_of(columns, torch.float32)
         read = [query, self._scene.handle, self._near.data_ptr(), *(table.data_ptr() for table in self._tables)]
@@ -120,7 +120,7 @@ class Embree:
         self.count(lanes)
 
     def count(self, rays: int) -> None:
-        """Counts rays that are cast."""
+        """Adds to the number of rays cast."""
         with self._counting:
             self.rays_cast += rays
 
@@ -130,6 +130,6 @@ class Embree:
 
 @made_once
 def code_of_packets(loop: Callable, balls: bool, instances: bool = False) -> MachineCode:
-    """A loop of `queries` over packets."""
+    """Compiles a loop of `queries` for Embree's packets of rays."""
     kernel = packets.OF_INSTANCES if instances else packets.KERNEL
     return cached_code(loop(Vectors(packets.WIDTH, "float"), every_ball.beside(kernel) if balls else kernel))

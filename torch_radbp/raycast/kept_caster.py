@@ -1,4 +1,4 @@
-"""The ray caster that is kept from one rendering to the next."""
+"""The ray caster that is kept from one rendering to the next while the triangles stay the same."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class KeptCaster:
         self.known: CachedCaster | None = None
 
     def of(self, mesh: CastTriangles, name: str | None) -> RayCaster:
-        """That of the last rendering if it has the same triangles, else a new one, called `name`; see `make_caster`."""
+        """Returns the caster of the last rendering if its triangles are the same, else builds one by `make_caster`."""
         known = self.known
         if known is None or not known.mesh.equals(mesh):
             # Freed first, if no graph and no thread holds it; but for groups, which the new one may take over.
