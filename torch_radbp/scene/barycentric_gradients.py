@@ -1,4 +1,4 @@
-"""How heights above a surface turn its normal.
+"""The gradients of barycentric coordinates along a surface, by which bump maps turn its normal.
 
 A height that lifts a surface along its shading normal n_s, and rises by r_k along the edge e_k of a triangle, has the
 gradient along the surface
@@ -22,7 +22,7 @@ LEAST_COSINE = 1e-6  # between a shading normal and that of the triangle
 
 
 def barycentric_gradients(frame: ShadingFrame, shading: Vec3, n: Vec3, e1: Vec3, e2: Vec3) -> tuple[Vec3, Vec3]:
-    """The gradients of the second and of the third barycentric coordinate, attached; zero where the triangle is degenerate.
+    """The gradients of the barycentric coordinates of the second and third vertex; attached; zero on degenerate triangles.
 
     Args:
         frame: the shading frame, with a tangent along u.

@@ -1,4 +1,4 @@
-"""The materials of a scene as tables: which functions evaluate each, and which textures these read."""
+"""The materials of a scene as tables: the appearance of each, and its textures."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from torch_radbp.texture.reader import Reader
 
 
 class MaterialTextures(NamedTuple):
-    """The textures of materials that one reader reads."""
+    """The textures of materials that share one reader."""
 
     reader: Reader
     textures: tuple[Texture, ...]  # in the order of its bank
-    reach: frozenset[int]  # what their values depend on, as `Inventory.reach`
-    settled: frozenset[int]  # the same without what is differentiated
+    reach: frozenset[int]  # ids of the tensors that their values depend on, see `Inventory.reach`
+    settled: frozenset[int]  # the same without tensors that are differentiated
 
 
 class Materials(NamedTuple):
@@ -38,11 +38,11 @@ class Materials(NamedTuple):
     table: MaterialTable
     appearances: tuple[Appearance, ...]
     textures: tuple[MaterialTextures, ...]
-    bending: bool  # parameters with derivatives steer directions that hybrid sampling follows
-    bends_ideally: bool  # by ideal mirrors and glass
-    ideal_by_attributes: bool  # attributes of meshes steer such directions
+    bending: bool  # differentiated parameters steer directions that hybrid sampling differentiates
+    bends_ideally: bool  # so do those of ideal mirrors and glass
+    ideal_by_attributes: bool  # mesh attributes steer such directions
     still: tuple[tuple[bool, ...], ...]  # see `Layout.still`
-    back_sides: bool  # whether a material looks the same from behind as from the front, seen from there
+    back_sides: bool  # a material looks different from behind
     described: tuple[tuple[BSDF, Kind], ...]  # the materials, one for each side, and how they scatter
 
     @property
@@ -52,7 +52,7 @@ class Materials(NamedTuple):
 
 def material_tables(cache: PackCache, scene: Scene, bsdfs: tuple[BSDF, ...], dtype: torch.dtype,
                     device: torch.device) -> Materials:
-    """The rows of the materials of a scene, their appearances, and which textures they have."""
+    """Builds the material tables of a scene."""
     two_sided = tuple(isinstance(bsdf, TwoSided) for bsdf in bsdfs)
     sides = one_sided(bsdfs)
     described = {id(bsdf): (bsdf.kind(), bsdf.textures()) for bsdf in sides}
@@ -92,7 +92,7 @@ def material_tables(cache: PackCache, scene: Scene, bsdfs: tuple[BSDF, ...], dty
 
 
 def is_differentiated(texture: Texture) -> bool:
-    """True if a parameter that the values of a texture come from has a derivative; what moves them over surfaces is one."""
+    """True if a texture's values depend on a differentiated parameter; one that moves them over the surface counts, too."""
     if any(map(differentiated, texture.sources())):
         return True
     texture = texture.texture if isinstance(texture, NumberOf) else texture
@@ -101,18 +101,18 @@ def is_differentiated(texture: Texture) -> bool:
 
 
 def _column(values: tuple[int | bool, ...] | int, kind: torch.dtype, device: torch.device) -> Tensor:
-    """A column of a table, or a number."""
+    """A column of a table, or a 0-d tensor of one number."""
     return torch.tensor(values, dtype=kind, device=device)
 
 
 def one_sided(bsdfs: Iterable[BSDF]) -> list[BSDF]:
-    """All materials as seen from the side of the normal, then all from behind."""
+    """All materials as seen from the front (the normal's side), then all as seen from the back."""
     sides = [bsdf.sides() if isinstance(bsdf, TwoSided) else (bsdf, bsdf) for bsdf in bsdfs]
     return [front for front, _ in sides] + [back for _, back in sides]
 
 
 def is_plain(bsdf: BSDF) -> bool:
-    """True if a material scatters light smoothly, and equally in all of its places or by textures that do not jump."""
+    """True if a material has no delta lobes and its textures, if any, have no discontinuities."""
     kinds = [side.kind() for side in one_sided([bsdf])]
     return all(kind.smooth and not (kind.delta or kind.follows or kind.straight or kind.turns_normals)
                for kind in kinds) and not any(texture.jumps() for _, texture in textures_of(bsdf))

@@ -1,4 +1,4 @@
-"""The current parameters of a scene by name, and the check that each is in its domain.
+"""The parameters of a scene by name, and the check that the values of each are in its domain.
 
 Parameters change between renderings. So all are compared with those of the last one (see `scene.pack_cache`), and what has
 changed is checked: first the shapes, then the extremes.
@@ -32,21 +32,21 @@ OUTSIDE = ("; keep it inside, with scene.clamp_() after each step, rb.optim.boun
 
 
 class Held(NamedTuple):
-    """A parameter or a table, as the renderer sees it, and all domains in which its values must be."""
+    """A parameter or texture table with all domains in which its values must be."""
 
     owner: nn.Module
     attribute: str | None  # None: the values of a texture
     domains: list[Domain]
-    reach: frozenset[int]  # what the value depends on, as `Inventory.reach`
+    reach: frozenset[int]  # ids of the tensors that the value depends on, see `Inventory.reach`
 
     @property
     def value(self) -> Tensor:
-        """The value as it is now."""
+        """The current value."""
         return self.owner.texels() if self.attribute is None else getattr(self.owner, self.attribute)
 
 
 def held_values(scene: Scene) -> dict[str, Held]:
-    """By name, everything in a scene that has a domain, and every other parameter.
+    """Every parameter of a scene, and everything else in it that has a domain, by name.
 
     The result of a parametrisation has the name of the parameter that it replaces. The values of a texture must be in the
     domains of all attributes for which it is used; a texture that computes them is evaluated.
@@ -58,7 +58,7 @@ def held_values(scene: Scene) -> dict[str, Held]:
 
 
 def held_in(root: nn.Module, prefix: str = "") -> dict[str, Held]:
-    """The part of `held_values` that a sensor of this name has, or a scene without its sensors."""
+    """The parameters of one sensor, or of a scene without its sensors, by name; a part of `held_values`."""
     named = modules_in(root, prefix, set(root.named_sensors.values()) if isinstance(root, Scene) else ())
     plugins = [(name, module) for name, module in named if isinstance(module, Plugin)]
     names = {id(plugin): name for name, plugin in plugins}
@@ -85,13 +85,13 @@ def held_in(root: nn.Module, prefix: str = "") -> dict[str, Held]:
 
 
 def reach_of_attribute(plugin: Plugin, value: Tensor) -> frozenset[int]:
-    """What an attribute of a plugin with this value depends on: nothing else if it is no computed one."""
+    """The ids of what a plugin's attribute depends on: its tensor alone, unless a parametrisation computes it."""
     held = any(value is tensor for _, tensor in tensors_of(plugin))
     return frozenset({id(value)}) if held else reach_of([plugin])
 
 
 def hold_values(found: dict[str, Held], names: dict[int, str], texture: Texture, domain: Domain) -> None:
-    """Adds a domain to the values of a texture, unless they are checked where they are computed.
+    """Adds a domain for the values of a texture, unless they are checked where they are computed.
 
     Args:
         found: filled in.
@@ -115,7 +115,7 @@ def hold_values(found: dict[str, Held], names: dict[int, str], texture: Texture,
 
 
 def note_uses(plugins: list[tuple[str, Plugin]]) -> None:
-    """Tells textures that are no tables by what name and in which domains their values will be checked."""
+    """Tells textures that compute their values by which name and in which domains these will be checked."""
     if all(plugin.tabulated for _, plugin in plugins if isinstance(plugin, Texture)):
         return
     names, uses = {id(plugin): name for name, plugin in plugins}, {}
@@ -131,7 +131,7 @@ def note_uses(plugins: list[tuple[str, Plugin]]) -> None:
 
 
 def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str], leeway: float = LEEWAY) -> None:
-    """Checks the current parameters of a scene. The values of modules are checked where they are computed.
+    """Checks that a scene's parameters are valid. Values computed by modules are checked where they are computed.
 
     Args:
         scene: as it is now.
@@ -160,7 +160,7 @@ def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str], leew
 
 
 def check_values(name: str, value: Tensor, domains: tuple[Domain, ...], leeway: float) -> None:
-    """Raises ValueError unless the values of a parameter, detached, are in all of some domains.
+    """Raises ValueError unless the detached values of a parameter are in all of its domains.
 
     Warns of reflectances above 1.
     """
@@ -193,14 +193,14 @@ def check_names(renderer: nn.Module, cache: PackCache) -> None:
 
 
 def strays_in(root: nn.Module, prefix: str = "") -> list[str]:
-    """The names in a renderer of tensors that nothing reads, of a sensor of this name or of a scene without its sensors."""
+    """The names of tensors that nothing reads, of one sensor or of a scene without its sensors."""
     without = set(root.named_sensors.values()) if isinstance(root, Scene) else ()
     named = modules_in(root, f"scene.{prefix}".removesuffix("."), without)
     return [name for prefix, module in named for name in strays_of(prefix, module)]
 
 
 def strays_of(prefix: str, module: nn.Module, renderer: nn.Module | None = None) -> list[str]:
-    """The same of one module; of others than plugins, scenes and this renderer nothing is known."""
+    """The names of tensors of one module that nothing reads; only plugins, scenes and the renderer can be judged."""
     attributes = vars(module)
     if not any(map(is_tensor, set(map(type, attributes.values())))):
         return []
@@ -216,7 +216,7 @@ def is_tensor(kind: type) -> bool:
 
 
 def registered() -> set[type[Plugin]]:
-    """The classes of all plugins."""
+    """The classes of all registered plugins."""
     return {plugin for plugins in REGISTRY.values() for plugin in plugins.values()}
 
 

@@ -1,4 +1,4 @@
-"""The textures of the emitters of a scene: which of them are tables in one bank, and which are read outside."""
+"""The textures of a scene's emitters: which are rows of one table (bank), and which are evaluated outside of it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from torch_radbp.texture.rgb import RGB
 
 
 class BankBuilder:
-    """Collects textures; each is stored once however often it is used."""
+    """Collects textures for a bank, in which each is stored once however often it is used."""
 
     def __init__(self) -> None:
         self.textures: list[Texture] = []
@@ -33,7 +33,7 @@ class BankBuilder:
 
     @property
     def reader(self) -> TableReader:
-        """How lanes read all of them: colours among images are images of one texel."""
+        """The reader for all textures of the bank: colours among images become images of one texel."""
         reader = reader_for(self.textures or [RGB(value=0.0)])
         kinds = reader.readers if isinstance(reader, MixedReader) else (reader,)
         return BitmapReader() if all(isinstance(kind, (BitmapReader, ColourReader)) for kind in kinds) else reader
@@ -44,24 +44,24 @@ class BankBuilder:
 
 
 class Radiances(NamedTuple):
-    """Where the textures of emitters are."""
+    """Where the texture of each emitter is stored."""
 
     reader: TableReader  # of the bank
     has_bitmaps: bool  # some textures of the bank have coordinates
-    banked: tuple[Light, ...]  # for each texture of the bank an emitter that has it
-    row: dict[int, int]  # in the bank, by the ids of emitters; 0 of those that have none there
+    banked: tuple[Light, ...]  # for each texture of the bank one emitter that uses it
+    row: dict[int, int]  # row in the bank by id of the emitter; 0 for emitters without a texture there
     lit: tuple[OutsideReader, ...]  # see `Layout`
     lit_banked: tuple[tuple[Light, ...], ...]  # as `banked`, for the bank of each
-    lit_rows: dict[int, tuple[int, ...]]  # by the ids of all emitters `Emission.outside`
+    lit_rows: dict[int, tuple[int, ...]]  # `Emission.outside` by id of the emitter
 
     def lit_banks(self, dtype: torch.dtype, device: torch.device) -> tuple[Any, ...]:
-        """The banks of the textures that are read outside, which are taken as they are."""
+        """The banks of the textures that are evaluated outside of compiled code."""
         return tuple(reader.bank([emitter.radiated() for emitter in own], dtype, device)
                      for reader, own in zip(self.lit, self.lit_banked))
 
 
 def radiances_of(cache: PackCache, emitters: tuple[Light, ...]) -> Radiances:
-    """Where the textures of some emitters are. They have no tensors of tables, so that `cache` has nothing to keep."""
+    """Assigns the textures of emitters to banks; `cache` keeps nothing of this."""
     radiated = [(emitter, texture) for emitter in emitters if (texture := emitter.radiated()) is not None]
     outside = [(emitter, texture) for emitter, texture in radiated if reader_of(texture).outside]
     inside = [(emitter, texture) for emitter, texture in radiated if not reader_of(texture).outside]
@@ -75,13 +75,13 @@ def radiances_of(cache: PackCache, emitters: tuple[Light, ...]) -> Radiances:
 
 
 def _numbered(pairs: Sequence[tuple[Light, Texture]]) -> dict[int, int]:
-    """The numbers of distinct textures by the ids of the emitters that have them."""
+    """Numbers distinct textures, by the ids of the emitters that have them."""
     builder = BankBuilder()
     return {id(emitter): builder.add(texture) for emitter, texture in pairs}
 
 
 def firsts(pairs: Sequence[tuple[Light, Texture]]) -> tuple[Light, ...]:
-    """For each distinct texture the first emitter that has it."""
+    """One emitter for each distinct texture: the first that has it."""
     found: dict[int, Light] = {}
     for emitter, texture in pairs:
         found.setdefault(id(texture), emitter)
@@ -89,7 +89,7 @@ def firsts(pairs: Sequence[tuple[Light, Texture]]) -> tuple[Light, ...]:
 
 
 def bank_of_radiances(cache: PackCache, radiances: Radiances, dtype: torch.dtype, device: torch.device) -> Any:
-    """The bank of the textures of emitters, attached."""
+    """Builds the bank of the emitters' textures, attached."""
     textures = [emitter.radiated() for emitter in radiances.banked] or [RGB(value=0.0)]
     twins = tuple(cache.twin(number, texture) for number, texture in enumerate(textures))
     return cache(bank_of, radiances.reader, twins, dtype, device)
