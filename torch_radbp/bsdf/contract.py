@@ -1,4 +1,4 @@
-"""The contract between a material and the tracer: what its methods take and return.
+"""Checks of the contract between a material and the path tracer: what its methods take and return.
 
 `Kind` says it; `CheckedKind` holds a kind to it, call by call, and `check_contract` calls each function once on a few lanes.
 Errors name the plugin and the method, where Python's own would name neither.
@@ -24,7 +24,7 @@ ADVICE = "; every lane is another path, and all are computed at once: use torch.
 
 
 class CheckedKind:
-    """A kind whose results are checked, called as the tracer calls it; other attributes are the kind's.
+    """A wrapper around a material's kind that checks the results of every method.
 
     Args:
         kind: of the material.
@@ -43,11 +43,11 @@ class CheckedKind:
         return getattr(self.kind, name)
 
     def where(self, method: str) -> str:
-        """The method in words."""
+        """The name of plugin and method, for messages."""
         return f"the bsdf {self.plugin!r}: {type(self.kind).__name__}.{method}"
 
     def call(self, method: str, *arguments: Any) -> Any:
-        """What a method of the kind returns."""
+        """Calls a method of the kind; what it raises becomes a TypeError that names the method."""
         try:
             return getattr(self.kind, method)(*arguments)
         except torch.OutOfMemoryError:
@@ -94,7 +94,7 @@ class CheckedKind:
         return self.check_vector("specular", "the result", self.call("specular", values, wi, choice), wi.z)
 
     def check_vector(self, method: str, what: str, found: Any, like: Tensor) -> Vec3:
-        """`found`, if it has three components of the shape and dtype of `like`."""
+        """Returns `found` if it is a vector of the shape and dtype of `like`, else raises."""
         if not all(hasattr(found, component) for component in "xyz"):
             raise TypeError(f"{self.where(method)}: {what} must be a Vec3, got a {type(found).__name__}"
                             f"{f' of shape {tuple(found.shape)}' if isinstance(found, Tensor) else ''}")
@@ -103,7 +103,9 @@ class CheckedKind:
         return found
 
     def check_lanes(self, method: str, what: str, found: Any, like: Tensor) -> Tensor:
-        """`found`, if it is a tensor of the shape and dtype of `like`; of shape () where all lanes have the same number."""
+        """Returns `found` if it is a tensor of the shape (or of shape (), if all lanes agree) and dtype of `like`; else
+        raises.
+        """
         if not isinstance(found, Tensor):
             raise TypeError(f"{self.where(method)}: {what} must be a tensor of one number for each lane, got a "
                             f"{type(found).__name__}")
@@ -117,14 +119,14 @@ class CheckedKind:
 
 
 def checked_kind(bsdf: BSDF) -> CheckedKind:
-    """The kind of a material, held to its contract; raises as `check_described`."""
+    """The kind of a material in a checking wrapper; raises as `check_described`."""
     kind = bsdf.kind()
     check_described(bsdf, kind, bsdf.textures())
     return CheckedKind(kind, material_name(bsdf))
 
 
 def check_described(bsdf: BSDF, kind: Any, textures: Any) -> None:
-    """Checks what a material says of itself: its `kind()` and its `textures()`.
+    """Checks a material's `kind()` and `textures()`.
 
     Raises:
         TypeError: if one is of another type.
@@ -147,12 +149,12 @@ def check_described(bsdf: BSDF, kind: Any, textures: Any) -> None:
 
 
 def material_name(bsdf: BSDF) -> str:
-    """The name under which a material is registered, else that of its class."""
+    """The name under which a material is registered, or that of its class."""
     return bsdf.type or type(bsdf).__name__
 
 
 def check_contract(bsdf: BSDF, kind: Kind, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> None:
-    """Calls each function of a material on a few lanes, once for each kind.
+    """Calls each function of a material on a few lanes, and checks the results; once for each kind.
 
     Args:
         bsdf: the material.
@@ -167,7 +169,7 @@ def check_contract(bsdf: BSDF, kind: Kind, textures: Sequence[Texture], dtype: t
 
 @lru_cache(maxsize=256)
 def call_each(kind: Kind, plugin: str, dtype: torch.dtype, device: torch.device) -> None:
-    """Calls the functions of a kind; raises as the methods of `CheckedKind`."""
+    """Calls each function of a kind on a few lanes; raises as the methods of `CheckedKind`."""
     with torch.no_grad():
         checked, z = CheckedKind(kind, plugin), torch.tensor(COSINES, dtype=dtype, device=device)
         half = torch.full_like(z, HALF)

@@ -1,4 +1,4 @@
-"""Materials whose normals are turned, by a map of normals or of heights.
+"""Materials with perturbed shading normals, by a normal map or a bump map.
 
 With n the turned normal in the frame of the surface, all functions of the nested kind are called with directions in the
 frame around n. Two things are as in Mitsuba:
@@ -33,7 +33,7 @@ FLATTEST = 1e-12  # squared cosine in a tangent
 
 @dataclass(frozen=True)
 class TurnedKind(Kind):
-    """Values: `own` many that give the normal, those of the nested kind."""
+    """A kind with perturbed shading normals. Values: `own` many for the normal, those of the nested kind."""
 
     nested: Kind
     flip: bool
@@ -42,7 +42,7 @@ class TurnedKind(Kind):
     own: ClassVar[int]
 
     turns_normals: ClassVar[bool] = True
-    reciprocal: ClassVar[bool] = False  # light is weighted by the cosine to the turned normal
+    reciprocal: ClassVar[bool] = False  # light is weighted by the cosine to the perturbed normal
 
     @property
     def delta(self) -> bool:
@@ -94,10 +94,10 @@ class TurnedKind(Kind):
 
     @abstractmethod
     def normal(self, values: Values) -> Vec3:
-        """The turned normal in the frame of the surface, of any length; attached."""
+        """The perturbed normal in the frame of the surface, of any length; attached."""
 
     def frame(self, values: Values, wi: Vec3) -> Frame:
-        """The frame around the turned normal, in that of the surface; attached."""
+        """The frame around the perturbed normal, in coordinates of the surface's frame; attached."""
         one, n = torch.ones_like(wi.z), self.normal(values)
         if self.flip:
             sign = 1.0 - 2.0 * (wi.z * dot(wi, n) <= 0).to(wi.z.dtype)
@@ -115,7 +115,7 @@ class TurnedKind(Kind):
         return self.nested.diffuse_reflectance(values[self.own:], self.frame(values, wi).to_local(wi))
 
     def passes(self, frame: Frame, wo: Vec3, turned: Vec3) -> Tensor:
-        """The part of the light that is kept, in [0, 1]: none if it crosses only one of the two horizons."""
+        """The share of light that is kept, in [0, 1]: 0 if it crosses only one of the two horizons."""
         kept = (wo.z * turned.z > 0).to(wo.z.dtype)
         if not self.shadowing:
             return kept

@@ -1,4 +1,4 @@
-"""A one-sided material, or two, seen from both sides of a surface."""
+"""A one-sided material, or a pair of them, made two-sided."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torch_radbp.tensors.vec import Vec3, where
 
 @dataclass(frozen=True)
 class TwoSidedKind(Kind):
-    """Values: those of the kind in front, and those of the kind behind if there is another.
+    """A two-sided material. Values: those of the kind in front, and those of the kind behind if it differs.
 
     Inside other materials only: a surface whose material is two-sided itself has a row of the material table for each side,
     and its lanes meet one kind.
@@ -25,7 +25,7 @@ class TwoSidedKind(Kind):
 
     @property
     def sides(self) -> tuple[Kind, ...]:
-        """The kind in front, and the one behind if it is another."""
+        """The kind in front, and the one behind if it differs."""
         return (self.front,) if self.back is None else (self.front, self.back)
 
     @property
@@ -77,11 +77,11 @@ class TwoSidedKind(Kind):
         return all(side.follows or not side.smooth for side in self.sides) and self.smooth
 
     def numbers(self, own: list[tuple[int, ...]]) -> tuple[int, ...]:
-        """The numbers of values that the sides number by themselves."""
+        """Renumbers the parameters of the sides' kinds as parameters of this one."""
         return *own[0], *(self.front.slots + number for numbers in own[1:] for number in numbers)
 
     def parts(self, values: Values) -> tuple[Values, ...]:
-        """The values of each side."""
+        """Splits the values into those of each side."""
         return (values,) if self.back is None else (values[:self.front.slots], values[self.front.slots:])
 
     def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
@@ -125,7 +125,7 @@ class TwoSidedKind(Kind):
 
 
 def mirrored(w: Vec3, side: Tensor) -> Vec3:
-    """`w` if `side` is 1, mirrored at the surface if it is -1."""
+    """`w` if `side` is 1, mirrored at the surface's plane if it is -1."""
     return Vec3(w.x, w.y, w.z * side)
 
 
@@ -156,7 +156,7 @@ class TwoSided(BSDF):
 
     @property
     def brdf(self) -> list[BSDF]:
-        """The nested BSDFs, as given."""
+        """The one or two nested BSDFs."""
         return [getattr(self, f"brdf_{number}") for number in range(self.count)]
 
     def sides(self) -> tuple[BSDF, BSDF]:
@@ -164,10 +164,10 @@ class TwoSided(BSDF):
         return self.brdf[0], self.brdf[-1]
 
     def kind(self) -> Kind:
-        """The scattering functions of both sides together, for a material that holds this one."""
+        """The functions of both sides together, for a material that nests this one."""
         front, back = self.sides()
         return TwoSidedKind(front.kind(), None if back is front else back.kind())
 
     def textures(self) -> tuple[Texture, ...]:
-        """What those functions take, in order."""
+        """The textures whose values those functions take, in order."""
         return tuple(texture for side in self.brdf for texture in side.textures())
