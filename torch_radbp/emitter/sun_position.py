@@ -1,4 +1,4 @@
-"""The place of the sun in the sky at a place and time on earth.
+"""The direction of the sun at a place and time on earth.
 
 Reference: Blanco-Muriel, Alarcon-Padilla, Lopez-Moratalla and Lara-Coira 2001, "Computing the Solar Vector", table 1.
 """
@@ -24,7 +24,7 @@ RANGES = {"latitude": (-90, 90), "longitude": (-360, 360), "timezone": (-14, 14)
 
 
 def check_place_and_time(given: dict[str, float]) -> None:
-    """Raises ValueError for a place or time that is none; `given` as `DAY`."""
+    """Raises ValueError for an invalid place or time; `given` as `DAY`."""
     for name in ("year", "month", "day"):
         integer(name, given[name])
     for name, (low, high) in RANGES.items():
@@ -64,7 +64,7 @@ def sun_position(latitude: float, longitude: float, timezone: float, year: int, 
 
 
 def julian_day(year: int, month: int, day: int) -> float:
-    """The number of the day, at its beginning in universal time, by the Gregorian calendar.
+    """The Julian day number, at its beginning in universal time, by the Gregorian calendar.
 
     Reference: Fliegel and Van Flandern 1968.
     """
