@@ -1,4 +1,4 @@
-"""An image mapped onto a surface."""
+"""A texture from an image."""
 
 from __future__ import annotations
 
@@ -58,14 +58,14 @@ def linear_image(kind: str, filename: str | None, arrays: dict[str, Tensor | Non
 
 
 def _decoded(data: Tensor, raw: bool) -> Tensor:
-    """Linear values of bytes, which are fractions of 255, coded as sRGB unless they are `raw`: as Mitsuba reads them."""
+    """Converts bytes to linear values, by sRGB's curve unless they are `raw`, as Mitsuba does."""
     fractions = data.to(torch.get_default_dtype()) / 255.0
     return fractions if raw else srgb_to_linear(fractions)
 
 
 @dataclass(frozen=True)
 class BitmapReader(TableReader):
-    """Reads images. Bank: `TextureBank`."""
+    """The reader of images. Bank: `TextureBank`."""
 
     def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> TextureBank:
         return texture_bank(textures, dtype, device)
@@ -79,7 +79,7 @@ class BitmapReader(TableReader):
 
 @dataclass(frozen=True)
 class PyramidReader(BitmapReader):
-    """Reads images at the level of detail that fits what is seen. Bank: `PyramidBank`."""
+    """The reader of images with mipmaps, at the level that fits the sample's footprint. Bank: `PyramidBank`."""
 
     needs_footprint: ClassVar[bool] = True
 
@@ -94,12 +94,12 @@ class PyramidReader(BitmapReader):
 
 
 def _along(slope: Vec2, edges: TriangleEdges) -> Vec2:
-    """The change along two edges of what has these derivatives by u and by v."""
+    """The change along two edges of a triangle, from the derivatives by u and by v."""
     return Vec2(*(slope.x * edge.x + slope.y * edge.y for edge in edges.uv))
 
 
 class Level(NamedTuple):
-    """One level of a pyramid, with all that `texture_bank` reads."""
+    """One mipmap level of an image, with the attributes that `texture_bank` reads."""
 
     image: Tensor  # (H, W, 3)
     to_uv: Tensor
@@ -112,7 +112,7 @@ class Level(NamedTuple):
 
 
 def pyramid_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> PyramidBank:
-    """The pyramids of images, attached."""
+    """Builds the mipmaps of images, attached."""
     levels = [[Level(image, texture.to_uv, texture.wrap_mode) for image in
                pyramid(texture.texels().to(dtype=dtype, device=device))] for texture in textures]
     counts = [len(own) for own in levels]
@@ -121,7 +121,7 @@ def pyramid_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.
 
 
 def texture_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> TextureBank:
-    """Images laid end to end, attached; a texture that is no image has one texel."""
+    """Builds the bank of images, attached; a texture that is no image has one texel."""
     images = [texture.texels().to(dtype=dtype, device=device) for texture in textures]
     to_u, to_v = uv_rows([getattr(texture, "to_uv", None) for texture in textures], dtype, device)
     offset, width, height, wrap, nearest = columns_of_images(
@@ -136,7 +136,7 @@ def texture_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.
 @functools.lru_cache(maxsize=64)
 def columns_of_images(sizes: tuple[tuple[int, int], ...], wrap_modes: tuple[str, ...], nearest: tuple[bool, ...],
                       device: torch.device) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """What `TextureBank` has of images beside their texels and coordinates: `offset` to `nearest`.
+    """The columns of `TextureBank` from `offset` to `nearest`.
 
     Args:
         sizes: height and width of each.
@@ -152,7 +152,7 @@ def columns_of_images(sizes: tuple[tuple[int, int], ...], wrap_modes: tuple[str,
 
 
 def reader_of(texture: Texture) -> Reader:
-    """How lanes read a texture; one that says nothing is read as an image."""
+    """The reader of a texture; a texture without one is read as an image."""
     return texture.reader() if hasattr(texture, "reader") else BitmapReader()
 
 
@@ -207,7 +207,7 @@ class Bitmap(Texture):
         return {"data": IMAGES[self.channels], "to_uv": TO_UV}
 
     def reader(self) -> BitmapReader:
-        """How lanes read it."""
+        """The reader of images: with mipmaps or without."""
         return PyramidReader() if self.filter_type == "trilinear" else BitmapReader()
 
     def jumps(self) -> tuple[JumpLines, ...]:
@@ -224,5 +224,5 @@ class Bitmap(Texture):
         return self.data.expand(-1, -1, 3)
 
     def scalars(self) -> Tensor:
-        """The values as numbers, (H, W): the luminance, as in Mitsuba; attached."""
+        """The texels as scalars, (H, W): the luminance, as in Mitsuba; attached."""
         return self.data[..., 0] if self.channels == 1 else (self.data * self.data.new_tensor(LUMINANCE)).sum(2)

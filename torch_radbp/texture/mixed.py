@@ -1,4 +1,4 @@
-"""Textures of several kinds, of which each lane reads one."""
+"""Banks of textures of several kinds, of which each lane reads one."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from torch_radbp.texture.reader import TableReader, TexturePoint
 
 
 class MixedBank(NamedTuple):
-    """X textures in the banks of several readers."""
+    """X textures, stored in the banks of several readers."""
 
-    reader: Tensor  # (X,) int32, which of them reads each
-    row: Tensor  # (X,) int32, in its bank
+    reader: Tensor  # (X,) int32, index of the reader of each
+    row: Tensor  # (X,) int32, row in that reader's bank
     banks: tuple[Any, ...]
 
 
 @dataclass(frozen=True)
 class MixedReader(TableReader):
-    """Reads textures of several kinds. Bank: `MixedBank`."""
+    """The reader of textures of several kinds. Bank: `MixedBank`."""
 
     readers: tuple[TableReader, ...]
 
@@ -72,11 +72,11 @@ class MixedReader(TableReader):
 
 
 def reader_for(textures: Sequence[Texture]) -> TableReader:
-    """A reader of all of some textures; the same for the same kinds in any order."""
+    """One reader for several textures; the same for the same kinds in any order."""
     return joint_reader(reader_of(texture) for texture in textures)
 
 
 def joint_reader(readers: Iterable[TableReader]) -> TableReader:
-    """A reader of all that some readers read."""
+    """One reader for all textures that some readers read."""
     readers = sorted(set(readers), key=repr)
     return readers[0] if len(readers) == 1 else MixedReader(tuple(readers))

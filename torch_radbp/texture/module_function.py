@@ -1,4 +1,4 @@
-"""A module as a function of places, whose results are checked."""
+"""A module as a function of surface points, whose results are checked."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ OUTSIDE = "; let it end with a function onto that range, such as nn.Sigmoid()"
 
 
 class Use(NamedTuple):
-    """What is made of a texture in a scene."""
+    """The use of a texture in a scene, for checks and messages."""
 
     name: str  # of the texture, in the scene
-    domains: tuple[Domain, ...]  # that its values must be in
+    domains: tuple[Domain, ...]  # domains of the attributes that it is used for
 
 
 @dataclass(frozen=True, eq=False)
 class ModuleFunction:
-    """The values of a module as a function of places."""
+    """A module as a checked function of surface points."""
 
     module: nn.Module
     use: Use
-    as_number: bool = False  # values are read as numbers: the luminance if there are three channels, as in Mitsuba
-    as_slope: bool = False  # their derivatives by the place are read instead
+    as_number: bool = False  # values become scalars: the luminance of three channels, as in Mitsuba
+    as_slope: bool = False  # values are replaced by their derivatives by the point
 
     def with_parameters(self, parameters: Sequence[Tensor]) -> ModuleFunction:
-        """The same of a copy of the module, which no other thread sees, with other parameters, in the module's order."""
+        """The function of a copy of the module with other parameters, in the module's order."""
         standing_in = dict(zip(map(id, self.module.parameters()), parameters))
         return replace(self, module=with_parameters(self.module, standing_in, {}))
 
     def __call__(self, place: Tensor, known: bool = False) -> Tensor:
-        """(N, 3) values, attached; of slopes the derivatives of the first channel by the place, and zeros.
+        """(N, 3) values, attached; or the derivatives of the first channel by the point, padded with zeros.
 
         Args:
             place: (N, 2) or (N, 3).
@@ -51,7 +51,7 @@ class ModuleFunction:
         return self.slopes(place, known) if self.as_slope else self.values(place, known)
 
     def slopes(self, place: Tensor, known: bool) -> Tensor:
-        """(N, 3) derivatives of the first channel by the place. Args as for a call.
+        """(N, 3) derivatives of the first channel by the point. Args as for a call.
 
         Raises:
             ValueError: if one is not finite, or the values do not depend on the place.
@@ -82,7 +82,7 @@ class ModuleFunction:
         return values.expand(-1, 3)
 
     def run(self, place: Tensor):
-        """What the module returns. Args as for a call.
+        """Runs the module, and adds the texture's name to its errors. Args as for a call.
 
         Raises:
             RuntimeError: naming the texture, if the module raises anything but lack of memory.
@@ -97,7 +97,7 @@ class ModuleFunction:
                                f"of=\"position\": {type(error).__name__}: {error}") from error
 
     def check(self, values: Tensor, place: Tensor) -> None:
-        """Raises as a call does."""
+        """Raises ValueError or TypeError unless values are as a call returns them."""
         lanes, name = len(place), f"the texture {self.use.name!r}"
         if not isinstance(values, Tensor):
             raise TypeError(f"the module of {name} must return a tensor, got {type(values).__name__}")
