@@ -1,4 +1,4 @@
-"""Rays that are given, in the place of a camera: a column of pixels, one for each ray."""
+"""A user's rays in place of a camera: a column of pixels, one for each ray."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ GRAZING = 0.05  # cosine to the middle of all directions from which on they are 
 
 
 class RayLens(NamedTuple):
-    """N rays."""
+    """N rays in the place of a lens."""
 
     o: Vec3  # (N,) world
     d: Vec3  # (N,) unit length
     eye: Vec3  # () one of the origins, detached
 
     def ray(self, number: Tensor) -> Ray:
-        """Those with these numbers, (M,) int32."""
+        """The rays with indices `number`, (M,) int32."""
         return Ray(*lookup((self.o, self.d), number))
 
 
 @dataclass(frozen=True)
 class RayKind(CameraKind):
-    """Each pixel sees along a ray of its own, whatever the place in it."""
+    """A user's rays: each pixel has one ray, whatever the position in the pixel."""
 
     has_area: ClassVar[bool] = False
 
@@ -56,7 +56,7 @@ class RayKind(CameraKind):
         return torch.zeros_like(p.x, dtype=torch.bool)
 
     def lookouts(self, lens: RayLens) -> list[RayLens]:
-        """The same rays with some of their origins as eyes."""
+        """Copies of the lens, each with another ray's origin as its eye, to look for silhouettes from."""
         origins = torch.stack(tuple(lens.o), 1)
         some = origins[::-(-len(origins) // LOOKOUTS)].unique(dim=0)
         return [lens._replace(eye=Vec3(*origin.unbind())) for origin in some]
@@ -66,7 +66,7 @@ class RayKind(CameraKind):
         return torch.cat([place, place.new_ones(1)])
 
     def crosses_view(self, lens: RayLens, x: Tensor, y: Tensor, a: Vec3, b: Vec3) -> Tensor:
-        """Whether a segment meets the cone around all rays, ahead of their origins."""
+        """True if a segment meets the cone around all rays, ahead of their origins."""
         o, d = (part.map(torch.Tensor.double) for part in (lens.o, lens.d))
         axis, middle = normalize(d.map(torch.mean)), o.map(torch.mean)
         cosine = dot(d, axis).min().clamp_max(math.cos(NARROW))
@@ -91,7 +91,7 @@ class RayKind(CameraKind):
 
 
 class Rays(Sensor):
-    """Rays that are given.
+    """A user's rays as a sensor.
 
     Args:
         origins: (N, 3) world.
@@ -113,7 +113,7 @@ class Rays(Sensor):
 
 
 def given_rays(origins: Tensor, directions: Tensor, dtype: torch.dtype, device: torch.device) -> Rays:
-    """Rays from origins, (N, 3) world, in directions, (N, 3) of any length, in a dtype; attached to both.
+    """Checks a user's rays, from origins (N, 3) world, in directions (N, 3) of any length; attached to both.
 
     Raises:
         TypeError: if they are no floating-point tensors.
