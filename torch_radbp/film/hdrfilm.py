@@ -18,7 +18,7 @@ PIXEL_FORMATS, COMPONENT_FORMATS, FILE_FORMATS = ("rgb", "rgba"), ("float16", "f
 
 @register("film", "hdrfilm")
 class HDRFilm(Film):
-    """A linear RGB image.
+    """A film for linear RGB images.
 
     Args:
         width, height: of the whole image, pixels.
@@ -56,7 +56,7 @@ class HDRFilm(Film):
         self.rfilter = Gaussian() if rfilter is None else rfilter
 
     def border(self) -> int:
-        """How many pixels around the window have samples, too, on each side."""
+        """The number of pixels around the crop window, on each side, that have samples, too."""
         return self.rfilter.kernel().reach if self.sample_border else 0
 
     def window(self, part: tuple[int, int, int, int] | None = None) -> Window:
@@ -68,7 +68,7 @@ class HDRFilm(Film):
                       self.crop_width + 2 * border)
 
     def tensors(self, like: Tensor, window: Window | None = None) -> FilmTensors:
-        """What decides the places of samples and what they count.
+        """The film as tensors: positions of samples, and their weights in pixels.
 
         Args:
             like: gives dtype and device.

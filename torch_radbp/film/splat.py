@@ -1,4 +1,4 @@
-"""What samples count in the pixels around them, and what these pixels ask of the samples: two functions of lanes.
+"""Splatting of samples to the pixels around them, and its transpose: two functions of lanes.
 
 For each pixel the samples in it are summed, once for each offset to a pixel in which they count, so that no two lanes write
 to one place. `develop.py` moves these sums to where they belong. They are sums of pairs, of pairs of pairs, ... of samples,
@@ -25,17 +25,17 @@ PIECE, PIECE_ELSEWHERE = 1 << 14, 1 << 18
 
 
 class Block(NamedTuple):
-    """Some samples of some pixels: P pixels with as many lanes each, one after the other."""
+    """Samples of P pixels: as many lanes for each pixel, one after the other."""
 
-    place: Vec2  # (N,) where in its pixel each sample lies, in [0, 1)
+    place: Vec2  # (N,) position of each sample in its pixel, in [0, 1)
     samples: int  # of a pixel
-    spp: int  # of a pixel, with those that are traced with other lanes
+    spp: int  # of a pixel, with samples that other calls trace
 
 
 @stage("values", "place")
 def deposited(kernel: Kernel, values: tuple[Tensor, ...], place: Vec2, first: Tensor, left: Tensor,
               count: int) -> tuple[Tensor, ...]:
-    """The sums over some samples of a pixel of what they count in the pixels around it.
+    """Splats some samples of a pixel: their filter-weighted sums for each pixel around it.
 
     Args:
         kernel: the reconstruction filter.
@@ -65,7 +65,7 @@ def deposited(kernel: Kernel, values: tuple[Tensor, ...], place: Vec2, first: Te
 
 
 def paired(terms: list[Tensor]) -> Tensor:
-    """The sum of pairs, of pairs of pairs, ..."""
+    """Sums by pairwise summation."""
     while len(terms) > 1:
         terms = [terms[k] + terms[k + 1] if k + 1 < len(terms) else terms[k] for k in range(0, len(terms), 2)]
     return terms[0]
@@ -74,7 +74,7 @@ def paired(terms: list[Tensor]) -> Tensor:
 @stage("pixels", "place")
 def asked(kernel: Kernel, pixels: tuple[Tensor, ...], place: Vec2, entry: Tensor, first: Tensor, left: Tensor, down: Tensor,
           across: Tensor, count: int) -> tuple[Tensor, ...]:
-    """What the pixels around a pixel ask of some samples in it: the transpose of `deposited`.
+    """The transpose of `deposited`: gathers from the pixels around a pixel for some samples in it.
 
     Args:
         kernel: the reconstruction filter.
@@ -103,7 +103,7 @@ def asked(kernel: Kernel, pixels: tuple[Tensor, ...], place: Vec2, entry: Tensor
 
 
 def sums_in_pairs(terms: Tensor, dimension: int) -> Tensor:
-    """Sums over a dimension: of neighbours, of neighbouring pairs, of pairs of pairs, ..."""
+    """Sums over a dimension by pairwise summation."""
     while terms.shape[dimension] > 1:
         length = terms.shape[dimension]
         even, odd = (terms[(slice(None),) * dimension + (slice(start, None, 2),)] for start in (0, 1))
@@ -113,7 +113,7 @@ def sums_in_pairs(terms: Tensor, dimension: int) -> Tensor:
 
 
 def offset_sums(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block: Block) -> Tensor:
-    """(R, R, 1 + C, P) for each offset, down and across, the sums over the samples of a pixel: of the filter, and of values.
+    """(R, R, 1 + C, P) for each offset, down and across: a pixel's sums of filter weights and of weighted values.
 
     Attached to the values.
 
@@ -130,7 +130,7 @@ def offset_sums(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block:
 
 
 def sums_of(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block: Block) -> Tensor:
-    """`offset_sums`, detached."""
+    """The result of `offset_sums`, detached."""
     (place, samples, _), size = block, 2 * kernel.reach + 1
     if len(values) > MOST_VALUES:
         some, others = (sums_of(stage, kernel, own, block) for own in (values[:MOST_VALUES], values[MOST_VALUES:]))
@@ -147,7 +147,7 @@ def sums_of(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block: Blo
 
 
 def _parts_of(stage: Stage, block: Block) -> tuple[Tensor, Tensor, int]:
-    """`first` and `left`, (P, parts of a pixel), and `count` of lanes that take all samples of a block; see `deposited`."""
+    """`first` and `left`, (P, parts of a pixel), and `count` of lanes that split a block's samples; see `deposited`."""
     (place, samples, spp), count = block, 1
     # The same for all samples of a pixel: a compiled sum of products rounds otherwise if there are more of them.
     while stage.is_compiled and count < min(spp, TOGETHER):
@@ -159,7 +159,7 @@ def _parts_of(stage: Stage, block: Block) -> tuple[Tensor, Tensor, int]:
 
 
 def results_of(stage: Stage, number: int, kernel: Kernel, values: tuple[Tensor, ...], place: Vec2, *lanes) -> Tensor:
-    """(number, M) the results of a stage."""
+    """(number, M) the results of a stage, in one tensor."""
     if not stage.is_compiled:
         return torch.stack(stage(kernel, values, place, *lanes))
     found = torch.empty(number, len(lanes[0]), dtype=place.x.dtype, device=place.x.device)
@@ -169,7 +169,7 @@ def results_of(stage: Stage, number: int, kernel: Kernel, values: tuple[Tensor, 
 
 def asked_of(stage: Stage, kernel: Kernel, pixels: tuple[Tensor, ...], block: Block, entry: Tensor, down: int,
              across: int) -> tuple[Tensor, ...]:
-    """C of (P samples,): what pixels ask of the samples of a block.
+    """C of (P samples,): the adjoints of samples, gathered from the adjoints of the pixels around them.
 
     Args:
         stage: `asked`, as it is run.
@@ -189,7 +189,7 @@ def asked_of(stage: Stage, kernel: Kernel, pixels: tuple[Tensor, ...], block: Bl
 
 
 def asked_of_sums(kernel: Kernel, block: Block, sums: Tensor) -> tuple[Tensor, ...]:
-    """C of (P samples,): what (R, R, C, P) sums over the samples of a pixel, one for each offset, ask of the samples."""
+    """C of (P samples,): the adjoints of samples, from those of their (R, R, C, P) sums by offset."""
     size, pixels = sums.shape[0], sums.shape[-1]
     pixel = torch.arange(pixels, dtype=torch.int32, device=sums.device)
     tables = tuple(table.flatten() for table in sums.unbind(2))
@@ -197,7 +197,7 @@ def asked_of_sums(kernel: Kernel, block: Block, sums: Tensor) -> tuple[Tensor, .
 
 
 class Deposited(torch.autograd.Function):
-    """`offset_sums` without those of the filter: linear in the values, and `Asked` is its transpose."""
+    """`offset_sums` without the sums of filter weights; linear in the values, and `Asked` is its transpose."""
 
     @staticmethod
     def forward(ctx, kernel: Kernel, block: Block, *values: Tensor) -> Tensor:
@@ -216,7 +216,7 @@ class Deposited(torch.autograd.Function):
 
 
 class Asked(torch.autograd.Function):
-    """`asked_of_sums`: linear in the sums, and `Deposited` is its transpose."""
+    """`asked_of_sums` with derivatives: linear in the sums, and `Deposited` is its transpose."""
 
     @staticmethod
     def forward(ctx, kernel: Kernel, block: Block, sums: Tensor) -> tuple[Tensor, ...]:
