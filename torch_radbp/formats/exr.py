@@ -63,7 +63,7 @@ def read_exr_with_alpha(path: str | os.PathLike,
 
 
 def layer_colour(channels: dict[str, OpenEXR.Channel], prefix: str) -> np.ndarray | None:
-    """(H, W, 3) from R, G, B, or (H, W, 1) from Y, of the layer with this prefix; None if it has none."""
+    """The colour of the layer with this prefix: (H, W, 3) from R, G, B, or (H, W, 1) from Y; None if it has none."""
     if f"{prefix}RY" in channels:  # luminance and chroma at reduced resolution
         return None
     for letters in ("RGB", "rgb", "Y"):
@@ -74,7 +74,7 @@ def layer_colour(channels: dict[str, OpenEXR.Channel], prefix: str) -> np.ndarra
 
 
 def read_headers(path: str | os.PathLike) -> list[dict[str, Any]]:
-    """The header of each part.
+    """Reads the header of each part of an EXR file.
 
     Raises:
         ValueError: if the library cannot read them.

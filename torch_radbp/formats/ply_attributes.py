@@ -22,7 +22,7 @@ POSTFIXES = {("r", "g", "b"): "_color", ("x", "y", "z"): "", ("1", "2", "3"): ""
 
 
 def attributes_in(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """The properties, one or three, of each attribute among those of an element that are called `names`.
+    """Finds attributes among the properties of an element: for each the names of its one or three properties.
 
     Properties that stand for themselves, or for two or four channels, are none.
     """
@@ -42,14 +42,14 @@ def attributes_in(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
 
 
 def property_names(name: str, count: int) -> tuple[str, ...]:
-    """Names of the properties of an element, one or three, by which `attributes_in` finds the attribute `name`."""
+    """The names of one or three properties by which the attribute `name` is written."""
     if name == "color" and count == 3:
         return COLOURS[0]
     return tuple(f"{name}_{postfix}" for postfix in ("1", "2", "3"))[:count]
 
 
 def linear_colours(values: np.ndarray, kinds: Sequence[str]) -> np.ndarray:
-    """(N, C) colours of properties of some kinds, as numpy writes them, as linear ones: those of integers are in sRGB."""
+    """(N, C) colours of integer properties, decoded from sRGB, or of floating-point ones, as linear values."""
     if any(kind[0] == "f" for kind in kinds):
         return values
     most = np.array([65535.0 if kind == "u2" else 255.0 for kind in kinds])

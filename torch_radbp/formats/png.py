@@ -1,4 +1,4 @@
-"""Checks that a PNG file holds the pixels that its header promises; decoders fill in black where it does not.
+"""Checks that a PNG file contains all pixels that its header promises.
 
 Reference: W3C 2003, "Portable Network Graphics (PNG) Specification", sections 8 and 11.
 """
@@ -41,7 +41,7 @@ def check_pixel_data(file: BinaryIO) -> None:
 
 
 def _size(width: int, height: int, bits: int, colour: int, compression: int, filtering: int, interlace: int) -> int:
-    """Bytes of the decompressed rows, each with the byte of its filter."""
+    """The number of bytes of all decompressed rows, each with the byte of its filter."""
     if colour not in CHANNELS:
         raise ValueError(f"colour type {colour} does not exist")
     total = 0

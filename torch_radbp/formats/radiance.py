@@ -57,7 +57,7 @@ def read_radiance(path: str | os.PathLike, check_size: Callable[[int, int], None
 
 
 def _size(header: bytes) -> tuple[int, int, int]:
-    """Width and height of the picture that a header describes, and the byte at which its pixels begin.
+    """Width and height from the header of a Radiance picture, and the byte at which its pixels begin.
 
     The line with the size ends the header; which line ends, blanks, empty lines and variables come before does not matter.
     """
@@ -79,7 +79,7 @@ def _size(header: bytes) -> tuple[int, int, int]:
 
 
 def _decode_row(data: bytes, place: int, row: np.ndarray) -> int:
-    """Fills the (4, W) channels of a row whose runs begin at `place`; returns where the next row begins."""
+    """Decodes the runs of one row into (4, W) channels, from byte `place` on; returns where the next row begins."""
     width = row.shape[1]
     if int.from_bytes(data[place + 2:place + 4], "big") != width:
         raise ValueError("its content is damaged")
