@@ -1,4 +1,4 @@
-"""Mitsuba's `Bitmap` objects in the place of image arrays: what their numbers mean is known to them alone."""
+"""Mitsuba's `Bitmap` objects as image arrays."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ GREY, COLOURED = ("Y", "YA"), ("RGB", "RGBA", "XYZ", "XYZA")
 
 
 def is_bitmap_object(value: Any) -> bool:
-    """True for a Mitsuba `Bitmap`, of whatever variant; Mitsuba itself need not be installed."""
+    """True for a Mitsuba `Bitmap` of any variant; Mitsuba itself need not be installed."""
     return all(callable(getattr(value, name, None)) for name in ("pixel_format", "srgb_gamma", "convert"))
 
 

@@ -1,4 +1,4 @@
-"""Meshes and scenes of trimesh as shapes with materials, which become what they are in glTF (`io.gltf.material`).
+"""Converts trimesh meshes to shapes with materials, as their glTF would be (`io.gltf.material`).
 
 A `PBRMaterial` is read by the reader of glTF, and so are colours, which glTF multiplies with its default material, a rough
 metal. A `SimpleMaterial`, as of OBJ files, is what trimesh makes of it for glTF, but no metal. A mesh without either has no
@@ -44,14 +44,14 @@ SURFACE = ("normalTexture", "emissiveTexture", "occlusionTexture")
 
 
 class Dressed(NamedTuple):
-    """A mesh as a shape needs it."""
+    """A mesh with its look: material and emission."""
 
     arrays: MeshArrays
-    look: Look | None  # None: trimesh says nothing about it
+    look: Look | None  # None: trimesh has no material for it
 
 
 class ImagesInMemory:
-    """Pictures in memory, in the place of those of a glTF document."""
+    """Images in memory, in place of those of a glTF document."""
 
     def __init__(self) -> None:
         self.pictures: list[np.ndarray] = []
@@ -62,7 +62,7 @@ class ImagesInMemory:
 
 
 class Looks:
-    """The looks of meshes, each made once: materials that are equal are one, as where trimesh writes glTF.
+    """The looks of meshes, one for each distinct material.
 
     Args:
         losses: filled in.
@@ -97,7 +97,7 @@ class Looks:
         return Dressed(arrays, look)
 
     def number(self, material: Any, place: str) -> int:
-        """The number of a material in the document, to which it is added if it is new."""
+        """The index of a material in the document, to which it is added if it is new."""
         key = hash(material)
         if key not in self.numbers:
             if hasattr(material, "materials"):
@@ -108,7 +108,7 @@ class Looks:
         return self.numbers[key]
 
     def entries(self, material: Any) -> dict[str, Any]:
-        """A material as a document has it."""
+        """Converts a trimesh material to entries of a glTF document."""
         if hasattr(material, "baseColorFactor"):
             pbr, found = material, {}
         else:
@@ -130,7 +130,7 @@ class Looks:
 
 
 def shape_of_mesh(source: trimesh.Trimesh | trimesh.Scene) -> TensorMesh:
-    """A mesh, or all meshes of a scene as one, as a shape with its material, in torch's default dtype.
+    """Converts a mesh, or all meshes of a scene joined, to a shape, in torch's default dtype.
 
     Raises:
         ValueError: as `with_arrays`.
@@ -143,7 +143,7 @@ def shape_of_mesh(source: trimesh.Trimesh | trimesh.Scene) -> TensorMesh:
 
 
 def _shapes_of(name: str, value: Any, others: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """A mesh of trimesh as the description of a shape, and a scene as one for each node that shows a mesh."""
+    """Yields descriptions of shapes for a trimesh mesh, or for each node of a trimesh scene that shows a mesh."""
     try:
         placed = placed_meshes(value)
     except ValueError as error:
@@ -156,7 +156,7 @@ def _shapes_of(name: str, value: Any, others: dict[str, Any]) -> Iterator[tuple[
 
 
 def with_shapes(node: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """The entries of an object, with descriptions of shapes in the place of what trimesh has made."""
+    """Yields the entries of an object, with trimesh objects replaced by descriptions of shapes."""
     for key, value in node.items():
         cls = REGISTRY["shape"].get(str(node.get("type"))) if is_trimesh(value) else None
         if not is_trimesh(value) or (cls is not None and key in attributes(cls)):
@@ -166,7 +166,7 @@ def with_shapes(node: dict[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def with_arrays(arguments: dict[str, Any], looks: Looks) -> dict[str, Any]:
-    """The arguments of a shape `mesh`, with arrays and a material in the place of a mesh of trimesh, or of a file.
+    """The arguments of a shape `mesh`, with a trimesh mesh or a file replaced by arrays and a material.
 
     Raises:
         ValueError: if there are several materials, and none is given; as the shape.
@@ -194,7 +194,7 @@ def with_arrays(arguments: dict[str, Any], looks: Looks) -> dict[str, Any]:
 
 
 def dress(look: Look | None) -> tuple[BSDF | None, Emitter | None]:
-    """The material of a look, and an emitter of its own for one shape that has it."""
+    """The material of a look, and a new emitter for one shape with that look."""
     if look is None:
         return None, None
     return look.bsdf, None if look.radiance is None else Area(radiance=look.radiance)

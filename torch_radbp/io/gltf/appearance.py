@@ -1,4 +1,4 @@
-"""The materials of shapes, with what they hold and what they emit, as materials of glTF."""
+"""Writes the materials of shapes, with all that is nested in them and what they emit, as glTF materials."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from torch_radbp.scene.scene import name_in
 
 
 class Peeled(NamedTuple):
-    """A material without those around it."""
+    """A material, with what the materials around it (mask, two-sided, normal map) add."""
 
     inner: BSDF
     opacity: Texture | None
@@ -27,14 +27,14 @@ class Peeled(NamedTuple):
 
 
 class PrimitiveMaterial(NamedTuple):
-    """What a primitive needs to know of its material."""
+    """The glTF material of a primitive, and what the primitive's mesh must store for it."""
 
     material: int
     colours: tuple[str, float] | None  # attribute of vertices or faces that is the base colour, and a factor
 
 
 class Appearances:
-    """Writes materials; one for each that looks different.
+    """Writes glTF materials, one for each distinct look.
 
     Args:
         root: the scene, or a shape by itself, whose materials are named by their places in it.
@@ -50,7 +50,7 @@ class Appearances:
         self.known: dict[tuple[int, int, bool], PrimitiveMaterial] = {}
 
     def of(self, shape: Shape, mirrored: bool) -> PrimitiveMaterial:
-        """The material of a shape; `mirrored`: its image lies the other way round, see `read.is_mirrored`."""
+        """Writes the material of a shape and returns its record; `mirrored`: its uv are mirrored, see `read.is_mirrored`."""
         peeled = self.peeled(shape.bsdf)
         key = id(shape.bsdf), id(shape.emitter), mirrored and peeled.normals is not None
         if key not in self.known:
@@ -58,7 +58,7 @@ class Appearances:
         return self.known[key]
 
     def peeled(self, bsdf: BSDF) -> Peeled:
-        """The material inside, and what those around it add."""
+        """Separates a material from the materials around it (mask, two-sided, normal map)."""
         found, name = Peeled(bsdf, None, False, None, False), name_in(self.root, bsdf)
         while True:
             outer = found.inner
@@ -84,7 +84,7 @@ class Appearances:
                 return found
 
     def written(self, shape: Shape, peeled: Peeled, mirrored: bool) -> PrimitiveMaterial:
-        """A new material."""
+        """Writes a new glTF material."""
         full = name_in(self.root, peeled.inner)
         surface = GltfSurface() if peeled.invisible else surface_of(peeled.inner, full, self.losses)
         entries: dict[str, Any] = {"name": self.names.free(full) if full in self.named else full}
@@ -143,7 +143,7 @@ class Appearances:
             entries["alphaMode"] = "MASK" if is_cut else "BLEND"
 
     def metallic_roughness(self, name: str, surface: GltfSurface) -> dict[str, Any]:
-        """Roughness and metallic share an image, in its green and blue channels."""
+        """Writes roughness and metallic, which share an image, in its green and blue channels."""
         slots = {"roughness": surface.roughness, "metallic": surface.metallic}
         image = joined_slots(slots, name, self.losses)
         numbers = {key: min(1.0, max(0.0, each.number())) for key, each in slots.items()}
@@ -164,12 +164,12 @@ class Appearances:
         return {**factors, "metallicRoughnessTexture": info}
 
     def lose_beyond(self, what: str, values: np.ndarray) -> None:
-        """Notes values outside of [0, 1], where glTF ends."""
+        """Notes values outside of [0, 1], which glTF cannot represent."""
         if values.min() < 0 or values.max() > 1:
             self.losses.add(what, f"{values.min():.4g} to {values.max():.4g}, is cut to [0, 1]")
 
     def scalar(self, name: str, kind: str, values: Slot) -> dict[str, Any]:
-        """A factor, and an image whose red channel it multiplies."""
+        """Writes a scalar: a factor, and an image whose red channel it multiplies."""
         if values.is_constant:
             return {f"{kind}Factor": min(1.0, max(0.0, values.number()))}
         pixels, scale = quantised(values.values.clip(0.0, 1.0), srgb=False)
@@ -177,7 +177,7 @@ class Appearances:
                 f"{kind}Texture": texture_info(self.out, pixels, values.reading, name, self.losses)}
 
     def normals(self, name: str, texture: Texture, mirrored: bool) -> dict[str, Any]:
-        """The texture info of a normal map: unit normals, unless 8 bits hold them as they are."""
+        """Writes a normal map and returns its texture info: unit normals, unless 8 bits represent them exactly."""
         found = slot(texture, f"{name}.normalmap", self.losses)
         values = found.values.copy()
         if mirrored:
@@ -193,7 +193,7 @@ class Appearances:
         return texture_info(self.out, pixels, found.reading or Reading(), f"{name}_normal", self.losses)
 
     def emission(self, entries: dict[str, Any], extensions: dict[str, Any], shape: Shape) -> None:
-        """Writes what a shape emits."""
+        """Writes the emission of a shape."""
         name = f"{name_in(self.root, shape)}.emitter"
         if shape.emitter.type != "area":
             self.losses.add(name, f"a {shape.emitter.type} emitter is written as one that shines into all directions alike")

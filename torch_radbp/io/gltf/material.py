@@ -1,4 +1,4 @@
-"""The materials of a glTF document: metallic-roughness as `principled`, inside of what turns normals, has sides, is cut out.
+"""Reads glTF materials: metallic-roughness as `principled`, nested in normal map, two-sided and mask as needed.
 
 A material called gold becomes `gold`, a `principled` (or `diffuse`), and as far as it asks for them, each around the one
 before: `gold_normalmap`, `gold_twosided`, `gold_mask`.
@@ -29,16 +29,16 @@ VERTEX_COLOUR = "vertex_color"
 
 
 class Look(NamedTuple):
-    """How a surface looks."""
+    """The material, emission and texture coordinates of a surface."""
 
     bsdf: BSDF
-    radiance: Texture | None  # that it emits
-    uv_set: int | None  # number of the surface coordinates that its textures read; None: it has none
-    factor: tuple[float, float, float]  # of the colours of vertices, which are its base colour; (1, 1, 1) if they are not
+    radiance: Texture | None  # emitted radiance
+    uv_set: int | None  # index of the uv set that its textures read; None: they read none
+    factor: tuple[float, float, float]  # factor of vertex colours, if these are its base colour; else (1, 1, 1)
 
 
 class GltfMaterials:
-    """The looks that a scene's surfaces have, made when they are first asked for."""
+    """Reads the looks of a scene's surfaces, each at its first use."""
 
     def __init__(self, document: Document, textures: GltfTextures, losses: Losses, names: Names,
                  children: dict[str, Plugin]):
@@ -46,12 +46,12 @@ class GltfMaterials:
         self.known: dict[tuple[int | None, str | None, bool], Look] = {}
 
     def material(self, primitive: DocumentPart) -> DocumentPart:
-        """The material of a primitive, as the document has it."""
+        """The material of a primitive, in the document."""
         part = self.document.referred("materials", primitive, "material", None)
         return DocumentPart(self.document.file, "the default material", {}) if part is None else part
 
     def look(self, primitive: DocumentPart, colours: str | None, mirrored: bool) -> Look:
-        """The look of a primitive.
+        """Reads the look of a primitive.
 
         Args:
             primitive: which refers to the material.
@@ -66,7 +66,7 @@ class GltfMaterials:
         return self.known[key]
 
     def made(self, part: DocumentPart, name: str, colours: str | None, mirrored: bool) -> Look:
-        """A look; its plugins are added to the scene."""
+        """Makes a new look, and adds its plugins to the scene."""
         sets: list[int] = []
         rough = part.part("pbrMetallicRoughness")
         image = self.textures.image(part, rough, "baseColorTexture", sets)
@@ -93,7 +93,7 @@ class GltfMaterials:
         return bsdf
 
     def principled(self, part: DocumentPart, rough: DocumentPart, base: Texture, sets: list[int]) -> BSDF:
-        """The material itself, seen from its front."""
+        """Makes the innermost material, as seen from its front."""
         image = self.textures.image(part, rough, "metallicRoughnessTexture", sets)
         numbers = {name: rough.number(f"{name}Factor", 1.0, low=0.0, high=1.0) for name in ("roughness", "metallic")}
         if extension.is_diffuse(part, numbers["metallic"]):
@@ -115,7 +115,7 @@ class GltfMaterials:
         return Principled(base_color=base, **found)
 
     def turned(self, part: DocumentPart, bsdf: BSDF, name: str, sets: list[int], mirrored: bool) -> BSDF:
-        """The material with the normals of its normalTexture, whose y points to where v falls, and here across u."""
+        """Wraps the material in a normal map for its normalTexture, converted from glTF's y axis."""
         image = self.textures.image(part, part, "normalTexture", sets)
         if image is None:
             return bsdf
@@ -125,7 +125,7 @@ class GltfMaterials:
         return self.add(f"{name}_normalmap", NormalMap(normalmap=image.bitmap(0.5 * normals + 0.5), nested_bsdf=bsdf))
 
     def masked(self, part: DocumentPart, bsdf: BSDF, name: str, alpha: float, image: Image | None) -> BSDF:
-        """The material where it is opaque."""
+        """Wraps the material in an opacity mask."""
         mode = part.text("alphaMode", "OPAQUE")
         if mode not in ("OPAQUE", "MASK", "BLEND"):
             raise part.fail(f"alphaMode must be OPAQUE, MASK or BLEND, got {mode!r:.60}")
@@ -138,7 +138,7 @@ class GltfMaterials:
         return self.add(f"{name}_mask", Mask(nested_bsdf=bsdf, opacity=texture))
 
     def radiance(self, part: DocumentPart, sets: list[int]) -> Texture | None:
-        """What the surface emits; glTF's nits (cd / m^2) count as W / (m^2 sr)."""
+        """Reads the emitted radiance; glTF's nits (cd / m^2) count as W / (m^2 sr)."""
         strength = part.extension("KHR_materials_emissive_strength")
         factor = [component * (1.0 if strength is None else strength.number("emissiveStrength", 1.0, low=0.0))
                   for component in part.numbers("emissiveFactor", 3, [0, 0, 0], low=0.0)]
@@ -155,7 +155,7 @@ class GltfMaterials:
 
 
 def tinted(image: Image | None, factor: list[float]) -> Texture:
-    """A colour, or an image in sRGB times a colour."""
+    """A texture of a colour, or of an sRGB image times a colour."""
     colour = torch.tensor(factor, dtype=torch.float64)
     return RGB(value=colour) if image is None else image.bitmap(image.colour() * colour)
 

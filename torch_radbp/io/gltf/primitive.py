@@ -1,4 +1,4 @@
-"""The primitives of a glTF mesh, as triangles."""
+"""Reads the primitives of a glTF mesh as triangles."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ ROUNDING = 1e-5  # by which colours may leave [0, 1] unsaid
 
 
 class Primitive(NamedTuple):
-    """Triangles in the node's own frame, float64 and int64."""
+    """A glTF primitive as triangles in the node's frame, float64 and int64."""
 
     positions: np.ndarray  # (V, 3)
     faces: np.ndarray  # (F, 3)
     normals: np.ndarray | None  # (V, 3)
     uv: tuple[np.ndarray | None, ...]  # (V, 2) of each set
     colour: np.ndarray | None  # (V, 3) linear RGB
-    own: dict[str, np.ndarray]  # (V, 1 or 3) attributes that begin with an underscore, by lower-case names without it
+    own: dict[str, np.ndarray]  # (V, 1 or 3) custom attributes, by their lower-case names without the leading underscore
 
     def numbers(self) -> int:
-        """How many numbers it has."""
+        """The number of scalars in all its arrays."""
         arrays = (self.positions, self.faces, self.normals, self.colour, *self.uv, *self.own.values())
         return sum(array.size for array in arrays if array is not None)
 
 
 class Primitives:
-    """The primitives of a document, read once however many nodes show them."""
+    """Reads the primitives of a document, once however many nodes show them."""
 
     def __init__(self, buffers: Buffers, losses: Losses):
         self.buffers, self.losses = buffers, losses
         self.known: dict[str, Primitive | None] = {}
 
     def of(self, part: DocumentPart) -> Primitive | None:
-        """The triangles of a primitive; None of points and lines.
+        """Reads the triangles of a primitive; None for points and lines.
 
         Raises:
             SceneError: if it is damaged, or the scene has too many numbers with it.
@@ -55,7 +55,7 @@ class Primitives:
 
 
 def read_primitive(part: DocumentPart, buffers: Buffers, losses: Losses) -> Primitive | None:
-    """The triangles of a primitive; None, and a loss, of points and lines, and where there are no triangles."""
+    """Reads the triangles of a primitive; None, with a note, for points and lines, and without triangles."""
     mode = part.integer("mode", TRIANGLES, high=6)
     if mode in MODES:
         losses.add(part.place, f"{MODES[mode]} are not read")
@@ -107,12 +107,12 @@ def read_primitive(part: DocumentPart, buffers: Buffers, losses: Losses) -> Prim
 
 
 def is_own(name: str) -> bool:
-    """True for the name of an attribute of an application that can be the name of a parameter here."""
+    """True for the name of a custom attribute that can be the name of a parameter here."""
     return name[1:].isidentifier() and name[1:].lower() not in ("positions", "normals", "texcoords", "color")
 
 
 def finite_uv(uv: np.ndarray | None, part: DocumentPart, losses: Losses) -> np.ndarray | None:
-    """Surface coordinates, (0, 0) where they are not finite."""
+    """Texture coordinates, (0, 0) where they are not finite."""
     bad = np.zeros(0, bool) if uv is None else ~np.isfinite(uv).all(axis=1)
     if not bad.any():
         return uv
@@ -121,7 +121,7 @@ def finite_uv(uv: np.ndarray | None, part: DocumentPart, losses: Losses) -> np.n
 
 
 def triangles(corners: np.ndarray, mode: int) -> np.ndarray:
-    """(F, 3) of a list, a strip or a fan of triangles."""
+    """(F, 3) corners of triangles from a list, a strip or a fan."""
     if mode == TRIANGLES:
         return corners.reshape(-1, 3)
     if mode == FAN:
@@ -133,7 +133,7 @@ def triangles(corners: np.ndarray, mode: int) -> np.ndarray:
 
 def usable(normals: np.ndarray | None, positions: np.ndarray, faces: np.ndarray, part: DocumentPart,
            losses: Losses) -> np.ndarray | None:
-    """The normals, with those of the triangles around a vertex where one has no direction."""
+    """The normals; those without a direction are computed from the triangles around the vertex."""
     if normals is None:
         return None
     length = np.linalg.norm(normals.astype(np.float64), axis=1)

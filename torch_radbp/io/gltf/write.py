@@ -30,7 +30,7 @@ SHEAR = 1e-5  # cosine between axes: what glTF's nodes cannot say
 
 
 def gltf_files(scene: Scene, target: Path, strict: bool) -> list[Path]:
-    """Writes a scene; a `.gltf` has its buffer in a `.bin` beside it, environment maps are beside either.
+    """Writes a scene as glTF; a `.gltf` has its buffer in a `.bin` beside it, and environment maps are files beside either.
 
     See `torch_radbp.save`.
 
@@ -82,7 +82,7 @@ class _Writer:
                 self.add_camera(name, child)
 
     def add_shape(self, name: str, shape: Shape, instance: Instance | None = None) -> None:
-        """A node with a mesh, in the frame that the shape's pose gives; where an instance shows it, if it does."""
+        """Adds a node with a mesh, in the frame of the shape's pose, or where an instance shows it."""
         surface = shape.oriented()
         if surface.ball is not None:
             self.losses.add(name, f"a {shape.type} is written as {len(surface.faces)} triangles")
@@ -101,7 +101,7 @@ class _Writer:
         self.out.add("nodes", {"name": name, "mesh": mesh, **column_major(pose)})
 
     def geometry(self, name: str, surface: Triangles, pose: np.ndarray) -> dict[str, int]:
-        """Positions, normals and surface coordinates."""
+        """Writes positions, normals and texture coordinates of a mesh."""
         inverse = np.linalg.inv(pose)
         positions = checked_values(surface.vertices, f"{name}.vertex_positions") @ inverse[:3, :3].T + inverse[:3, 3]
         found = {"POSITION": self.out.vertices(positions, bounds=True)}
@@ -114,7 +114,7 @@ class _Writer:
         return found
 
     def attributes(self, name: str, surface: Triangles, colours: tuple[str, float] | None) -> dict[str, int]:
-        """The attributes of vertices: the base colour, and others under names of an application."""
+        """Writes mesh attributes: the base colour, and others under custom names."""
         found: dict[str, int] = {}
         for attribute, tensor in surface.attributes:
             values = checked_values(tensor, f"{name}.{attribute}")
@@ -135,7 +135,7 @@ class _Writer:
         return found
 
     def add_light(self, name: str, emitter: Plugin) -> None:
-        """A node with a light, or with the name of the file of an environment map."""
+        """Adds a node with a light, or with the file name of an environment map."""
         if isinstance(emitter, Envmap):
             file, extras = written_environment(emitter, name, self.target, self.losses)
             self.files.append(file)
@@ -148,7 +148,7 @@ class _Writer:
             self.out.add("nodes", {"name": name, "extensions": extensions, **column_major(place)})
 
     def add_camera(self, name: str, sensor: Plugin) -> None:
-        """A node with a camera."""
+        """Adds a node with a camera."""
         written = lamp_out.camera_of_sensor(sensor, name, self.losses)
         if written is not None:
             entries, place = written
@@ -157,14 +157,14 @@ class _Writer:
 
 
 def means_around(values: np.ndarray, surface: Triangles) -> np.ndarray:
-    """(V, C) means of (F, C) values of faces over those around each vertex; 0 at a vertex without a face."""
+    """(V, C) averages of (F, C) face values over the faces around each vertex; 0 at a vertex without a face."""
     corners, total = surface.faces.cpu().numpy(), np.zeros((len(surface.vertices), values.shape[1]))
     np.add.at(total, corners.reshape(-1), values.repeat(3, axis=0))
     return total / np.bincount(corners.reshape(-1), minlength=len(total)).clip(1)[:, None]
 
 
 def is_sheared(pose: np.ndarray) -> bool:
-    """True if a transform is no scale, rotation and translation, which is what a node may have."""
+    """True if a transform cannot be written as scale, rotation and translation of a node."""
     columns = pose[:3, :3] / np.linalg.norm(pose[:3, :3], axis=0)
     return bool(np.abs(columns.T @ columns - np.eye(3)).max() > SHEAR)
 
