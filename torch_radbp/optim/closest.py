@@ -1,4 +1,4 @@
-"""The points of a mesh that are closest to others."""
+"""The closest points of a mesh to given points."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ FIRST = 4  # triangles whose middles are closest, that are looked at first
 
 
 class OnMesh(NamedTuple):
-    """Q points of a mesh."""
+    """Q points on a mesh, in barycentric coordinates."""
 
     triangle: Tensor  # (Q,) int64
-    weights: Tensor  # (Q, 3) of its corners
+    weights: Tensor  # (Q, 3) barycentric
 
     def of_vertices(self, rows: Tensor, faces: Tensor) -> Tensor:
-        """Values of vertices, (V, ...), at the points, (Q, ...); `faces`: (F, 3), which give triangles theirs."""
+        """Interpolates vertex attributes, (V, ...), at the points, (Q, ...); `faces`: (F, 3), of the mesh."""
         corner, weights = faces[self.triangle].to(rows.device), self.weights.to(rows)
         return (rows[corner] * weights.view(-1, 3, *[1] * (rows.ndim - 1))).sum(1)
 
     def of_faces(self, rows: Tensor) -> Tensor:
-        """Values of faces, (F, ...), at the points, (Q, ...)."""
+        """Face attributes, (F, ...), at the points, (Q, ...)."""
         return rows[self.triangle.to(rows.device)]
 
 
 def closest_points(points: Tensor, vertices: Tensor, faces: Tensor) -> OnMesh:
-    """The points of a mesh that are closest to (Q, 3) points.
+    """The closest points of a mesh to (Q, 3) points.
 
     Of ever more triangles, those whose middles are closest, until no other can be closer: none of the others has a point
     within the distance of its middle less the largest radius. Of these, those that their own radius rules out are skipped.
@@ -65,7 +65,7 @@ def closest_points(points: Tensor, vertices: Tensor, faces: Tensor) -> OnMesh:
 
 
 def closest_in_triangles(points: Tensor, corners: Tensor) -> tuple[Tensor, Tensor]:
-    """Weights of the corners of the closest points, and their distances; (..., 3) and (...).
+    """Barycentric coordinates of the closest points in triangles, (..., 3), and their distances, (...).
 
     Args:
         points: (..., 3).
