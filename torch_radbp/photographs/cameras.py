@@ -16,7 +16,7 @@ ROUNDING = 1  # pixel by which the size of a scaled file may differ from the sca
 
 
 def named_as_in_a_scene(cameras: Mapping[str, Any]) -> dict[str, ProjectiveCamera]:
-    """Cameras by the names that a scene gives them.
+    """Cameras under the names that a scene allows: dots become underscores.
 
     Raises:
         TypeError: if one is no camera of one image.
@@ -36,7 +36,7 @@ def named_as_in_a_scene(cameras: Mapping[str, Any]) -> dict[str, ProjectiveCamer
 
 def scaled_to_files(cameras: Mapping[str, ProjectiveCamera], pictures: Sequence[Picture],
                     scale: float) -> dict[str, ProjectiveCamera]:
-    """Cameras of whole images for files that were reduced, whose sizes may be rounded either way.
+    """Rescales cameras to downsampled image files, whose sizes may have been rounded either way.
 
     Raises:
         ValueError: if a file does not have about the scaled size.
@@ -56,7 +56,7 @@ def scaled_to_files(cameras: Mapping[str, ProjectiveCamera], pictures: Sequence[
 
 
 def checked_size(name: str, camera: ProjectiveCamera, picture: Picture) -> tuple[int, int]:
-    """Width and height of a photograph, which are those of its camera's film and of its mask.
+    """Checks that a photograph, its mask and its camera's film have one size, and returns it: width and height.
 
     Raises:
         ValueError: if they are not.
@@ -79,7 +79,7 @@ def checked_size(name: str, camera: ProjectiveCamera, picture: Picture) -> tuple
 
 
 def turned_advice(image: Source, size: tuple[int, int], wanted: tuple[float, ...]) -> str:
-    """What to do about an image that has the wanted size if it is turned; "" if it has not."""
+    """Advice for an error, if an image would have the wanted size when rotated; "" if not."""
     if not all(abs(side - other) <= ROUNDING for side, other in zip(size, reversed(wanted))):
         return ""
     orientation = turned_by(image, READABLE[image.suffix.lower()]) if isinstance(image, Path) else None

@@ -1,4 +1,4 @@
-"""What the models of a camera take, checked."""
+"""Checks of the arguments of camera models."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def check_linear_images(images: Tensor) -> None:
 
 
 def check_numbers(images: Tensor) -> None:
-    """Raises ValueError if `images` have NaN, which has no place on a curve; torch's transforms hide the values."""
+    """Raises ValueError if `images` contain NaN; skipped under torch's transforms, which hide values."""
     if not transforms() and images.isnan().any():
         raise ValueError(f"images have {int(images.isnan().sum())} values that are NaN, which no tone curve codes; put "
                          f"numbers where the mask is 0")
 
 
 def view_indices(views: int | Tensor, images: Tensor, count: int) -> Tensor:
-    """The views of some images, (B,) int64 on their device.
+    """The view of each image, (B,) int64 on the images' device.
 
     Raises:
         ValueError: if there is not one for each image, or there is no such view.
