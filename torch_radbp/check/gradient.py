@@ -1,4 +1,4 @@
-"""`check_gradient`: is the derivative that the renderer computes the derivative of what it renders?
+"""`check_gradient`: compares the renderer's derivatives with finite differences of its images.
 
 Two estimates of the same derivative image are rendered, in R independent batches each:
 
@@ -114,7 +114,7 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
 
 
 def outcome(measurement: Measurement, name: str, batches: int) -> GradientCheck:
-    """What independent batches say of a derivative, and of the step of its differences."""
+    """Evaluates the batches of a measurement to the check's outcome; tests the step of the differences, too."""
     step, stencil, direction = measurement.place
     measurement.total = (batches + 1) * len(measurement.offsets) + 2 * batches + 3
     image, tangent = measurement.forward(batches + 1)
@@ -140,15 +140,15 @@ def outcome(measurement: Measurement, name: str, batches: int) -> GradientCheck:
 
 
 class ImageDifference(NamedTuple):
-    """What the images of one batch differ by, (B, 3, H, W) float64 each."""
+    """The finite difference of the images of one batch, (B, 3, H, W) float64 each."""
 
     value: Tensor  # the difference quotient
     size: Tensor  # the largest magnitude of the images
-    bend: Tensor | None  # half of their second difference, over the step
+    bend: Tensor | None  # half of the second difference, divided by the step
 
 
 class Measurement:
-    """Renderings of a scene with one of its parameters moved."""
+    """Renders a scene with one of its parameters moved, batch by batch."""
 
     def __init__(self, renderer: Renderer, name: str, value: Tensor, place: ParameterMove, bends: bool, spp: int, seed: int,
                  sensors: SensorChoice, progress: Callable[[int, int], None] | None):
@@ -160,12 +160,12 @@ class Measurement:
         self.progress, self.done, self.total = progress, 0, 0
 
     def with_step(self, step: float) -> Measurement:
-        """Differences by another step, of the same batches."""
+        """The same measurement with another step, from the same samples."""
         return Measurement(self.renderer, self.name, self.value, self.place._replace(step=step), False, self.spp, self.seed,
                            self.sensors, None)
 
     def arguments(self, number: int) -> dict:
-        """The arguments of the rendering of batch `number`; different batches share no samples."""
+        """Arguments of the rendering of batch `number`; different batches share no samples."""
         return {"seed": self.seed + number * NEXT_SEED, "sensors": self.sensors, "spp": self.spp}
 
     def count(self, renderings: int) -> None:
@@ -174,7 +174,7 @@ class Measurement:
             self.progress(self.done, self.total)
 
     def difference(self, number: int) -> ImageDifference:
-        """The differences of a batch."""
+        """The finite difference of a batch."""
         parameters = {f"scene.{name}": value.detach() for name, value in self.renderer.scene.named_parameters()}
         images = {}
         with torch.no_grad():
@@ -252,7 +252,7 @@ def checked_direction(name: str, parameter: Tensor, direction: Tensor | str | No
 
 
 def checked_step(parameter: Tensor, direction: Tensor, step: float | None) -> float:
-    """The step, or a suitable one if it is None."""
+    """The step given, or a suitable one if it is None."""
     if step is None:
         largest = float(parameter.abs().max())
         return RELATIVE_STEP * (largest or 1.0) / float(direction.abs().max())
@@ -264,13 +264,13 @@ def checked_step(parameter: Tensor, direction: Tensor, step: float | None) -> fl
 
 
 def _left_out(renderer: Renderer) -> list[str]:
-    """What the derivatives of a renderer that has rendered are known to lack: by its settings, and by its warnings."""
+    """Known omissions in the derivatives of a renderer: by its settings, and by its warnings."""
     found = [f"terms={tuple(renderer.terms)!r} leaves out {term!r}" for term in TERMS if term not in renderer.terms]
     return found + [str(said).partition(". ")[0] for said in renderer.jump_watch.said.values()
                     if isinstance(said, SilhouetteWarning)]
 
 
 def what_it_sets(name: str) -> str:
-    """The attribute that a parameter sets, directly or through a parametrisation of `torch.nn.utils.parametrize`."""
+    """The attribute behind a parameter's name, also through a parametrisation of `torch.nn.utils.parametrize`."""
     parts = name.split(".")
     return parts[parts.index("parametrizations") + 1] if "parametrizations" in parts else parts[-1]

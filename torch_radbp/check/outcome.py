@@ -21,17 +21,17 @@ MOST_ROUNDINGS = 1e4  # of the dtype's epsilon, between forward and backward pas
 
 
 class Question(NamedTuple):
-    """What is asked about a derivative, and what is known beforehand."""
+    """The settings of a gradient check, and what is known in advance."""
 
-    name: str  # this and the next ones as in `GradientCheck`
+    name: str  # these fields as in `GradientCheck`
     direction: Tensor
     step: float
     sides: str
     spp: int
     batches: int
     seed: int
-    moves: bool  # the parameter moves geometry, so that edges could be missing
-    left_out: list[str]  # what the renderer says that its derivatives lack
+    moves: bool  # the parameter moves geometry, so that derivatives of edges could be missing
+    left_out: list[str]  # known omissions of the renderer's derivatives
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class GradientCheck:
 
 
 def judge(asked: Question, comparison: Comparison) -> GradientCheck:
-    """The verdict on a comparison.
+    """Decides the verdict on a comparison of derivatives.
 
     A derivative is biased if a projection of it is off by more than 4 standard errors and by more than 1% of its scale, or
     if its tiles are off by more than chance allows and by more than 1%; the 1% is allowed for the step of the finite
@@ -133,7 +133,7 @@ def judge(asked: Question, comparison: Comparison) -> GradientCheck:
 
 
 def said_of_step(asked: Question, result: GradientCheck, halved: Comparison, change: Comparison) -> GradientCheck:
-    """A biased outcome, or that its step is too large, if the differences make the error and not the derivative.
+    """Revises a biased verdict, if the error shrinks with the step: then the step is too large.
 
     Args:
         asked: what led to it.
@@ -151,42 +151,42 @@ def said_of_step(asked: Question, result: GradientCheck, halved: Comparison, cha
 
 
 def said_of_floor(result: GradientCheck, floor: float) -> GradientCheck:
-    """A biased outcome of a parameter that is below a floor of its plugin."""
+    """The biased verdict on a parameter that is below a floor of its plugin."""
     return replace(result, verdict=AT_FLOOR, explanation=(
         f"values below {floor:.3g} may count as larger ones, with the derivatives that these have, so that optimizers can "
         f"leave the end of the range again; differences do not show that. Check the derivative at {floor:.3g} or more"))
 
 
 def is_off(comparison: Comparison) -> bool:
-    """True if tiles are off by more than chance allows."""
+    """True if tiles of the derivative image differ by more than chance allows."""
     return comparison.tiles.mean_square_z > comparison.tiles.limit
 
 
 def largest_error(by: Comparison, of: Comparison) -> float:
-    """The relative error, in a comparison, of the projection that is worst in another one; of tiles if none is off there."""
+    """The relative error in `by` of the projection that is worst in `of`; that of tiles if no projection is off."""
     off = off_projections(by)
     worst = by.projections.index(max(off, key=lambda projection: abs(projection.z))) if off else None
     return of.tiles.relative_bias if worst is None else of.projections[worst].relative_error
 
 
 def off_projections(comparison: Comparison) -> list[Projection]:
-    """The projections that are off by more than chance and the step allow."""
+    """The projections whose error exceeds chance and the finite step."""
     return [p for p in comparison.projections if abs(p.z) > MOST_Z and abs(p.relative_error) > STEP_ERROR]
 
 
 def hidden(projection: Projection) -> float:
-    """The relative error of a derivative that noise and step would hide in a projection of it; infinite if that is zero."""
+    """The relative error of a derivative that noise and step could hide in a projection; infinite for a zero projection."""
     size = projection.size
     return max(MOST_Z * uncertainty(projection), projection.bend / size) if size > 0 else math.inf
 
 
 def uncertainty(projection: Projection) -> float:
-    """The standard error relative to the size of a projection; infinite if that is zero."""
+    """The standard error relative to the size of a projection; infinite for a zero projection."""
     return projection.standard_error / projection.size if projection.size > 0 else math.inf
 
 
 def verdict_on(comparison: Comparison, asked: Question, surest: Projection) -> tuple[str, str]:
-    """The verdict, and the sentence that explains it."""
+    """The verdict on a derivative, and the sentence that explains it."""
     if comparison.not_finite:
         return BIASED, f"the derivative by forward mode has {comparison.not_finite} values that are NaN or infinite"
     apart = max(comparison.projections, key=lambda projection: projection.backward_error)

@@ -1,4 +1,4 @@
-"""Whether the samples of a material are those of its density, and paths are weighted by what it scatters.
+"""Tests whether a material's samples follow its density, and whether their weights agree with its BSDF.
 
 For each of several viewers, with densities and BSDFs integrated over cells of the sphere (`sphere.py`):
 
@@ -34,14 +34,14 @@ LENGTH = 1e-6  # that a squared length may be off
 
 
 class Subject(NamedTuple):
-    """A material in one place."""
+    """A material at one surface point."""
 
     kind: CheckedKind | Kind
-    values: Callable[[Tensor], Values]  # on as many lanes as the argument has
+    values: Callable[[Tensor], Values]  # of its parameters, on as many lanes as the argument has
 
 
 class ViewerSamples(NamedTuple):
-    """What a viewer's samples and the integrals over the sphere say; float64."""
+    """BSDF samples for one viewer, and integrals over the sphere; float64."""
 
     where: str
     wo: Vec3  # (N,)
@@ -54,7 +54,7 @@ class ViewerSamples(NamedTuple):
 
 
 def viewed(subject: Subject, where: str, count: int, seed: int) -> ViewerSamples:
-    """Samples for one of `VIEWERS`, and integrals."""
+    """Samples a material for one of `VIEWERS`, and integrates its density and BSDF."""
     kind, wi, random = subject.kind, direction(VIEWERS[where], AZIMUTH, count), random_numbers(count, seed)
     values = subject.values(wi.z)
     found = sampled(kind, values, wi, random)
@@ -75,14 +75,14 @@ def viewed(subject: Subject, where: str, count: int, seed: int) -> ViewerSamples
 
 
 def density_off(view: ViewerSamples) -> tuple[float, str]:
-    """How far the integral of the density is off, in units of what is allowed, and the figures."""
+    """The error of the integral of the density, in units of what is allowed, and the figures in words."""
     share, total = view.keep.double().mean().item(), view.density.value.sum().item()
     allowed = SIGMAS * math.sqrt(share * (1 - share) / len(view.keep)) + view.density.error.sum().item() + QUADRATURE
     return abs(total - share) / allowed, f"{view.where}: pdf integrates to {total:.4f}, of the samples {share:.4f} have one"
 
 
 def fit(view: ViewerSamples) -> float:
-    """The probability that samples of the density fall into the cells as these do, or worse; 1 if there are none.
+    """The p-value of the chi-square test of samples against the density; 1 without samples.
 
     0 if the density is not finite.
     """
@@ -97,7 +97,7 @@ def fit(view: ViewerSamples) -> float:
 
 
 def _samples_off(view: ViewerSamples) -> tuple[float, str]:
-    """How unlikely the directions of the samples are by their density, likewise."""
+    """The misfit of sampled directions to their density, in units of what is allowed, and the figures in words."""
     p, length = fit(view), unit_length_error(rows(view.wo, (view.keep | view.delta).nonzero()[:, 0]))
     if not length <= LENGTH:
         return math.inf, f"{view.where}: squared lengths of samples are off 1 by up to {length:.2g}"
@@ -105,7 +105,7 @@ def _samples_off(view: ViewerSamples) -> tuple[float, str]:
 
 
 def weight_off(view: ViewerSamples) -> tuple[float, str]:
-    """How far the mean of eval / pdf is off the integral of eval, likewise; of the worst channel."""
+    """The error of the mean of eval / pdf against the integral of eval, in such units; of the worst channel."""
     smooth = view.weight * (~view.delta).double()[:, None]
     means, errors = smooth.mean(0), smooth.std(0) / len(smooth) ** 0.5
     found = []
@@ -118,7 +118,7 @@ def weight_off(view: ViewerSamples) -> tuple[float, str]:
 
 
 def lobes_off(subject: Subject, where: str, seed: int, count: int = 4096) -> tuple[float, str]:
-    """How far the frequency of lobes is off their probability, likewise; at equal u and v."""
+    """The error of lobes' frequencies against their probabilities, in such units; at equal u and v."""
     kind, off = subject.kind, 0.0
     wi, choice = direction(VIEWERS[where], AZIMUTH, count), (torch.arange(count, dtype=torch.float64) + 0.5) / count
     for pair in torch.rand(TRIES, 2, generator=torch.Generator().manual_seed(seed), dtype=torch.float64):
@@ -133,12 +133,12 @@ def lobes_off(subject: Subject, where: str, seed: int, count: int = 4096) -> tup
 
 
 def chosen_lobes(choice: LobeChoice) -> list[Tensor]:
-    """What tells lobes apart: the numbers of all parts that take part, and the probability."""
+    """Tensors that distinguish chosen lobes: numbers of all nested choices, and probabilities."""
     return [choice.lobe, choice.probability, *(lobe for part in choice.parts for lobe in (part.lobe, part.probability))]
 
 
 def scattering_findings(subject: Subject, count: int, seed: int) -> list[Finding]:
-    """The findings on density, samples, weight and lobes."""
+    """The findings on density, samples, weights and lobes."""
     views = [viewed(subject, where, count, seed + number) for number, where in enumerate(VIEWERS)]
     smooth = [view for view in views if view.density is not None]
     ideal = "only delta lobes, whose pdf is 0"
@@ -149,7 +149,7 @@ def scattering_findings(subject: Subject, count: int, seed: int) -> list[Finding
 
 
 def methods_off(subject: Subject, count: int, seed: int) -> tuple[float, str]:
-    """Whether `eval`, `pdf` and `eval_pdf`, with and without fixed lobes, say the same, and none is negative."""
+    """The disagreement of `eval`, `pdf` and `eval_pdf`, with and without fixed lobes, and negative values, in such units."""
     kind, wi, wo = subject.kind, directions(count, seed), directions(count, seed + 1)
     values = subject.values(wi.z)
     value, pdf = kind.eval_pdf(values, wi, wo)

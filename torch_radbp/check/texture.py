@@ -1,4 +1,4 @@
-"""`check_texture`: are the values of a texture finite, smooth where it is read, and in their range?"""
+"""`check_texture`: tests whether a texture's values are finite, differentiable and within their range."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ROUNDING = 1e-5  # relative, by which interpolated values may leave a range
 @public_call
 def check_texture(texture: Texture | torch.nn.Module | dict[str, Any], *, low: float | None = None,
                   high: float | None = None, places: int = 20_000, seed: int = 0) -> PluginCheck:
-    """Checks that the values of a texture are finite, with finite derivatives, and in a range if one is stated.
+    """Tests whether a texture's values and derivatives are finite, and values within a range if one is given.
 
         print(rb.check_texture({"type": "bitmap", "filename": "wood.png"}, low=0.0, high=1.0))
 
@@ -66,14 +66,14 @@ def check_texture(texture: Texture | torch.nn.Module | dict[str, Any], *, low: f
 
 
 def _places_of(count: int, seed: int, dtype: torch.dtype) -> Vec3:
-    """Random places, and corners."""
+    """Random texture points, and points at special coordinates such as corners and integers."""
     random = (torch.rand(count, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64) * 2 - 1) * SPREAD
     corners = torch.cartesian_prod(torch.tensor(CORNERS, dtype=torch.float64), torch.tensor(CORNERS, dtype=torch.float64))
     return Vec3.of(torch.cat([random, torch.cat([corners, corners[:, :1]], 1)]).to(dtype))
 
 
 def findings(texture: Texture, p: Vec3, low: float | None, high: float | None) -> list[Finding]:
-    """The findings on a texture in its dtype; its parameters and the places attached."""
+    """The findings on a texture in its dtype; its parameters and the points attached."""
     values = texture_at(texture, p).stack()
     least, greatest = values.detach().min().item(), values.detach().max().item()
     bad = (~torch.isfinite(values)).any(1)
