@@ -1,4 +1,4 @@
-"""Any shape as a mesh of triangles with surface coordinates."""
+"""Bakes any shape to a triangle mesh with surface coordinates."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ GAP = 4  # texels between charts
 
 
 class ShapeTriangles(NamedTuple):
-    """The triangles of a shape in world space, with what they are made of."""
+    """The triangles of a shape in world space, with material and emitter."""
 
     surface: Triangles
     bsdf: BSDF
@@ -32,7 +32,7 @@ class ShapeTriangles(NamedTuple):
 
 @public_call
 def mesh(shape: Shape | trimesh.Trimesh | trimesh.Scene, *, unwrap: bool = False, resolution: int = 1024) -> TensorMesh:
-    """A shape as triangles in world space, with surface coordinates that bitmaps can be baked for.
+    """Bakes a shape to triangles in world space, with surface coordinates for bitmaps.
 
         scene.body = rb.bake.mesh(scene.body)  # an sdfgrid, say; the material stays
 
@@ -77,7 +77,7 @@ def mesh(shape: Shape | trimesh.Trimesh | trimesh.Scene, *, unwrap: bool = False
 
 
 def body_of(shape: Surface | ShapeGroup | Instance) -> ShapeTriangles:
-    """All triangles of a shape, as one surface.
+    """All triangles of a shape, a group or an instance, as one surface.
 
     Raises:
         ValueError: if they have several materials.
@@ -94,7 +94,7 @@ def body_of(shape: Surface | ShapeGroup | Instance) -> ShapeTriangles:
 
 
 def _joined(surfaces: list[Triangles]) -> Triangles:
-    """Several surfaces as one; what only some of them have is left out, but for normals, which flat ones get."""
+    """Joins surfaces to one; attributes that only some have are dropped, but flat ones get normals."""
     if any(each.normals is None for each in surfaces) and any(each.normals is not None for each in surfaces):
         surfaces = [flat_with_normals(each) if each.normals is None else each for each in surfaces]
     starts = torch.tensor([0, *(len(each.vertices) for each in surfaces[:-1])]).cumsum(0).tolist()
@@ -112,7 +112,7 @@ def _joined(surfaces: list[Triangles]) -> Triangles:
 
 
 def flat_with_normals(surface: Triangles) -> Triangles:
-    """A surface without normals, whose triangles have vertices and normals of their own."""
+    """A flat surface with face normals at its vertices, which triangles no longer share."""
     corner = surface.faces.flatten()
     first, second, third = surface.vertices[surface.faces].unbind(1)
     normals = torch.nn.functional.normalize(torch.linalg.cross(second - first, third - first), dim=1)
@@ -123,7 +123,7 @@ def flat_with_normals(surface: Triangles) -> Triangles:
 
 
 def _unwrapped(surface: Triangles, resolution: int) -> Triangles:
-    """The surface with charts of xatlas as surface coordinates."""
+    """A surface with charts by xatlas as surface coordinates."""
     try:
         import xatlas
     except ImportError as error:

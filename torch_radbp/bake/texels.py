@@ -1,4 +1,4 @@
-"""Which triangle each texel of a bitmap lies in, by the surface coordinates of a mesh."""
+"""The triangle that contains each texel of a bitmap, by a mesh's surface coordinates."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ REACH = 4.0  # texels around a triangle up to which its plane is continued
 
 
 class TexelPlaces(NamedTuple):
-    """The places of the (H, W) texels of a bitmap on a mesh; row 0 is at v = 0."""
+    """The positions of the (H, W) texels of a bitmap on a mesh; row 0 is at v = 0."""
 
     triangle: Tensor  # (H, W) int64
-    weights: Tensor  # (H, W, 3) float64, of its corners; negative where the texel lies beside the triangle
-    shared: int  # how many texels have their centre in several triangles
+    weights: Tensor  # (H, W, 3) float64, barycentric; negative where the texel is outside of the triangle
+    shared: int  # number of texels whose centre is in several triangles
 
     def of_vertices(self, rows: Tensor, faces: Tensor) -> Tensor:
-        """(H, W, K) of values of vertices, (V, K); faces: (F, 3)."""
+        """Interpolates vertex attributes, (V, K), at texels, (H, W, K); faces: (F, 3)."""
         return (rows[faces[self.triangle]] * self.weights.to(rows)[..., None]).sum(2)
 
 
 def texels_of(uv: Tensor, faces: Tensor, height: int, width: int) -> TexelPlaces:
-    """The triangle that each texel lies in, and of those that lie in none, a triangle nearby.
+    """The triangle that contains each texel, or else one nearby.
 
     Bilinear reading at the borders of a chart mixes texels outside of it. Up to `REACH` texels away these continue the plane
     of the triangle, which leaves the surface right to the border; farther away they repeat what is nearest. A triangle that
@@ -71,7 +71,7 @@ def texels_of(uv: Tensor, faces: Tensor, height: int, width: int) -> TexelPlaces
 
 
 def pairs(corners: Tensor, usable: Tensor, height: int, width: int) -> Iterator[tuple[Tensor, Tensor]]:
-    """Triangles and the texels whose centres are in the boxes around them: (P,) each, in parts.
+    """Yields pairs of triangles and texels whose centres are in the triangles' bounding boxes: (P,) each, in parts.
 
     Args:
         corners: (F, 3, 2) x and y, in texels from the centre of the first.
@@ -93,7 +93,7 @@ def pairs(corners: Tensor, usable: Tensor, height: int, width: int) -> Iterator[
 
 
 def weights_in(corners: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """(P, 3) weights of the corners, (P, 3, 2), of triangles that make these points, inside of them or not."""
+    """(P, 3) barycentric coordinates of points, inside of their triangles, (P, 3, 2), or not."""
     first = corners[:, 0]
     (a, b), (c, d) = ((corners[:, corner] - first).unbind(1) for corner in (1, 2))
     right, down = x - first[:, 0], y - first[:, 1]
