@@ -1,4 +1,4 @@
-"""What the material at the surface that a camera ray meets adds: its colour, and the normal that an image has turned."""
+"""AOVs of the material at the first hit: its albedo, and the shading normal of normal and bump maps."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from torch_radbp.texture.reader import TextureValue
 
 
 def turns_normals(scene: SceneTensors) -> bool:
-    """True if a material of a scene has normals of its own."""
+    """True if a material of the scene has shading normals of its own (normal or bump map)."""
     return any(appearance.kind.turns_normals for appearance in scene.layout.appearances)
 
 
 def material_values(integrand: Integrand, state: PathState, hit: Hit, names: tuple[str, ...],
                     normals: Values | None) -> tuple[Values, ...]:
-    """Some quantities, one after the other: "albedo", or "sh_normal"; 0 where nothing is met.
+    """The AOV "albedo" or "sh_normal" of camera paths; 0 where nothing is hit.
 
     Args:
         integrand: attached.
@@ -52,7 +52,7 @@ def material_values(integrand: Integrand, state: PathState, hit: Hit, names: tup
 
 
 def albedo(scene: SceneTensors, arrival: Arrival, texture_values: tuple[TextureValue, ...], settings: Settings) -> Values:
-    """Linear RGB; see `Kind.diffuse_reflectance`."""
+    """The albedo at the first hit, linear RGB; see `Kind.diffuse_reflectance`."""
     si = surface_met(scene, arrival, settings)
     material = material_at(scene, si, texture_values)
     return tuple(material.kind.diffuse_reflectance(material.values, si.wi))
@@ -60,7 +60,7 @@ def albedo(scene: SceneTensors, arrival: Arrival, texture_values: tuple[TextureV
 
 def turned_normal(scene: SceneTensors, arrival: Arrival, texture_values: tuple[TextureValue, ...],
                   settings: Settings) -> Values:
-    """The normal that an image gives, in world space; the surface's own on two-sided materials, as in Mitsuba."""
+    """The shading normal of a normal or bump map, world space; two-sided materials have the surface's, as in Mitsuba."""
     si = surface_met(scene, arrival, settings)
     material = material_at(scene, si, texture_values)
     front_row = lookup(scene.triangles.material, si.prim)
@@ -75,7 +75,7 @@ FUNCTIONS = {"albedo": albedo, "sh_normal": turned_normal}
 @stage("scene")
 def material_value(scene: SceneTensors, arrival: Arrival, texture_values: tuple[TextureValue, ...], settings: Settings,
                    name: str) -> Values:
-    """One of these quantities, of lanes that meet one appearance.
+    """One AOV of the material, for lanes that hit one appearance.
 
     Args:
         scene: the part that these lanes read.
