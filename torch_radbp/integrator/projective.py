@@ -1,4 +1,4 @@
-"""Mitsuba's integrators whose derivatives have boundary terms, with the terms that there are here."""
+"""Mitsuba's projective integrators, rendered with the boundary terms of `Renderer`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SEEDS = ("both", "bsdf", "emitter")
 
 def sampling_of_boundaries(name: str, plain: str, sppc: int | None, sppp: int | None, sppi: int | None, guiding: str,
                            guiding_proj: bool, guiding_rounds: int, project_seed: str) -> dict[str, Any]:
-    """The settings of Mitsuba's projective sampling, checked; they are without effect, and a warning says what is there.
+    """Checks the settings of Mitsuba's projective sampling, and warns that they are without effect.
 
     Args:
         name: of the integrator.
