@@ -1,4 +1,4 @@
-"""What the lanes of a call count in its pixels, and what its pixels ask of the lanes."""
+"""Splats the lanes of a call to its pixels, and gathers the lanes' adjoints from the pixels' adjoints."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ Result = TypeVar("Result")
 
 
 class Images(NamedTuple):
-    """Developed images."""
+    """Developed images of a call."""
 
     pixels: Tensor  # (B, C, H, W)
     filters: Tensor  # (B, H, W) the sums of the reconstruction filter over the samples around pixels
-    results: list  # what else was found of each wavefront
+    results: list  # further results of each wavefront
 
 
 def deposit(call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor], place: Vec2) -> list[Tensor]:
-    """What the lanes of a wavefront count in the pixels around them, for each of its chunks; `developed` takes it.
+    """Splats the values of a wavefront's lanes: for each of its chunks the filter-weighted sums that `developed` takes.
 
     Args:
         values: C of (N,), of the lanes.
@@ -40,7 +40,7 @@ def deposit(call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor], pl
 
 
 def deposit_of_chunk(call: RenderCall, chunk: Chunk, values: Sequence[Tensor], place: Vec2) -> Tensor:
-    """As `deposit`, of one chunk and its lanes."""
+    """Splats the values of one chunk's lanes; args as for `deposit`."""
     grid, block, stage = call.views[chunk.sensor].grid, Block(place, chunk.samples, call.spp), call.stages(deposited)
     if chunk.samples == call.spp:
         return row_sums(stage, grid, tuple(values), block)
@@ -48,7 +48,7 @@ def deposit_of_chunk(call: RenderCall, chunk: Chunk, values: Sequence[Tensor], p
 
 
 def developed(call: RenderCall, work: Callable[[Wavefront], tuple[list[Tensor], Result]]) -> Images:
-    """The images of C values of lanes: means of the samples around each pixel, weighted by the reconstruction filter.
+    """Traces all wavefronts and develops images of C values of lanes, weighted by the reconstruction filter.
 
     Args:
         work: gives of each wavefront what `deposit` does, and anything else.
@@ -67,7 +67,7 @@ def developed(call: RenderCall, work: Callable[[Wavefront], tuple[list[Tensor], 
 
 
 def put_together(grid: Grid, band: range, parts: list[tuple[Chunk, Tensor]]) -> Tensor:
-    """(R, 1 + C, n, columns) of the n rows of a band, from what its chunks count."""
+    """Joins the sums of a band's chunks to (R, 1 + C, n, columns) for its n rows."""
     total = None
     for part, own in groupby(parts, lambda part: part[0].rows):
         found = [sums for _, sums in own]
@@ -81,7 +81,7 @@ def put_together(grid: Grid, band: range, parts: list[tuple[Chunk, Tensor]]) -> 
 
 
 def filters_of(call: RenderCall, which: int) -> Tensor:
-    """(B, H, W) as in `Images`, of the samples of the image (0) or of its derivative (1)."""
+    """(B, H, W) the sums of filter weights, of the samples of the image (0) or of its derivative (1)."""
     if all(view.grid.kernel.flat for view in call.views):
         view = call.views[0]
         return torch.full((len(call.views), view.height, view.width), float(call.spp), dtype=call.scene.dtype,
@@ -94,13 +94,13 @@ def filters_of(call: RenderCall, which: int) -> Tensor:
 
 
 def asked_of_pixels(call: RenderCall, grad_images: Tensor, filters: Tensor) -> list[Vec3]:
-    """For each view the derivative of the loss by what samples add to the sums of pixels; tables for `lane_adjoint`."""
+    """For each view the adjoint of the undivided sums of its pixels, in the form that `lane_adjoint` gathers from."""
     return [Vec3(*view.grid.quotient(own, sums).flatten(1))
             for view, own, sums in zip(call.views, grad_images, filters)]
 
 
 def lane_adjoint(call: RenderCall, wavefront: Wavefront, place: Vec2, pixels: Sequence[Vec3]) -> Vec3:
-    """Derivative of the loss with respect to what counts of L_1 of each lane.
+    """The adjoint of each lane's weighted radiance L_1, gathered from the pixels around it.
 
     Args:
         place: (N,) of the lanes in their pixels.
@@ -111,7 +111,7 @@ def lane_adjoint(call: RenderCall, wavefront: Wavefront, place: Vec2, pixels: Se
 
 
 def adjoint_of_chunk(call: RenderCall, chunk: Chunk, place: Vec2, pixels: Vec3) -> Vec3:
-    """As `lane_adjoint`, of one chunk and its lanes, with what its view's pixels ask for."""
+    """The adjoint of the radiance of one chunk's lanes; args as for `lane_adjoint`."""
     grid = call.views[chunk.sensor].grid
     width = grid.columns + 2 * grid.kernel.reach
     entry = chunk.rows.numbers(call.scene.device, width)
@@ -123,5 +123,5 @@ def adjoint_of_chunk(call: RenderCall, chunk: Chunk, place: Vec2, pixels: Vec3) 
 
 
 def weighted(L: Vec3, weight: Tensor | None) -> Vec3:
-    """What counts of the lanes' radiance, or of its adjoint."""
+    """Radiance, or its adjoint, times the lanes' camera weights, if there are any."""
     return L if weight is None else L * weight

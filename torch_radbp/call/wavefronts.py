@@ -1,4 +1,4 @@
-"""Wavefronts: chunks that are traced as one.
+"""Wavefronts: several chunks whose lanes are traced together.
 
 A wavefront of some thousand lanes takes about as long as one of twice as many, most of it in Python. So small images of
 several sensors, such as all views of a step of an optimisation, are traced together.
@@ -14,7 +14,7 @@ from torch_radbp.call.chunks import LEAST_LANES, Chunk
 
 
 class Wavefront(NamedTuple):
-    """Chunks that are traced as one, and their lanes one after the other."""
+    """Chunks that are traced together, their lanes one after the other."""
 
     chunks: tuple[Chunk, ...]
 
@@ -24,16 +24,16 @@ class Wavefront(NamedTuple):
 
     @property
     def sensor(self) -> int:
-        """That of the first chunk; a far plane that cuts the scene is its own, for then there is no other."""
+        """The sensor of the first chunk; a wavefront has only one sensor if a far plane cuts the scene."""
         return self.chunks[0].sensor
 
     @property
     def group(self) -> int:
-        """Of bands that are rendered side by side."""
+        """The group of bands that the wavefront belongs to."""
         return self.chunks[0].group
 
     def parts(self) -> Iterator[tuple[Chunk, int, int]]:
-        """Each chunk with its first lane, and the one after its last."""
+        """Yields each chunk with its first lane and its end."""
         first = 0
         for chunk in self.chunks:
             yield chunk, first, first + chunk.lanes
@@ -42,7 +42,7 @@ class Wavefront(NamedTuple):
 
 def plan_wavefronts(chunks: Sequence[Chunk], alike: Callable[[Chunk], Hashable], lanes: int,
                     workers: int) -> list[Wavefront]:
-    """Wavefronts of chunks that follow each other: as few as there may be, but one for each worker that is worth it.
+    """Joins successive chunks to as few wavefronts as possible, but one for each worker that is worth it.
 
     Args:
         chunks: of a call.
@@ -60,7 +60,7 @@ def plan_wavefronts(chunks: Sequence[Chunk], alike: Callable[[Chunk], Hashable],
 
 
 def number_of(sizes: Sequence[int], lanes: int, workers: int) -> int:
-    """How many wavefronts chunks of these sizes make; the rest as for `plan_wavefronts`."""
+    """The number of wavefronts into which chunks of these sizes are joined; args as for `plan_wavefronts`."""
     most = max(1, lanes // max(sizes))  # chunks of one
     count = max(1, -(-len(sizes) // most), min(workers, sum(sizes) // LEAST_LANES))
     fair = -(-count // workers) * workers if count > workers else count
