@@ -39,7 +39,7 @@ SAVED = object()  # stands for a tensor that autograd keeps
 
 
 def first_derivatives_only(backward: Callable) -> Callable:
-    """A backward pass that refuses to be recorded, instead of giving gradients whose own derivative would be zero."""
+    """Makes a backward pass raise under double differentiation, instead of returning zeros."""
     @wraps(backward)
     def refusing(ctx, *gradients: Tensor):
         if torch.is_grad_enabled():
@@ -57,7 +57,7 @@ def first_derivatives_only(backward: Callable) -> Callable:
 
 
 class RenderFunction(torch.autograd.Function):
-    """Images as a function of the scene's leaves, with memoized adjoint radiance as its derivative."""
+    """The images as a differentiable function of the scene's leaves; backward by memoized adjoint radiance."""
 
     @staticmethod
     def forward(ctx, call: RenderCall, *leaves: Tensor) -> Tensor:
@@ -141,7 +141,7 @@ class RenderFunction(torch.autograd.Function):
 
 
 def without_tensor(tensors: list[Tensor], leaf):
-    """What stands for a leaf of a record whose tensors autograd keeps; these are added to a list."""
+    """Replaces a tensor in a record by a placeholder, and appends it to `tensors`, which autograd saves."""
     if not isinstance(leaf, Tensor):
         return leaf
     tensors.append(leaf)
@@ -149,7 +149,7 @@ def without_tensor(tensors: list[Tensor], leaf):
 
 
 def saved_tensors(ctx) -> tuple[Tensor, ...]:
-    """What autograd has kept; raises RuntimeError in our words if a parameter has been changed in place since."""
+    """The tensors that autograd has saved; raises RuntimeError if a parameter was changed in place since."""
     try:
         return ctx.saved_tensors
     except RuntimeError as error:
@@ -160,7 +160,7 @@ def saved_tensors(ctx) -> tuple[Tensor, ...]:
 
 
 def check_shapes(parameters: dict[str, Tensor], shapes: dict[str, tuple[int, ...]]) -> None:
-    """Raises RuntimeError naming a parameter whose shape is not that which it had in the forward pass."""
+    """Raises RuntimeError naming a parameter whose shape has changed since the forward pass."""
     for name, parameter in parameters.items():
         if tuple(parameter.shape) != shapes[name]:
             raise RuntimeError(f"the parameter {name!r} has been resized between a rendering and its backward pass, from "
@@ -169,19 +169,18 @@ def check_shapes(parameters: dict[str, Tensor], shapes: dict[str, tuple[int, ...
 
 
 def asks_for_gradient(record) -> list[bool]:
-    """Of each leaf of a record, as `leaves_of` counts, whether it is a tensor that requires a gradient."""
+    """For each leaf of a record, whether it is a tensor that requires a gradient."""
     return [isinstance(leaf, Tensor) and leaf.requires_grad for leaf in leaves_of(record)]
 
 
 def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
-    """The leaves that a gradient is asked for, of those that were handed over."""
+    """The leaves of the forward pass that require a gradient."""
     return [source for source, need in zip(sources, ctx.needs_input_grad[1:]) if need]
 
 
 def camera_adjoint(call: RenderCall, chunk: Chunk, wanted: tuple[bool, ...], adj_ray: Ray,
                    adj_cone: Cone | None) -> list[Tensor]:
-    """The gradients of the wanted leaves of a camera from those of the rays, and cones, of one chunk; where each ray reads
-    entries of its own, they are summed in float64."""
+    """The gradients of a camera's leaves from the adjoints of one chunk's rays and cones."""
     view = call.views[chunk.sensor]
     leaves = leaves_of(view.camera)
     leaves = [leaf.clone().requires_grad_() if want else leaf for leaf, want in zip(leaves, wanted)]
@@ -196,5 +195,5 @@ def camera_adjoint(call: RenderCall, chunk: Chunk, wanted: tuple[bool, ...], adj
 
 
 def render_with_derivative(call: RenderCall) -> Tensor:
-    """The images, with the quantities of the call; attached to the leaves of scene and cameras through `RenderFunction`."""
+    """Renders images with AOVs, attached to the leaves of scene and cameras by `RenderFunction`."""
     return RenderFunction.apply(call, *differentiable(call.scene), *differentiable([view.camera for view in call.views]))

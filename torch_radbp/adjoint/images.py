@@ -18,7 +18,7 @@ from torch_radbp.path.trace import trace
 
 
 def render_images(call: RenderCall, integrand: Integrand, record: bool, tracer: Callable = trace) -> Images:
-    """Linear RGB and the quantities of the call, and records of those wavefronts of which one is wanted and kept."""
+    """Renders linear RGB and AOVs of a call, and keeps path records for the backward pass if asked to."""
     allowance = Allowance(call.record_bytes if record else 0)
 
     def trace_one(wavefront: Wavefront) -> tuple[list[Tensor], PathRecord | None]:
@@ -49,7 +49,7 @@ def _check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> Non
 
 
 def render_detached(call: RenderCall) -> Tensor:
-    """The images without derivatives, with the quantities of the call."""
+    """Renders images and AOVs without derivatives."""
     call = call.still()
     with torch.no_grad():
         return render_images(call, call.integrand, record=False).pixels

@@ -1,4 +1,4 @@
-"""The images of a call with the derivatives that are asked for, in either mode."""
+"""Renders the images of a call with interior derivatives, in either mode."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torch_radbp.tensors.differentiated import differentiable, with_derivative_o
 
 
 def rendered(call: RenderCall) -> Tensor:
-    """(B, C, H, W) with the derivatives of what is seen inside of edges, and with the quantities of the call."""
+    """Renders (B, C, H, W) images with interior derivatives, AOVs included."""
     record = call.scene, [view.camera for view in call.views]
     forward_mode = has_tangents(record)
     if not forward_mode and not (torch.is_grad_enabled() and differentiable(record)):

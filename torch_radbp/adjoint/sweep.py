@@ -39,19 +39,19 @@ from torch_radbp.tensors.vec import Vec2, Vec3, rows
 
 
 class PathRecord(NamedTuple):
-    """The record of a chunk's forward pass that its backward pass needs."""
+    """The record of a chunk's forward pass for its backward pass."""
 
     start: Callable[[], PathState]  # makes the camera paths again
     radiance: Vec3 | None  # L_1 of each lane, kept for path replay only
     states: dict[int, PathState]  # by depth, where the schedule keeps them; depth 0 is `start`
     steps: dict[int, Step]  # by depth, empty with keep_hits=False
     bounces: int
-    weight: Tensor | None = None  # what counts of each lane's radiance; None: all of it
-    place: Vec2 | None = None  # of each lane in its pixel
+    weight: Tensor | None = None  # camera weight of each lane's radiance; None: 1
+    place: Vec2 | None = None  # position of each lane in its pixel
 
 
 def numbered_leaves(scene: SceneTensors, wanted: tuple[bool, ...]) -> SceneTensors:
-    """The record with the numbers of the leaves that are to be differentiated, as `Gradients` counts them; None elsewhere.
+    """A record with the gradient index of each differentiated leaf; None elsewhere.
 
     Args:
         scene: any.
@@ -62,12 +62,12 @@ def numbered_leaves(scene: SceneTensors, wanted: tuple[bool, ...]) -> SceneTenso
 
 
 class Adjoint(NamedTuple):
-    """What the lanes of one queue are differentiated with."""
+    """The tables and functions by which the lanes of one queue are differentiated."""
 
     scene: SceneTensors  # the part that they read, detached
-    wanted: tuple[bool, ...]  # which leaves of it have a number
-    still: tuple[bool, ...]  # which values of the material do not depend on them
-    leaves: list[int]  # these numbers
+    wanted: tuple[bool, ...]  # whether each of its leaves is differentiated
+    still: tuple[bool, ...]  # whether each value of the material is independent of them
+    leaves: list[int]  # gradient indices of the differentiated leaves
     of_bounce: Callable  # `bounce_adjoint`
 
 
@@ -94,7 +94,7 @@ class Sweep:
         self.memo = empty_memo(adj_L.x, self.moving, twice, integrand.scene)
 
     def adjoint_of(self, event: Event) -> Adjoint:
-        """What lanes are differentiated with to which this happens; made once."""
+        """The tables and functions by which lanes with an event are differentiated; cached."""
         if event not in self.adjoints:
             part, scatterer = self.integrand.part(event), self.integrand.scatterer(event)
             leaves = leaves_of_part(self.numbered, self.integrand.scene.layout, scatterer)
@@ -116,7 +116,7 @@ class Sweep:
         return self.integrand.settings.moving
 
     def remember(self, L: Vec3) -> None:
-        """Puts incident radiance into the memo."""
+        """Puts incident radiance L_{k+1} into the memo."""
         self.memo = self.memo._replace(L=L.map(torch.clone))
 
     def adjoint(self, state: PathState, depth: int) -> None:
@@ -129,11 +129,11 @@ class Sweep:
             self.finish()
 
     def finish(self) -> None:
-        """Adds what is still missing to the gradients."""
+        """Adds the gradients that are still pending."""
         self.modules.add_held()
 
     def differentiate(self, state: PathState, step: Step, memo: Memo, adj_L: Vec3, depth: int) -> tuple[ModuleAdjoint, ...]:
-        """As `adjoint`, of a bounce whose decisions are known, but for the gradients of modules: returns the adjoints."""
+        """Differentiates one bounce whose decisions are given; returns the adjoints of modules' values."""
         integrand, arrival = self.integrand, step.arrival(state)
         same = integrand.stages(bounce_adjoint).taken(
             arrival=arrival, adj_L=adj_L, memo=memo, at=integrand.at(depth), settings=integrand.settings_at(depth))
