@@ -1,4 +1,6 @@
-"""Silhouettes: where an image is discontinuous, so that its derivative has a part that no derivative of radiance has."""
+"""Boundary terms: derivatives from discontinuities of the image, such as silhouettes, which no derivative of radiance
+has.
+"""
 
 from torch_radbp.boundary.outline import Jumps, Outlines, outlines_of
 from torch_radbp.boundary.rendering import Rendering, rendering_of

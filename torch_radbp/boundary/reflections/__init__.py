@@ -149,7 +149,7 @@ def _jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, s
 
 
 def moved(call: RenderCall, searched: Searched, found: CurveCrossings) -> Tensor:
-    """(K,) float64 zeros, attached: how the levels of curves change at points of the film; args as of `_jumps_in_view`."""
+    """(K,) float64 zeros, attached: the change of curves' levels at fixed points; args as of `_jumps_in_view`."""
     crossed, curves, follows, _ = found
     view, lines, draw = call.views[searched.number], searched.surfaces.lines, draw_of(crossed)
     sample = camera_sample(call, view, crossed.low, crossed.aperture, crossed.key)

@@ -132,8 +132,7 @@ def drawn_by_steps(key: SampleKey, lane: Tensor, counter: Tensor) -> Tensor:
 
 def divided(searched: Searched, points: FilmPoints, path: IdealPath, pairs: ScanSteps,
             turn: int) -> tuple[FilmPoints, IdealPath, ScanSteps]:
-    """Parts of steps between whose ends something differs: where it does in several, one of them, by chance; and the points
-    with those between, with their paths."""
+    """Divides steps whose ends differ: of several differing parts one at random; returns new points and paths, too."""
     count, (first, second) = len(pairs.times), pairs.ends
     low, high = rows(points.film, first), rows(points.film, second)
     shares = [part / PARTS for part in range(1, PARTS)]

@@ -148,8 +148,7 @@ def part_of_one(surfaces: Surfaces, one: Reached, other: Reached) -> Tensor:
 
 
 def how_bent(surfaces: Surfaces, one: Reached, other: Reached) -> tuple[Tensor, Tensor]:
-    """Where nearby rays surely meet different surfaces, (N,) bool; and by how much the way from one point to the other is
-    not along the triangles, (N,) float64, BEND times a sine."""
+    """(N,) bool: neighbouring rays surely hit different surfaces; (N,) float64: BEND times the sine of the bend between."""
     way = point_met(other) - point_met(one)
     length = torch.sqrt(dot(way, way)).clamp_min(TINY)
     bend = torch.zeros_like(length)

@@ -1,4 +1,4 @@
-"""Where the film is searched: short lines across pixels, most of them where neighbouring points see different things.
+"""Scans: short lines across pixels on which discontinuities are searched, mostly where corners see different things.
 
 First a path is followed from every corner of the pixels. A pixel is then scanned in proportion to how likely its corners see
 different things by way of mirrors and glass, and a little more, for what is smaller.
@@ -126,8 +126,7 @@ def pixel_weights(searched: Searched) -> Tensor:
 
 
 def corner_pass(searched: Searched, turn: int, looks: LightLooks | None) -> tuple[Tensor, Tensor]:
-    """One path from each corner of the pixels: how likely a jump in each pixel is, (R, C) float64; and the corners from
-    which ideal surfaces are seen, (R + 1, C + 1) bool. All go the same way at each vertex, and look at the same light."""
+    """One path per pixel corner: (R, C) float64 likelihood of a jump in each pixel, (R + 1, C + 1) bool: ideal surfaces."""
     call = searched.call
     view = call.views[searched.number]
     width, height = view.grid.columns + 1, view.grid.rows + 1

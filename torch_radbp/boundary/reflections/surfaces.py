@@ -45,7 +45,7 @@ class LineTable(NamedTuple):
 class SmoothParts(NamedTuple):
     """How the T triangles of a scene hang together."""
 
-    continues: Tensor  # (3 T,) int32, for each side, opposite a corner, on which triangle the surface goes on without a jump
+    continues: Tensor  # (3 T,) int32, for each side, by opposite corner, the next triangle if the surface is smooth
     part: Tensor  # (T,) int32, equal of triangles of one smooth surface
 
 

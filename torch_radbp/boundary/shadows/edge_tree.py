@@ -245,8 +245,7 @@ def descended(nodes: EdgeNodes, eyes: Eyes, extent: Tensor, at: Descent, count: 
 
 
 def picked_by_weight(weights: Sequence[Tensor], u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Which of some weights, (N,) each, random numbers pick, (N,) int32; its share of all, 0 if all are; and what is left
-    of the random number."""
+    """Samples one of several weights, (N,) each: number, (N,) int32, probability, and remaining random number."""
     total = weights[0]
     for weight in weights[1:]:
         total = total + weight

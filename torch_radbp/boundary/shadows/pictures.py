@@ -152,8 +152,7 @@ def light_of(scene: SceneTensors, kind: int, curves: LitCurves, step: Tensor | f
 
 def curves_lit(call: RenderCall, number: int, kind: int,
                lines: PictureLines) -> tuple[LitCurves, Tensor, LaneKey] | None:
-    """Places whose light meets a receiver, how many lines each stands for, and the random numbers of each; args as for
-    `picture_borders_in_view`."""
+    """Samples image lines whose light hits a receiver, weights and keys; args as for `picture_borders_in_view`."""
     view, scene = call.views[number], call.scene
     run = lines.end + lines.start * -1.0
     weight = torch.hypot(run.x, run.y)

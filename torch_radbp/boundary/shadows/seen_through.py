@@ -70,8 +70,7 @@ def passes_straight(scene: SceneTensors) -> bool:
 
 
 def cuts_seen_through(call: RenderCall, number: int, casting: Casting, amount: Amount = ALL) -> CutsOfView | None:
-    """Places where lines to edges pass straight through surfaces that paths of a view meet, of which they are cuts; None:
-    there are none. Args as for `hidden_light.cuts_of_view`."""
+    """Samples edges seen through null-scattering surfaces; None: none. Args as for `hidden_light.cuts_of_view`."""
     geometry, begun = geometry_of(call.scene), number_of_paths(call, call.views[number], amount.before)
     integrand = integrand_of(call, call.integrand, number)
     points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1),

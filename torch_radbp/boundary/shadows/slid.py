@@ -38,7 +38,7 @@ def less_what_slides(call: RenderCall, number: int, geometry: Geometry, points: 
 
 def what_slides(call: RenderCall, number: int, geometry: Geometry, points: Viewpoints, start: Vec3, met: Hit,
                 place: Vec2) -> tuple[Tensor, Vec2]:
-    """Which points slide over their triangles, (K,) int64 of N, and what their barycentric coordinates change by; attached.
+    """Indices of points that slide over triangles, (K,) int64, and the change of their barycentric coordinates; attached.
 
     Args:
         call, number, geometry, points, start, met: as for `less_what_slides`.

@@ -120,8 +120,7 @@ def planes_met(call: RenderCall, geometry: Geometry, outline: Outline, lit: LitE
 
 
 def span_on(corners: Corners, exists: Tensor, light: LightOfEdges, start: Vec3) -> EdgeShadow:
-    """Where light meets the planes of triangles; it does in a piece of a line if both ends lie on the same side of where it
-    comes from."""
+    """The shadows of edges on planes; they exist if both ends lie on the same side of the light's origin."""
     n = cross(corners[1] - corners[0], corners[2] - corners[0])
     heights = [dot(n, ray.d) for ray in (light.a, light.b)]
     exists = exists & (heights[0] * heights[1] > 0.0)
