@@ -1,6 +1,4 @@
-"""Boundary terms: derivatives from discontinuities of the image, such as silhouettes, which no derivative of radiance
-has.
-"""
+"""Boundary terms: derivatives from the image's discontinuities, as silhouettes, which derivatives of radiance miss."""
 
 from torch_radbp.boundary.outline import Jumps, Outlines, outlines_of
 from torch_radbp.boundary.rendering import Rendering, rendering_of

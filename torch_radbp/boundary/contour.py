@@ -206,9 +206,7 @@ def contour_place(geometry: Geometry, sight: Sight, faces: Faces, lot: Lot, coun
 
 
 def from_apex(geometry: Geometry, sight: Sight, faces: Faces, kind: int) -> tuple[Between, Tensor]:
-    """The vertices of triangles, starting with the one whose level differs in sign from the others'; and (F,) int32 its
-    number.
-    """
+    """The vertices of triangles, first the one whose level differs in sign from the others'; and (F,) int32 which."""
     first, second, third = between = faces.between(geometry)
     level = net(geometry, sight.camera, between, faces.instance, kind, middle(sight, geometry, between))
     a, b, c = (torch.sign(value) for value in level.corner)

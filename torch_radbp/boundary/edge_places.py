@@ -187,9 +187,7 @@ def facing_at(geometry: Geometry, triangle: Tensor, between: Between, instance: 
 
 
 def _in_order(sheets: list[Sheet], silhouette: Tensor, known: Tensor) -> tuple[Glued, Glued]:
-    """The visible triangles behind and ahead of edges: at silhouettes, (N,) bool, one hides the other; unknown where not
-    `known`.
-    """
+    """The visible triangles behind and ahead of edges: at silhouettes the nearer one twice; unknown where not `known`."""
     one, two = sheets
     nearer, first = one.nearness >= two.nearness, one.ahead <= two.ahead
     found = []

@@ -79,9 +79,7 @@ def image_of_jumps(stages: Stages, geometry: Geometry, camera: Camera, jumps: Ju
 
 
 def recorded_jumps(stages: Stages, geometry: Geometry, camera: Camera, jumps: JumpPlaces, shape: tuple[int, int]) -> Tensor:
-    """(C, H, W) zeros with the derivative of discontinuities, recorded by torch in either mode. Args as for
-    `image_of_jumps`.
-    """
+    """(C, H, W) zeros with the derivative of discontinuities, recorded by torch in either mode."""
     geometry = geometry if has_tangents(geometry) else summed(geometry)
     moved = stages(swept)(geometry, camera, jumps.places, jumps.shown, jumps.kinds)
     image = moved.new_zeros(len(jumps.strength), shape[0] * shape[1])

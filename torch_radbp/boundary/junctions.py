@@ -34,9 +34,7 @@ def cut_at_vertices(points: Tensor, ends: Tensor, tolerance: float) -> tuple[Ten
 
 
 def vertices_on(points: Tensor, ends: Tensor, tolerance: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Finds vertices that lie on edges: (J,) int64 edges, positions along them, and (J,) int64 vertices. Args as for
-    `cut_at_vertices`.
-    """
+    """Finds vertices on edges: (J,) int64 edges, positions along them, (J,) int64 vertices. Args: as `cut_at_vertices`."""
     height, own = points @ points.new_tensor(OBLIQUE), ends.unique()
     places, order = height[own].sort(stable=True)
     own, of_ends = own[order], height[ends]

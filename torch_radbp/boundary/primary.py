@@ -269,9 +269,7 @@ def _kinds_of(places: Places) -> tuple[int, ...]:
 
 def differences(call: RenderCall, integrand: Integrand, viewed: ExaminedView, found: InView, asked: Tensor,
                 seen: SeenByCamera) -> tuple[Tensor, Tensor]:
-    """Visible samples among `asked` (M,) int32: (K,) int32, and values behind less values ahead of the curve, (C, K)
-    float64.
-    """
+    """Of samples `asked` (M,) int32: the visible ones, (K,) int32, and values behind less values ahead, (C, K) float64."""
     stages, geometry, sight, _ = viewed
     places, table, kinds = found
     sent = torch.full((), len(asked), dtype=torch.int32, device=asked.device)

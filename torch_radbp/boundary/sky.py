@@ -76,9 +76,7 @@ def normals_at(rendering: Rendering, hit: Hit, lanes: Tensor) -> Tensor:
 
 
 def rays_of(sight: CameraSight) -> tuple[Tensor, Tensor, Tensor]:
-    """Rays through a grid over the image: origins and unit directions, (SIDE^2, 3) float64; and (SIDE^2,) bool: it
-    exists.
-    """
+    """A grid of camera rays: origins and unit directions, (SIDE^2, 3) float64; and (SIDE^2,) bool: the ray exists."""
     film, lens = sight.camera.film, sight.camera.lens
     share = (torch.arange(SIDE, device=film.size_x.device) + 0.5) / SIDE
     y, x = (part.flatten() for part in torch.meshgrid(share * sight.height, share * sight.width, indexing="ij"))

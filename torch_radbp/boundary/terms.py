@@ -52,9 +52,7 @@ def bytes_of_edges(call: RenderCall, primary: bool, shadows: bool) -> int:
 
 
 def asked_by_way_of_others(call: RenderCall, primary: bool, shadows: bool) -> tuple[bool, bool]:
-    """Whether discontinuities seen by way of mirrors and glass, and shadow borders there, are on; args as for
-    `bytes_of_edges`.
-    """
+    """Whether jumps and shadow borders by way of mirrors and glass are on; args as for `bytes_of_edges`."""
     if not follows_mirrors(call):
         return False, False
     moving = reflections_move(call)

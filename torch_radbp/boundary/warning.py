@@ -57,9 +57,7 @@ class JumpWarning(SilhouetteWarning):
 
 
 class JumpWatch:
-    """Examines every rendering for discontinuities that derivatives miss and light that images lack; warns once of each
-    kind.
-    """
+    """Examines renderings for discontinuities that derivatives miss, and light that images lack; warns once of each kind."""
 
     def __init__(self) -> None:
         # Those that have not warned yet.
