@@ -73,7 +73,7 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], still: tuple[b
                    verdict: Verdict | None, adj_L: Vec3, memo: Memo, at: Position, settings: Settings,
                    texture_values: tuple[TextureValue, ...]
                    ) -> tuple[Memo, list[list[TableAdjoint]], tuple[Vec3, ...]]:
-    """The local vector-Jacobian product of one bounce.
+    """The local vector-Jacobian product of one bounce: from dloss/dL_k to gradients of tables, and to the ray before.
 
     Args:
         scene: the part that these lanes read, detached.

@@ -71,7 +71,7 @@ class MemoizedAdjoint(AdjointStrategy):
         return most
 
     def backward(self, sweep: Sweep) -> None:
-        """Runs the plan of the schedule."""
+        """Differentiates all bounces in the order that the checkpoint schedule has planned."""
         record = sweep.record
         states = dict(record.states)
         if 0 not in states:

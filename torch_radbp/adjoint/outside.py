@@ -1,4 +1,4 @@
-"""Derivatives of outside textures (modules), whose values are computed before compiled code runs."""
+"""Derivatives of network textures (modules), whose values are computed before compiled code runs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ HELD = 1 << 17  # lanes that have reached a bounce, whose adjoints are held back
 
 
 class ModuleAdjoint(NamedTuple):
-    """The adjoints of modules' values at points."""
+    """The adjoints of values that modules (neural networks) have computed at points."""
 
     bank: int  # see `banks_asked`
     row: Tensor  # (N,) int32, index of the module in the bank; -1: none
@@ -54,11 +54,11 @@ class ModuleGradients:
         self.lanes = 0  # that reached the bounces of which something is held
 
     def numbers(self, bank: int) -> Sequence[Sequence[int | None]]:
-        """For a bank, the gradient index of each parameter of each module; None: not differentiated."""
+        """For a table of modules, the gradient index of each parameter of each module; None: not differentiated."""
         return module_banks(self.numbered)[bank].parameters
 
     def wanted(self, bank: int) -> list[list[bool]]:
-        """For a bank, whether each parameter of each module is differentiated."""
+        """For a table of modules, whether each parameter of each module is differentiated."""
         return [[leaf is not None for leaf in leaves] for leaves in self.numbers(bank)]
 
     def adjoints(self, scatterer: Appearance | None, places: tuple[Place, ...],
@@ -91,7 +91,7 @@ class ModuleGradients:
 
 
 def values_that_move(scene: SceneTensors, asking: Sequence[Asking]) -> list[tuple[TextureValue, ...]]:
-    """Evaluates outside textures for the queues of a bounce, with derivatives by their inputs.
+    """Evaluates network textures for the queues of a bounce, with derivatives by their inputs.
 
     Args:
         scene: detached.
@@ -112,5 +112,5 @@ def channels_that_move(bank: ModuleBank, row: Tensor, at: Vec2 | Vec3) -> list[T
 
 
 def triples(channels: Sequence[Tensor]) -> list[Vec3]:
-    """Groups channels by three into vectors."""
+    """Groups channels by three into colour vectors."""
     return [Vec3(*channels[first:first + 3]) for first in range(0, len(channels), 3)]

@@ -158,7 +158,7 @@ class Allowance:
         self.left, self.lock = count, Lock()
 
     def covers(self, record: PathRecord) -> bool:
-        """True if a record still fits; its bytes are then subtracted."""
+        """True if a path record still fits the memory limit; its bytes are then counted."""
         size = sum(item.nbytes for item in leaves_of(record) if isinstance(item, Tensor))
         with self.lock:
             self.left -= size

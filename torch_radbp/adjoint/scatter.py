@@ -41,7 +41,7 @@ class TableBlock(NamedTuple):
 
 
 def blocks_of(tables: Sequence[Tensor]) -> list[TableBlock]:
-    """Groups all tables into blocks."""
+    """Groups tables into blocks whose gradients are columns of one array."""
     found, first = [], 0
     while first < len(tables):
         width = 1
@@ -62,7 +62,7 @@ def lie_together(one: Tensor, other: Tensor) -> bool:
 
 
 class Gradients:
-    """One worker's sums of table gradients.
+    """The gradients of tables as summed by one worker thread.
 
     Args:
         tables: (K,) each, or () for a number; of any shape if only whole gradients are added.
@@ -137,7 +137,7 @@ def gradients_of(workers: Sequence[Gradients]) -> tuple[list[Tensor], bool]:
 
 
 def take_over(rows: Tensor, totals: Sequence[Tensor], place: Tensor) -> Tensor:
-    """Moves the sums on touched pages into the rows of a gradient.
+    """Moves the sums on touched pages (blocks of entries) into the rows of a gradient.
 
     Returns:
         Numbers that are finite if what was written is.
@@ -156,13 +156,13 @@ def take_over(rows: Tensor, totals: Sequence[Tensor], place: Tensor) -> Tensor:
 
 
 def pages_touched(flags: Sequence[Tensor]) -> Tensor:
-    """The indices of the pages that a worker has touched; on a GPU all, to avoid waiting for the device."""
+    """The pages (blocks of entries) that a worker has touched, by index; on a GPU all, to avoid waiting for it."""
     if not flags[0].is_cpu:
         return torch.arange(len(flags[0]), device=flags[0].device)
     return torch.stack(list(flags)).any(0).nonzero().squeeze(1)
 
 
 def pages(entries: int) -> int:
-    """The number of pages of a table; the last may be partial."""
+    """The number of pages (blocks of entries) of a table; the last may be partial."""
     return max(1, -(-entries // PAGE))
 

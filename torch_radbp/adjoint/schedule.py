@@ -17,7 +17,7 @@ LOAD, ADVANCE, KEEP, ADJOINT, DROP = "load", "advance", "keep", "adjoint", "drop
 
 
 class Action(NamedTuple):
-    """One step of the backward plan."""
+    """One step of the backward sweep's plan: restore, replay, keep, differentiate or drop a state."""
 
     kind: str
     """load: make the kept state of `depth` the current one. advance: replay bounce `depth` of the current state. keep: keep

@@ -106,7 +106,7 @@ class Sweep:
         return self.adjoints[event]
 
     def advance(self, state: PathState, depth: int) -> PathState:
-        """Replays one bounce."""
+        """Replays one bounce of all paths, without their radiance."""
         vertex, _, step = take_step(self.integrand, state, depth, self.record.steps.get(depth), with_light=False)
         return survivors(self.integrand, vertex.next, step)
 
@@ -129,7 +129,7 @@ class Sweep:
             self.finish()
 
     def finish(self) -> None:
-        """Adds the gradients that are still pending."""
+        """Adds the gradients of modules that are still pending."""
         self.modules.add_held()
 
     def differentiate(self, state: PathState, step: Step, memo: Memo, adj_L: Vec3, depth: int) -> tuple[ModuleAdjoint, ...]:

@@ -39,7 +39,7 @@ class TapeAdjoint(AdjointStrategy):
         return ()
 
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
-        """0: nothing is replayed."""
+        """0 states: nothing is replayed, since autograd has recorded everything."""
         return 0.0
 
     def backward(self, sweep: Sweep) -> None:

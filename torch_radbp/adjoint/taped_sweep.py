@@ -89,7 +89,7 @@ class TapedSweep(Sweep):
         return [*map(Scatters, range(len(layout.appearances))), *([] if layout.surround is None else [Ends.SURROUNDINGS])]
 
     def known_values(self, step: Step, events: list[Event]) -> tuple[TextureValues, ...]:
-        """The values of outside textures for each event, from the forward pass; None: not kept, or not needed."""
+        """The values of network textures for each event, from the forward pass; None: not kept, or not needed."""
         integrand = self.integrand
         if self.moving or not integrand.scene.layout.reads_outside:
             return (None,) * len(events)

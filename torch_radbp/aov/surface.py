@@ -40,7 +40,7 @@ class SeenPoint(NamedTuple):
 
     @property
     def uv(self) -> tuple[Vec2, Vec2, Vec2]:
-        """Surface coordinates at the three vertices."""
+        """The surface coordinates (u, v) at the three vertices."""
         return at_corners(self.scene.triangles.vertices.uv, corner_rows(self.scene, self.hit))
 
 

@@ -170,7 +170,7 @@ def rows_at(column: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class EdgeParts(NamedTuple):
-    """P parts of edges, (P,) float64."""
+    """P parts of edges, given by positions along them; (P,) float64."""
 
     start: Tensor  # shares of the edges' lengths
     end: Tensor

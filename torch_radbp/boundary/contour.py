@@ -112,12 +112,12 @@ def _facing(camera: Camera, p: Vec3, n: Vec3, aperture: Vec2 | None) -> Tensor:
 
 
 def beyond_near(camera: Camera, p: Vec3, n: None, aperture: Vec2 | None) -> Tensor:
-    """The level function of the near plane."""
+    """The level function that vanishes on the camera's near plane."""
     return camera.kind.beyond_planes(camera.lens, p)[0]
 
 
 def beyond_far(camera: Camera, p: Vec3, n: None, aperture: Vec2 | None) -> Tensor:
-    """The level function of the far plane."""
+    """The level function that vanishes on the camera's far plane."""
     return camera.kind.beyond_planes(camera.lens, p)[1]
 
 

@@ -125,7 +125,7 @@ def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, pla
 
 
 class Sheet(NamedTuple):
-    """A triangle at each of some edges, near a sampled point, (N,)."""
+    """One of the triangles at sampled edges, as a camera sees it next to the sample; (N,)."""
 
     point: Glued  # a point of the triangle next to the sample
     ahead: Tensor  # how far it extends ahead of the edge on the film, not normalised

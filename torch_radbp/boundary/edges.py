@@ -125,7 +125,7 @@ def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> E
 
 
 class Sides(NamedTuple):
-    """H sides of triangles, (H,)."""
+    """H sides of triangles, each by its end vertices and the opposite corner; (H,)."""
 
     low: Tensor  # int32, its end with the lesser index
     high: Tensor

@@ -76,7 +76,7 @@ def in_world(geometry: Geometry, vertices: tuple[Tensor, ...], instance: Tensor 
 
 
 def vertex_normals(geometry: Geometry, between: Between, instance: Tensor | None) -> Corners:
-    """The unit shading normals at three vertices."""
+    """The unit shading normals at the three vertices of triangles."""
     normals = tuple(lookup(geometry.triangles.vertices.n, row) for row in between)
     normals = normals if instance is None else shown_normals(geometry, _ShownBy(instance), normals)
     return tuple(normal.map(torch.Tensor.double) for normal in normals)

@@ -173,5 +173,5 @@ def hides(geometry: Geometry, ray: Ray, hit: Hit, p: Vec3) -> Tensor:
 
 
 def past(hit: Hit, distance: Tensor) -> Tensor:
-    """(N,) bool: nothing is hit up to a distance."""
+    """(N,) bool: rays that hit nothing up to a given distance."""
     return (hit.prim < 0) | (hit.t > distance)

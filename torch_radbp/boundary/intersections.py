@@ -65,7 +65,7 @@ class Bodies(NamedTuple):
 
 
 class Met(NamedTuple):
-    """Where bodies intersect; None: nowhere."""
+    """The segments along which bodies intersect or touch; None: there are none."""
 
     segments: Segments | None  # along which they pass through each other
     touching: Segments | None  # parts of sides of triangles that lie on other triangles

@@ -174,7 +174,7 @@ class Outlines:
         return found._replace(slots=self.order_of(scene, found, body))
 
     def order_of(self, scene: SceneTensors, outline: Outline, body: Tensor) -> EdgeSlots:
-        """The tree order of all edges, cached; `body`: (E,) body of each edge."""
+        """The edges in the order of their tree, cached; `body`: (E,) body of each edge."""
         edges, instance = outline.edges, outline.instance
         tables = (edges.a, edges.b, body, *edges.opposite)
         if self.order is None or len(tables) != len(self.order[0]) or not all(map(_unchanged, tables, self.order[0])):

@@ -40,7 +40,7 @@ class BodyEdges(NamedTuple):
 
 
 class Probes(NamedTuple):
-    """N edges that are examined."""
+    """N edges that are selected for a test of self-intersection."""
 
     edge: Tensor  # (N,) int64, which
     share: float  # probability of an edge's selection

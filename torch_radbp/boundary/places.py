@@ -47,7 +47,7 @@ SILHOUETTE, CREASE, RIM, NEAR, FAR, TEXTURE, INTERSECTION = range(7)
 
 
 class Glued(NamedTuple):
-    """Points fixed to triangles, (N,) each."""
+    """Points of triangles, fixed at barycentric coordinates, (N,) each."""
 
     prim: Tensor  # int32, as in a hit; -1: unknown
     u: Tensor  # barycentric coordinate of the second vertex
@@ -117,7 +117,7 @@ def taken_by(stages: Stages, size: int) -> int:
 
 
 class PlaceNumbers(NamedTuple):
-    """The random numbers of some samples."""
+    """The random numbers of samples on discontinuity curves."""
 
     key: LaneKey
     along: Tensor  # (N,) in [0, 1)

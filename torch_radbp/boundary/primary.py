@@ -171,7 +171,7 @@ def _places_of(call: RenderCall, number: int, viewed: ExaminedView, jumps: Jumps
 
 
 class InView(NamedTuple):
-    """Samples of a view, prepared for stages."""
+    """Samples on a view's discontinuity curves, prepared for compiled functions."""
 
     places: Places
     table: Places | Any  # the same, prepared for the stages
@@ -179,7 +179,7 @@ class InView(NamedTuple):
 
 
 class CurvesInView(NamedTuple):
-    """The curves of one kind in a view."""
+    """The discontinuity curves of one kind that a view sees."""
 
     length: float  # on the film, pixels; weak discontinuities count less
     places: Callable[[int], Places]  # samples so many points in proportion to length

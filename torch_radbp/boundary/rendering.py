@@ -57,7 +57,7 @@ class Rendering:
 
     @cached_property
     def sensors(self) -> list[Sensor]:
-        """The sensors, one for each viewpoint."""
+        """The sensors, repeated for each viewpoint that they have."""
         return [view.sensor for view, _ in self.looks]
 
     @cached_property
@@ -148,7 +148,7 @@ class Rendering:
         return self.known("movers", self.found_movers)
 
     def found_movers(self) -> list[list[str]]:
-        """Computes `movers`."""
+        """For each shape, the differentiated parameters that move it; computed, for the cached `movers`."""
         of_groups = {group: [name for instance in instances for name in self.moving(instance, MOVE_SHAPES)]
                      for group, instances in self.scene.groups.items()}
         return [[*self.moving(shape, MOVE_SHAPES), *(of_groups[id(instances[0].shapegroup)] if instances else ())]

@@ -76,7 +76,7 @@ def joined_segments(parts: list[Segments]) -> Segments | None:
 
 
 def from_everywhere(segments: Segments) -> SeenFrom:
-    """The record of segments that are visible from everywhere."""
+    """The `SeenFrom` of segments that are visible from all sides."""
     none = torch.zeros_like(segments.start.x)
     return SeenFrom(none, none, torch.zeros_like(none, dtype=torch.bool))
 

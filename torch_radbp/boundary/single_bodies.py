@@ -44,7 +44,7 @@ class FoundOnce(NamedTuple):
 
 
 class Looked(NamedTuple):
-    """Bodies that are examined, with the last result."""
+    """The bodies that are tested for self-intersection, with the last result."""
 
     meshes: tuple[MeshOfBodies, ...]
     may: list[bool]  # for each shape, whether it may belong to a self-intersecting body

@@ -47,7 +47,7 @@ def lamps_of(call: RenderCall) -> tuple[Eye, ...]:
 
 
 def _around(table: EmittingTriangles) -> Eye:
-    """A ball around emitting triangles, as a viewpoint."""
+    """A ball around emitting triangles, as an `Eye` (viewpoint)."""
     corners = torch.cat([corner.stack() for corner in table.p]).double()
     low, high = corners.amin(0), corners.amax(0)
     middle = 0.5 * (low + high)

@@ -87,7 +87,7 @@ class JumpWatch:
                 self.say(warning)
 
     def say(self, warning: Warning | None) -> None:
-        """Issues a warning once; None: nothing."""
+        """Issues a warning, unless it is None or was issued before."""
         if warning is not None and str(warning) not in self.said:
             self.said[str(warning)] = warning
             warnings.warn(warning, stacklevel=level_of_the_caller())

@@ -204,5 +204,5 @@ class BlendBSDF(BSDF):
         return BlendKind(self.bsdf_0.kind(), self.bsdf_1.kind(), is_still(self.weight))
 
     def textures(self) -> tuple[Texture, ...]:
-        """The textures whose values those functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return *self.weight_number, *self.bsdf_0.textures(), *self.bsdf_1.textures()

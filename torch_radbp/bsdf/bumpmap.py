@@ -77,5 +77,5 @@ class BumpMap(BSDF):
         return BumpMapKind(self.nested_bsdf.kind(), self.flip_invalid_normals, self.use_shadowing_function)
 
     def textures(self) -> tuple[Texture, ...]:
-        """The textures whose values those functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return *self.slope, *self.scale_number, *self.nested_bsdf.textures()

@@ -63,5 +63,5 @@ class Conductor(BSDF):
         return ConductorKind()
 
     def textures(self) -> tuple[Texture, ...]:
-        """The textures whose values those functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return self.eta, self.k, self.specular_reflectance

@@ -115,5 +115,5 @@ class Dielectric(BSDF):
         return DielectricKind()
 
     def textures(self) -> tuple[Texture, ...]:
-        """The textures whose values those functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return *self.eta_texture, self.specular_reflectance, self.specular_transmittance

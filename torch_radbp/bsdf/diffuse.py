@@ -56,5 +56,5 @@ class Diffuse(BSDF):
         return DiffuseKind()
 
     def textures(self) -> tuple[Texture, ...]:
-        """The textures whose values those functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return (self.reflectance,)

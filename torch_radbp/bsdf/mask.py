@@ -56,5 +56,5 @@ class Mask(BSDF):
         return MaskKind(NullKind(), self.nested_bsdf.kind(), is_still(self.opacity))
 
     def textures(self) -> tuple[Texture, ...]:
-        """The textures whose values those functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return *self.opacity_number, *self.nested_bsdf.textures()

@@ -62,5 +62,5 @@ class NormalMap(BSDF):
         return NormalMapKind(self.nested_bsdf.kind(), self.flip_invalid_normals, self.use_shadowing_function)
 
     def textures(self) -> tuple[Texture, ...]:
-        """The textures whose values those functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return self.normalmap, *self.nested_bsdf.textures()

@@ -59,7 +59,7 @@ class NumberOf(Texture):
         return self.texture.sources()
 
     def reader(self) -> Reader:
-        """The reader of the underlying texture."""
+        """The reader of the underlying texture, as scalars."""
         return reader_of(self.texture).of_numbers()
 
     def function(self) -> ModuleFunction:

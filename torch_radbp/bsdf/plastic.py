@@ -165,5 +165,5 @@ class Plastic(BSDF):
         return PlasticKind(self.nonlinear)
 
     def textures(self) -> tuple[Texture, ...]:
-        """The textures whose values those functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return *self.eta_texture, self.diffuse_reflectance, self.specular_reflectance

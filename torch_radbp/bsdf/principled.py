@@ -103,6 +103,6 @@ class Principled(BSDF):
         return PrincipledKind(self.features(), self.eta is None, tuple(self.rates().values()))
 
     def textures(self) -> tuple[Texture, ...]:
-        """The textures whose values those functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         numbers = self.numbers
         return self.base_color, numbers["roughness"], *self.index_texture, *(numbers[name] for name in self.features())

@@ -232,6 +232,6 @@ class PrincipledThin(BSDF):
         return PrincipledThinKind(self.features(), tuple(getattr(self, name) for name in RATES))
 
     def textures(self) -> tuple[Texture, ...]:
-        """The textures whose values those functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         numbers = self.numbers
         return self.base_color, numbers["roughness"], *(numbers[name] for name in self.features())

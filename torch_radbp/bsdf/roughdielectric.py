@@ -173,5 +173,5 @@ class RoughDielectric(Dielectric):
         return RoughDielectricKind(self.distribution, self.alpha is None, self.sample_visible)
 
     def textures(self) -> tuple[Texture, ...]:
-        """The textures whose values those functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return *self.rough_numbers, *super().textures()

@@ -127,5 +127,5 @@ class RoughPlastic(Plastic):
         return RoughPlasticKind(self.distribution, visible=self.sample_visible, nonlinear=self.nonlinear)
 
     def textures(self) -> tuple[Texture, ...]:
-        """The textures whose values those functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return *self.coat_textures, self.diffuse_reflectance, self.specular_reflectance

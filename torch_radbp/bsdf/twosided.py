@@ -156,7 +156,7 @@ class TwoSided(BSDF):
 
     @property
     def brdf(self) -> list[BSDF]:
-        """The one or two nested BSDFs."""
+        """The one or two one-sided BSDFs that it was made of."""
         return [getattr(self, f"brdf_{number}") for number in range(self.count)]
 
     def sides(self) -> tuple[BSDF, BSDF]:
@@ -169,5 +169,5 @@ class TwoSided(BSDF):
         return TwoSidedKind(front.kind(), None if back is front else back.kind())
 
     def textures(self) -> tuple[Texture, ...]:
-        """The textures whose values those functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return tuple(texture for side in self.brdf for texture in side.textures())

@@ -56,7 +56,7 @@ class RenderCall(NamedTuple):
     quantities: Callable[[Integrand, PathState, Hit | None, Vec3], Sequence[Tensor]] | None = None
 
     def still(self) -> RenderCall:
-        """The call on detached tensors."""
+        """The call with its scene and cameras detached."""
         return self._replace(scene=self.still_scene, views=[detached(view) for view in self.views])
 
     @property

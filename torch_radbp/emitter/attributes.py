@@ -39,7 +39,7 @@ def weight(sampling_weight: float) -> float:
 
 
 class Scaled:
-    """A texture times a constant factor, one number or three, in the form that banks of textures read."""
+    """A texture times a constant factor, one number or three."""
 
     def __init__(self, texture: Texture, factor: Tensor):
         self.texture, self.factor = texture, factor

@@ -130,7 +130,7 @@ def offset_sums(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block:
 
 
 def sums_of(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block: Block) -> Tensor:
-    """The result of `offset_sums`, detached."""
+    """The sums by offset of `offset_sums`, detached."""
     (place, samples, _), size = block, 2 * kernel.reach + 1
     if len(values) > MOST_VALUES:
         some, others = (sums_of(stage, kernel, own, block) for own in (values[:MOST_VALUES], values[MOST_VALUES:]))
@@ -159,7 +159,7 @@ def _parts_of(stage: Stage, block: Block) -> tuple[Tensor, Tensor, int]:
 
 
 def results_of(stage: Stage, number: int, kernel: Kernel, values: tuple[Tensor, ...], place: Vec2, *lanes) -> Tensor:
-    """(number, M) the results of a stage, in one tensor."""
+    """Runs a stage and returns its results in one tensor, (number, M)."""
     if not stage.is_compiled:
         return torch.stack(stage(kernel, values, place, *lanes))
     found = torch.empty(number, len(lanes[0]), dtype=place.x.dtype, device=place.x.device)

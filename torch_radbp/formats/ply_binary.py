@@ -19,7 +19,7 @@ class BinaryTables:
         self.offset = 0
 
     def where(self, element: str, row: int) -> str:
-        """A row's name, for messages."""
+        """The name of a row, for error messages."""
         return f"{self.place}, {element} {row} (from 0)"
 
     def finish(self) -> None:

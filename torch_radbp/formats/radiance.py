@@ -25,7 +25,7 @@ WIDTHS = range(8, 1 << 15)  # of rows that can be encoded
 
 
 def read_radiance(path: str | os.PathLike, check_size: Callable[[int, int], None]) -> np.ndarray:
-    """(H, W, 3) float32, row 0 at the top.
+    """Reads a Radiance picture: (H, W, 3) float32, row 0 at the top.
 
     Args:
         path: the file.

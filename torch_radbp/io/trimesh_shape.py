@@ -44,7 +44,7 @@ SURFACE = ("normalTexture", "emissiveTexture", "occlusionTexture")
 
 
 class Dressed(NamedTuple):
-    """A mesh with its look: material and emission."""
+    """A mesh with its look: material, emission and texture coordinates."""
 
     arrays: MeshArrays
     look: Look | None  # None: trimesh has no material for it

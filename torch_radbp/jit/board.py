@@ -104,7 +104,7 @@ define i32 @stay() {
 
 @made_once
 def board_code() -> MachineCode:
-    """The compiled functions of `TEXT`."""
+    """The machine code of this module's LLVM IR, `TEXT`."""
     return cached_code(TEXT.replace("{looks}", str(LOOKS)).replace("{job}", WRITE_JOB), entry="run_loop")
 
 

@@ -145,7 +145,7 @@ def _text() -> str:
 
 
 class _Code:
-    """The compiled functions of `_text`."""
+    """The compiled scatter-add functions of `_text`."""
 
     def __init__(self) -> None:
         self.module = cached_code(_text())

@@ -201,7 +201,7 @@ class TileStep(NamedTuple):
 
 @made_once
 def code() -> MachineCode:
-    """The compiled functions of `TEXT`."""
+    """The machine code of this module's LLVM IR, `TEXT`."""
     return cached_code(TEXT)
 
 

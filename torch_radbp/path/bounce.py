@@ -142,13 +142,13 @@ def place_in_pixel(key: BounceKey, dtype: torch.dtype) -> Vec2:
 
 @stage("scene", "arrival")
 def places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position, settings: Settings) -> tuple[Place, ...]:
-    """The points at which outside textures of a bounce are evaluated, see `places_of`; detached. Args as for `bounce`."""
+    """The points at which network textures of a bounce are evaluated, see `places_of`; detached. Args as for `bounce`."""
     return places_of(scene, scene, rows(arrival, lanes), at, Settings(nee=settings.nee))
 
 
 def places_of(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position,
               settings: Settings) -> tuple[Place, ...]:
-    """The points at which outside textures of a bounce are evaluated, attached to the scene, and to the ray if it moves.
+    """The points at which network textures of a bounce are evaluated, attached to the scene, and to the ray if it moves.
 
     One for each texture of the material that is read outside; for each such reader of emitters' textures one where the ray
     meets the emitter; and, where light is scattered, one at the light sample.

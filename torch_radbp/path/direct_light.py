@@ -60,7 +60,7 @@ def direct_light(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: Lig
 
 
 def direct_light_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: LightDraw) -> tuple[Place, ...]:
-    """The points at which `direct_light`'s outside textures are evaluated; args as there."""
+    """The points at which `direct_light`'s network textures are evaluated; args as there."""
     arrival, draw = rows((arrival, draw), lanes)
     si = surface_met(scene, arrival, Settings())
     found = material_places(scene, si)
@@ -71,7 +71,7 @@ def direct_light_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, dr
 
 
 def scattered_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3) -> tuple[Place, ...]:
-    """The points at which `scattered`'s outside textures are evaluated; args as there."""
+    """The points at which `scattered`'s network textures are evaluated; args as there."""
     si = surface_met(scene, rows(arrival, lanes), Settings())
     return material_places(scene, si) + emission_places(scene, si)
 

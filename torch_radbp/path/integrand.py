@@ -85,7 +85,7 @@ class Integrand(NamedTuple):
         return self.parts[event]
 
     def places(self, event: Event, arrival: Arrival, lanes: Tensor, depth: int) -> tuple[Place, ...]:
-        """The points at which these lanes evaluate outside textures; see `path.bounce.places`."""
+        """The points at which these lanes evaluate network textures; see `path.bounce.places`."""
         scatterer = self.scatterer(event)
         if not self.scene.layout.lit and (scatterer is None or not scatterer.outside):
             return ()

@@ -1,4 +1,4 @@
-"""Evaluates outside textures (modules) for the lanes of a bounce, all queues together.
+"""Evaluates network textures (modules) for the lanes of a bounce, all queues together.
 
 All lanes of a bounce that read the same modules ask them together, whatever queues they are in: a module takes its time for
 each call, not only for each place.
@@ -25,7 +25,7 @@ Given = Sequence[Sequence[Tensor]]  # the rows and the coordinates of places, se
 
 def texture_values_at(scene: SceneTensors, scatterer: Appearance | None,
                       places: tuple[Place, ...]) -> tuple[TextureValue, ...]:
-    """Evaluates outside textures at points; attached as autograd records it.
+    """Evaluates network textures at points; attached as autograd records it.
 
     Args:
         scene: the whole scene; attached or detached.
@@ -36,7 +36,7 @@ def texture_values_at(scene: SceneTensors, scatterer: Appearance | None,
 
 
 def values_of_queues(scene: SceneTensors, asking: Sequence[Asking]) -> list[tuple[TextureValue, ...]]:
-    """Evaluates outside textures for several queues; as `texture_values_at`.
+    """Evaluates network textures for several queues; as `texture_values_at`.
 
     Args:
         scene: the whole scene; attached or detached.
@@ -74,7 +74,7 @@ def asked_outside(work: Callable, scene: SceneTensors, asking: Sequence[Asking],
 
 
 def of_banks(banks: Sequence[int], scene: SceneTensors, given: Given, find: Callable) -> list[Sequence[Tensor]]:
-    """Runs `find` once for each bank, on all points that need it, and splits the results.
+    """Runs `find` once for each table of modules, on all points that need it, and splits the results.
 
     Args:
         banks: as for `values_of`.
@@ -97,21 +97,21 @@ def coordinates(at: Sequence[Tensor]) -> Vec2 | Vec3:
 
 
 def number_outside(layout: Layout, scatterer: Appearance | None, nee: bool) -> int:
-    """The number of outside texture values that a lane reads at an event; see `path.bounce.places_of`."""
+    """The number of network texture values that a lane reads at an event; see `path.bounce.places_of`."""
     if scatterer is None:
         return len(layout.lit)
     return len(scatterer.outside) + (2 if nee else 1) * len(layout.lit)
 
 
 def banks_asked(layout: Layout, scatterer: Appearance | None) -> list[int]:
-    """The banks (by index in `module_banks`) of an event's outside textures, in the order of `path.bounce.places_of`."""
+    """The tables of modules, by index, that an event reads, in the order of `path.bounce.places_of`."""
     readers = () if scatterer is None else scatterer.outside
     lit = range(len(layout.readers), len(layout.readers) + len(layout.lit))
     return [*map(layout.readers.index, readers), *lit, *lit]
 
 
 def module_banks(scene: SceneTensors) -> tuple:
-    """The banks of materials' and of emitters' textures, in one tuple.
+    """The tables of modules used as materials' and emitters' textures, in one tuple.
 
     `scene` may be any record of a scene's structure.
     """

@@ -132,7 +132,7 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
 
 def texture_values_of(integrand: Integrand, arrival: Arrival, depth: int, queues: Sequence[Queue],
                       order: Tensor) -> list[tuple[TextureValue, ...]]:
-    """Evaluates the outside textures of some queues' lanes; `order`: see `Step`."""
+    """Evaluates the network textures of some queues' lanes; `order`: see `Step`."""
     return values_of_queues(integrand.scene, [
         (integrand.scatterer(queue.event), integrand.places(queue.event, arrival, order[queue.first:queue.last], depth))
         for queue in queues])

@@ -20,7 +20,7 @@ MOST_BOUNCES = 64
 
 
 def goes_whole(integrand: Integrand, lanes: int, depth: int = 0) -> bool:
-    """True if paths can be traced whole: many enough, and without outside textures."""
+    """True if paths can be traced whole: many enough, and without network textures."""
     return (lanes >= TILE and recordable(integrand) and integrand.max_depth - depth <= MOST_BOUNCES
             and not integrand.proposal.layout.reads_outside)
 

@@ -113,7 +113,7 @@ def texture_of_light(scene: SceneTensors, element: Tensor, p: Vec3, point: Textu
 
 
 def emission_places(scene: SceneTensors, si: SurfaceInteraction) -> tuple[Place, ...]:
-    """The points at which emitters' textures must be evaluated where rays hit emitters, per reader; attached as `si` is."""
+    """The points at which emitters' textures are evaluated where rays hit emitters; attached as `si` is."""
     def row(rows: Tensor) -> Tensor:
         if si.emitter is None:
             return torch.full_like(si.prim, -1)
@@ -206,7 +206,7 @@ def light_aims(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, num
 
 
 def sample_places(scene: SceneTensors, aims: Aims) -> tuple[Place, ...]:
-    """The points at which emitters' textures must be evaluated for light samples, per reader; attached."""
+    """The points at which emitters' textures are evaluated for light samples; attached."""
     uv = aims("uv") if scene.layout.radiance_bitmaps else None
     return tuple(Place(lookup(rows, aims.element), reader.place(aims.p, uv))
                  for reader, rows in zip(scene.layout.lit, scene.lights.outside))

@@ -176,7 +176,7 @@ def with_inverse_areas(surfaces: EmittingTriangles, area: Tensor, weights: Tenso
 
 
 def lamp_table(kind: LightKind, lamps: tuple[Light, ...], like: Tensor) -> Table:
-    """The table of the lamps of one kind, attached."""
+    """The rows of one kind of light (point, spot, ...) as a table, attached."""
     return kind.table(lamps, like)
 
 

@@ -99,7 +99,7 @@ def joined_levels(levels: list[LightBounds], like: LightBounds) -> LightBounds:
 
 
 def nodes_of(bounds: LightBounds, like: Tensor) -> LightNodes:
-    """Converts bounds to the form in which nodes are evaluated."""
+    """Converts bounds of lights to the columns that the tree's nodes store."""
     radius = bounds.radius * (1.0 + LEEWAY)
     spread, reach = bounds.spread + LEEWAY, (bounds.reach + LEEWAY).clamp_max(torch.pi)
     oriented = bool((spread + reach < torch.pi).any())

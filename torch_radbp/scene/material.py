@@ -58,7 +58,7 @@ def material_at(scene: SceneTensors, si: SurfaceInteraction, texture_values: tup
 
 
 def material_places(scene: SceneTensors, si: SurfaceInteraction) -> tuple[Place, ...]:
-    """The points at which the material's outside textures must be evaluated; arguments as for `material_at`."""
+    """The points at which the material's network textures must be evaluated; arguments as for `material_at`."""
     return tuple(Place(lookup(slot, si.material), reader.place(si.p, si.point.uv))
                  for reader, slot in zip(scene.layout.scatterer.readers, scene.materials.slots) if reader.outside)
 

@@ -24,7 +24,7 @@ from torch_radbp.texture.reader import Reader
 
 
 class MaterialTextures(NamedTuple):
-    """The textures of materials that share one reader."""
+    """The material textures of one kind, which are stored in one table."""
 
     reader: Reader
     textures: tuple[Texture, ...]  # in the order of its bank

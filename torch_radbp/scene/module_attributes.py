@@ -111,5 +111,5 @@ def assembled(cls: type, others: tuple, parameters: tuple, buffers: tuple, child
 
 
 def holder(name: str, value) -> SimpleNamespace:
-    """An object with one attribute."""
+    """A plain object with one attribute, which stands for a module."""
     return SimpleNamespace(**{name: value})

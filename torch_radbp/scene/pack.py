@@ -151,13 +151,13 @@ def emissions_of(cache: PackCache, objects: Objects, radiances: Radiances,
 
 def _lights_of(cache: PackCache, objects: Objects, triangles: TriangleTable, emissions: tuple[Emission, ...], layout: Layout,
                light_choice: str | None, bank: Any, lit_banks: tuple[Any, ...]) -> LightTable:
-    """Builds the light table; the texture banks are needed if lights are selected by a tree."""
+    """Builds the light table; the tables of emitters' textures are needed if lights are selected by a tree."""
     lamps = tuple(cache.twin(number, lamp) for number, lamp in enumerate(objects.lamps))
     return light_table(cache, triangles, emissions, lamps, layout, bank, lit_banks, light_choice)
 
 
 def bank_of_textures(cache: PackCache, number: int, own: MaterialTextures, objects: Objects) -> Any:
-    """The bank (table) of the material textures that share one reader; attached."""
+    """Builds the table of material textures of one kind; attached."""
     scene, dtype, device = objects.scene, objects.dtype, objects.device
     if own.reader.outside:  # a module that is read outside is taken as it is: only it knows what its values depend on
         return own.reader.bank(list(own.textures), dtype, device)
@@ -172,7 +172,7 @@ def twins_of(cache: PackCache, textures: tuple[Texture, ...]) -> tuple[Texture, 
 
 def bank_of_twins(cache: PackCache, reader: Reader, twins: tuple[Texture, ...], dtype: torch.dtype,
                   device: torch.device) -> Any:
-    """The bank (table) of copied textures, attached."""
+    """Builds the table of copied textures of one kind, attached."""
     return cache(bank_of, reader, twins, dtype, device)
 
 

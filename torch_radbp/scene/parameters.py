@@ -41,7 +41,7 @@ class Held(NamedTuple):
 
     @property
     def value(self) -> Tensor:
-        """The current value."""
+        """The current value of the parameter, or of the texture's table."""
         return self.owner.texels() if self.attribute is None else getattr(self.owner, self.attribute)
 
 

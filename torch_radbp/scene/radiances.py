@@ -18,14 +18,14 @@ from torch_radbp.texture.rgb import RGB
 
 
 class BankBuilder:
-    """Collects textures for a bank, in which each is stored once however often it is used."""
+    """Collects textures for one table, in which each is stored once however often it is used."""
 
     def __init__(self) -> None:
         self.textures: list[Texture] = []
         self.index: dict[int, int] = {}
 
     def add(self, texture: Texture) -> int:
-        """The index of `texture` in the bank."""
+        """The row of `texture` in the table, to which it is added if it is new."""
         if id(texture) not in self.index:
             self.index[id(texture)] = len(self.textures)
             self.textures.append(texture)
@@ -33,7 +33,7 @@ class BankBuilder:
 
     @property
     def reader(self) -> TableReader:
-        """The reader for all textures of the bank: colours among images become images of one texel."""
+        """The reader for all textures of the table: colours among images become images of one texel."""
         reader = reader_for(self.textures or [RGB(value=0.0)])
         kinds = reader.readers if isinstance(reader, MixedReader) else (reader,)
         return BitmapReader() if all(isinstance(kind, (BitmapReader, ColourReader)) for kind in kinds) else reader
@@ -55,13 +55,13 @@ class Radiances(NamedTuple):
     lit_rows: dict[int, tuple[int, ...]]  # `Emission.outside` by id of the emitter
 
     def lit_banks(self, dtype: torch.dtype, device: torch.device) -> tuple[Any, ...]:
-        """The banks of the textures that are evaluated outside of compiled code."""
+        """The tables of emitters' textures that are evaluated outside of compiled code."""
         return tuple(reader.bank([emitter.radiated() for emitter in own], dtype, device)
                      for reader, own in zip(self.lit, self.lit_banked))
 
 
 def radiances_of(cache: PackCache, emitters: tuple[Light, ...]) -> Radiances:
-    """Assigns the textures of emitters to banks; `cache` keeps nothing of this."""
+    """Assigns the textures of emitters to tables; `cache` keeps nothing of this."""
     radiated = [(emitter, texture) for emitter in emitters if (texture := emitter.radiated()) is not None]
     outside = [(emitter, texture) for emitter, texture in radiated if reader_of(texture).outside]
     inside = [(emitter, texture) for emitter, texture in radiated if not reader_of(texture).outside]
@@ -89,7 +89,7 @@ def firsts(pairs: Sequence[tuple[Light, Texture]]) -> tuple[Light, ...]:
 
 
 def bank_of_radiances(cache: PackCache, radiances: Radiances, dtype: torch.dtype, device: torch.device) -> Any:
-    """Builds the bank of the emitters' textures, attached."""
+    """Builds the table of the emitters' textures, attached."""
     textures = [emitter.radiated() for emitter in radiances.banked] or [RGB(value=0.0)]
     twins = tuple(cache.twin(number, texture) for number, texture in enumerate(textures))
     return cache(bank_of, radiances.reader, twins, dtype, device)

@@ -241,7 +241,7 @@ class ProjectiveCamera(Sensor):
         raise TypeError(f"{type(self).__name__} does not define its kind")
 
     def lens(self) -> Lens:
-        """The tensors that those functions read, attached."""
+        """The camera's tensors that the functions of its kind read, attached."""
         raise TypeError(f"{type(self).__name__} does not define its lens")
 
     def view(self) -> str:

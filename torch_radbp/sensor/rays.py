@@ -91,7 +91,7 @@ class RayKind(CameraKind):
 
 
 class Rays(Sensor):
-    """A user's rays as a sensor.
+    """Rays given by the user, as a sensor with one pixel for each.
 
     Args:
         origins: (N, 3) world.

@@ -65,7 +65,7 @@ def _decoded(data: Tensor, raw: bool) -> Tensor:
 
 @dataclass(frozen=True)
 class BitmapReader(TableReader):
-    """The reader of images. Bank: `TextureBank`."""
+    """Looks images up, for lanes. Bank (table of textures): `TextureBank`."""
 
     def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> TextureBank:
         return texture_bank(textures, dtype, device)
@@ -79,7 +79,7 @@ class BitmapReader(TableReader):
 
 @dataclass(frozen=True)
 class PyramidReader(BitmapReader):
-    """The reader of images with mipmaps, at the level that fits the sample's footprint. Bank: `PyramidBank`."""
+    """Looks images up at the mipmap level that fits the sample's footprint. Bank: `PyramidBank`."""
 
     needs_footprint: ClassVar[bool] = True
 
@@ -107,7 +107,7 @@ class Level(NamedTuple):
     filter_type: str = "bilinear"
 
     def texels(self) -> Tensor:
-        """(H, W, 3) linear RGB, attached."""
+        """The texels of this mipmap level, (H, W, 3) linear RGB, attached."""
         return self.image
 
 
@@ -121,7 +121,7 @@ def pyramid_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.
 
 
 def texture_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> TextureBank:
-    """Builds the bank of images, attached; a texture that is no image has one texel."""
+    """Builds the table of images, attached; a texture that is no image has one texel."""
     images = [texture.texels().to(dtype=dtype, device=device) for texture in textures]
     to_u, to_v = uv_rows([getattr(texture, "to_uv", None) for texture in textures], dtype, device)
     offset, width, height, wrap, nearest = columns_of_images(
@@ -152,7 +152,7 @@ def columns_of_images(sizes: tuple[tuple[int, int], ...], wrap_modes: tuple[str,
 
 
 def reader_of(texture: Texture) -> Reader:
-    """The reader of a texture; a texture without one is read as an image."""
+    """The object that looks a texture up for lanes; a texture without one is treated as an image."""
     return texture.reader() if hasattr(texture, "reader") else BitmapReader()
 
 
@@ -207,7 +207,7 @@ class Bitmap(Texture):
         return {"data": IMAGES[self.channels], "to_uv": TO_UV}
 
     def reader(self) -> BitmapReader:
-        """The reader of images: with mipmaps or without."""
+        """The object that looks images up for lanes: with mipmaps or without."""
         return PyramidReader() if self.filter_type == "trilinear" else BitmapReader()
 
     def jumps(self) -> tuple[JumpLines, ...]:
@@ -220,7 +220,7 @@ class Bitmap(Texture):
         return self
 
     def texels(self) -> Tensor:
-        """(H, W, 3) linear RGB, attached."""
+        """The texels as (H, W, 3) linear RGB, attached."""
         return self.data.expand(-1, -1, 3)
 
     def scalars(self) -> Tensor:

@@ -30,7 +30,7 @@ class CheckerboardBank(NamedTuple):
 
 @dataclass(frozen=True)
 class CheckerboardReader(TableReader):
-    """The reader of checkerboards, whose colours `colours` reads. Bank: `CheckerboardBank`."""
+    """Looks checkerboards up, for lanes; `colours` looks up those of the squares. Bank: `CheckerboardBank`."""
 
     colours: TableReader
 
@@ -57,7 +57,7 @@ class CheckerboardReader(TableReader):
         return self.colours.rise(bank.colours, self.row_of_colour(bank, row, point), point)
 
     def row_of_colour(self, bank: CheckerboardBank, row: Tensor, point: TexturePoint) -> Tensor:
-        """The row, in the bank of colours, of the square that each lane is in."""
+        """The row, in the table of colours, of the square that each lane is in."""
         u, v = transformed(lookup(bank.to_u, row), lookup(bank.to_v, row), point.uv)
         right, lower = u - torch.floor(u) > 0.5, v - torch.floor(v) > 0.5
         return 2 * row + (right != lower).to(row.dtype)
@@ -101,5 +101,5 @@ class Checkerboard(Texture):
         return 1, 1
 
     def reader(self) -> CheckerboardReader:
-        """The reader of checkerboards."""
+        """The object that looks checkerboards up for lanes."""
         return CheckerboardReader(reader_for(self.colours()))

@@ -17,7 +17,7 @@ from torch_radbp.texture.reader import TableReader, TexturePoint
 
 @dataclass(frozen=True)
 class ColourReader(TableReader):
-    """The reader of constant colours. Bank: (R,) linear RGB."""
+    """Looks constant colours up, for lanes. Bank (table of textures): (R,) linear RGB."""
 
     needs_uv: ClassVar[bool] = False
 
@@ -37,15 +37,15 @@ class Colour(Texture):
     """Base class of textures of one constant colour."""
 
     def colour(self) -> Tensor:
-        """(3,) linear RGB, or () for grey; attached."""
+        """The colour as (3,) linear RGB, or () for grey; attached."""
         raise TypeError(f"{type(self).__name__} does not define its colour")
 
     def reader(self) -> ColourReader:
-        """The reader of constant colours."""
+        """The object that looks constant colours up for lanes."""
         return ColourReader()
 
     def texels(self) -> Tensor:
-        """(1, 1, 3) linear RGB, attached."""
+        """The colour as texels, (1, 1, 3) linear RGB, attached."""
         return self.colour().expand(3).reshape(1, 1, 3)
 
     def scalars(self) -> Tensor:

@@ -21,7 +21,7 @@ PREFIXES = ("vertex_", "face_")
 
 @dataclass(frozen=True)
 class MeshAttributeReader(TableReader):
-    """The reader of the attribute `name` of whatever mesh a ray hits. Bank: (X,) factors."""
+    """Interpolates the attribute `name` of whatever mesh a ray hits. Bank: (X,) factors."""
 
     name: str
     as_number: bool = False  # the luminance of three channels
@@ -88,7 +88,7 @@ class MeshAttribute(Texture):
         return (self.scale,)
 
     def reader(self) -> MeshAttributeReader:
-        """The reader of mesh attributes."""
+        """The object that interpolates mesh attributes for lanes."""
         return MeshAttributeReader(self.name)
 
     def texels(self) -> Tensor:

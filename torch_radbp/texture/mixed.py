@@ -17,7 +17,7 @@ from torch_radbp.texture.reader import TableReader, TexturePoint
 
 
 class MixedBank(NamedTuple):
-    """X textures, stored in the banks of several readers."""
+    """X textures of several kinds, each a row in its own kind's table."""
 
     reader: Tensor  # (X,) int32, index of the reader of each
     row: Tensor  # (X,) int32, row in that reader's bank
@@ -26,7 +26,7 @@ class MixedBank(NamedTuple):
 
 @dataclass(frozen=True)
 class MixedReader(TableReader):
-    """The reader of textures of several kinds. Bank: `MixedBank`."""
+    """Looks textures of several kinds up, for lanes. Bank: `MixedBank`."""
 
     readers: tuple[TableReader, ...]
 
@@ -72,11 +72,11 @@ class MixedReader(TableReader):
 
 
 def reader_for(textures: Sequence[Texture]) -> TableReader:
-    """One reader for several textures; the same for the same kinds in any order."""
+    """One reader for textures of several kinds; the same for the same kinds in any order."""
     return joint_reader(reader_of(texture) for texture in textures)
 
 
 def joint_reader(readers: Iterable[TableReader]) -> TableReader:
-    """One reader for all textures that some readers read."""
+    """One reader that serves all textures of several readers."""
     readers = sorted(set(readers), key=repr)
     return readers[0] if len(readers) == 1 else MixedReader(tuple(readers))

@@ -20,7 +20,7 @@ PLACES = {"uv": 2, "position": 3}  # with the number of coordinates
 
 @dataclass(frozen=True)
 class ModuleReader(OutsideReader):
-    """The reader of modules. Bank: `ModuleBank`.
+    """Evaluates modules that are used as textures. Bank: `ModuleBank`.
 
     Args:
         of: see `NeuralTexture`.
@@ -82,11 +82,11 @@ class NeuralTexture(Texture):
         self.use = Use("", ())
 
     def sources(self) -> tuple[Tensor, ...]:
-        """The parameters of the module."""
+        """All parameters of the module, from which the values are computed."""
         return tuple(self.module.parameters())
 
     def reader(self) -> ModuleReader:
-        """The reader of modules."""
+        """The object that evaluates the module for lanes."""
         return ModuleReader(self.of)
 
     def function(self) -> ModuleFunction:

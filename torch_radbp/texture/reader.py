@@ -38,7 +38,7 @@ class TexturePoint(NamedTuple):
 
 @dataclass(frozen=True)
 class Reader(ABC):
-    """Evaluates the textures of one kind, which are stored together in a `bank`: a record of tensors, or None."""
+    """Evaluates textures of one kind for lanes; they are stored in one table, their `bank`."""
 
     needs_uv: ClassVar[bool] = True  # values depend on surface coordinates
     needs_edges: ClassVar[bool] = False  # values depend on how uv or attributes change along the surface
@@ -48,15 +48,15 @@ class Reader(ABC):
 
     @abstractmethod
     def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> Any:
-        """Builds the bank of some textures, attached to their parameters."""
+        """Builds the table (bank) of some textures, attached to their parameters."""
 
     def of_numbers(self) -> Reader:
-        """The reader of the same textures as scalars, where the bank does not convert them."""
+        """The reader of the same textures as scalars, if the table does not already hold scalars."""
         return self
 
 
 def bank_of(reader: Reader, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> Any:
-    """The bank of the textures of one reader, attached."""
+    """Builds the table (bank) of the textures of one reader, attached."""
     return reader.bank(textures, dtype, device)
 
 
@@ -66,7 +66,7 @@ class TableReader(Reader):
 
     @abstractmethod
     def read(self, bank: Any, row: Tensor, point: TexturePoint) -> Vec3:
-        """Linear RGB at surface points, attached.
+        """Looks textures up at surface points: linear RGB, attached.
 
         Args:
             bank: attached or tapped.
@@ -93,7 +93,7 @@ class OutsideReader(Reader):
         """The input of the texture, from the position and the uv of a surface point."""
 
     def value(self, given: Vec3, point: TexturePoint) -> Vec3:
-        """What the material reads, from the value computed at the point."""
+        """The value that the material reads, from the one computed at the point."""
         return given
 
 

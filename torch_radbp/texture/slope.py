@@ -24,7 +24,7 @@ def along_surface(rise: Vec2, edges: TriangleEdges) -> Vec3:
 
 @dataclass(frozen=True)
 class SlopeReader(TableReader):
-    """The reader of slopes of the first channel of textures that `reader` reads. Bank: that of `reader`."""
+    """Evaluates slopes along the surface of the textures that `reader` looks up. Bank: that of `reader`."""
 
     reader: TableReader
     needs_edges: ClassVar[bool] = True
@@ -53,7 +53,7 @@ class SlopeReader(TableReader):
 
 @dataclass(frozen=True)
 class ModuleSlopeReader(OutsideReader):
-    """The reader of slopes of modules along the surface. Bank: `ModuleBank`."""
+    """Evaluates slopes of modules along the surface. Bank: `ModuleBank`."""
 
     reader: ModuleReader
     needs_edges: ClassVar[bool] = True
@@ -80,5 +80,5 @@ class ModuleSlopeReader(OutsideReader):
 
 
 def slope_reader(reader: Reader) -> Reader:
-    """The reader of slopes for the textures of another reader."""
+    """The reader of slopes along the surface, for textures of another reader."""
     return ModuleSlopeReader(reader) if reader.outside else SlopeReader(reader)

@@ -132,7 +132,7 @@ class CurveCrossings(NamedTuple):
 
 
 def _jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, surfaces: bool) -> FilmJumps | None:
-    """The boundary term of a view; None: there is none.
+    """The boundary term of one view by way of mirrors and glass; None: there is none.
 
     Args:
         call: attached.
@@ -166,7 +166,7 @@ def moved(call: RenderCall, searched: Searched, found: CurveCrossings) -> Tensor
 
 
 def draw_of(crossed: Crossings) -> LightDraw | None:
-    """The light samples to which shadow borders belong."""
+    """The light samples whose shadow borders were crossed."""
     return None if crossed.looks is None else crossed.looks.draw
 
 
@@ -209,7 +209,7 @@ def crossings_in_view(searched: Searched) -> Crossings | None:
 
 
 def jumps_at(searched: Searched, integrand: Integrand, crossed: Crossings) -> Tensor:
-    """(3, K) float64, radiance at the low points beside curves less that at the high ones."""
+    """(3, K) float64 jump at crossed curves: radiance on the scan's low side less that on its high side."""
     call = searched.call
     film = joined([crossed.low, crossed.high])
     aperture, key = (joined([part] * 2) for part in (crossed.aperture, crossed.key))
@@ -220,7 +220,7 @@ def jumps_at(searched: Searched, integrand: Integrand, crossed: Crossings) -> Te
 
 
 def how_levels_follow(searched: Searched, integrand: Integrand, crossed: Crossings, curves: Curves) -> Follows:
-    """The derivatives of curves' levels by the paths that see them."""
+    """The derivatives of the crossed curves' level functions by the camera paths that see them."""
     call, integrand = searched.call, follows_chains(integrand)
     sample = camera_sample(call, call.views[searched.number], crossed.low, crossed.aperture, crossed.key)
     chains = chains_of(integrand, started(call, sample), crossed.depth)
@@ -235,7 +235,7 @@ def how_levels_follow(searched: Searched, integrand: Integrand, crossed: Crossin
 
 
 def slope_on_film(searched: Searched, crossed: Crossings, adj_start: Ray) -> Vec2:
-    """The derivative of levels by the point of the film, (K,) float64; `adj_start`: by the first rays of paths."""
+    """The derivative of level functions by the point of the film, (K,) float64; `adj_start`: by the paths' first rays."""
     call = searched.call
     with torch.enable_grad():
         film = Vec2(*(part.clone().requires_grad_() for part in crossed.low))

@@ -111,7 +111,7 @@ def divided_at_outlines(searched: Searched, points: FilmPoints, path: IdealPath,
 
 
 def draws(searched: Searched, count: int, turn: int) -> Tensor:
-    """Uniform random numbers, float64, different in each turn."""
+    """Uniform random numbers for bisections, float64, different in each turn."""
     lane = torch.arange(count, dtype=torch.int32, device=searched.call.scene.device)
     key = salted(searched.call.views[searched.number], SALT + 2)
     return searched.call.stages(drawn_by_steps)(key, lane, torch.full_like(key.seed, SALT + turn))
@@ -119,7 +119,7 @@ def draws(searched: Searched, count: int, turn: int) -> Tensor:
 
 @stage()
 def drawn_by_steps(key: SampleKey, lane: Tensor, counter: Tensor) -> Tensor:
-    """Uniform random numbers for steps, (N,) float64.
+    """Uniform random numbers for bisections, (N,) float64.
 
     Args:
         key: of the view.

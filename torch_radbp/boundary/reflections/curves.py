@@ -41,7 +41,7 @@ class TriangleSide(NamedTuple):
 
 
 class Curves(NamedTuple):
-    """K discontinuity curves."""
+    """K discontinuity curves that scans of the film have crossed."""
 
     kind: Tensor  # (K,) int64
     edge: TriangleSide  # of an edge; of a shadow border the casting edge; or the triangle of a rim, horizon or texture line
@@ -141,7 +141,7 @@ def distance_to_side(ray: Ray, a: Vec3, b: Vec3) -> tuple[Tensor, Tensor]:
 
 
 def _inside(corners: Corners, ray: Ray) -> Tensor:
-    """(N,) bool: rays that cross triangles."""
+    """(N,) bool: rays that cross their triangle inside of its edges."""
     u, v = crossed_at(corners, ray)
     return (u > 0) & (v > 0) & (u + v < 1)
 
@@ -181,26 +181,26 @@ def _ends_of(geometry: Geometry, side: TriangleSide) -> tuple[Vec3, Vec3]:
 
 
 def beside_edge(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
-    """The level of edges: the side on which rays pass."""
+    """The level function of edges: the signed distance at which rays pass them."""
     a, b = _ends_of(geometry, curves.edge)
     return dot(cross(b - a, ray.d), a - ray.o)
 
 
 def _facing(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
-    """The level of rims: how far shading normals are turned away."""
+    """The level function of rims: how far shading normals are turned away from the viewer."""
     corners = _corners_of(geometry, curves.edge.prim, curves.edge.instance)
     normals = vertex_normals(geometry, _between(geometry, curves.edge.prim), curves.edge.instance)
     return dot(interpolated(normals, *crossed_at(corners, ray)), ray.d)
 
 
 def _above(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
-    """The level of horizons: how far reflected rays leave on the side of the triangles' geometric normals."""
+    """The level function of horizons: how far scattered rays leave on the side of the geometric normal."""
     corners = _corners_of(geometry, curves.edge.prim, curves.edge.instance)
     return dot(cross(corners[1] - corners[0], corners[2] - corners[0]), ray.d)
 
 
 def nearer(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
-    """The level of intersections: how much farther one of two triangles is than the other."""
+    """The level function of intersections: how much farther one of two triangles is than the other."""
     distances = []
     for prim, instance in ((curves.edge.prim, curves.edge.instance), (curves.other, curves.shown_by)):
         corners = _corners_of(geometry, prim, instance)
@@ -211,13 +211,13 @@ def nearer(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
 
 
 def across_line(scene: SceneTensors, geometry: Geometry, lines: LineTable, curves: Curves, ray: Ray) -> Tensor:
-    """The level of texture lines: how far beyond a line rays hit triangles."""
+    """The level function of texture lines: how far beyond a line rays hit triangles."""
     u, v = crossed_at(_corners_of(geometry, curves.edge.prim, curves.edge.instance), ray)
     return level_of_line(scene, lines, curves.edge.prim, curves.line, u, v) - curves.number
 
 
 def across_shadow(scene: SceneTensors, geometry: Geometry, curves: Curves, ray: Ray, draw: LightDraw) -> Tensor:
-    """The level of shadow borders: the side on which light passes edges on its way to the hit points."""
+    """The level function of shadow borders: the signed distance at which light passes edges."""
     corners = _corners_of(geometry, curves.other, curves.shown_by)
     start, d, _ = light_line(scene, interpolated(corners, *crossed_at(corners, ray)), draw)
     a, b = _ends_of(geometry, curves.edge)

@@ -36,7 +36,7 @@ SMOOTH = 0.2  # BEND times that angle below which points of one smooth surface a
 
 
 class Difference(NamedTuple):
-    """How the paths of N pairs differ."""
+    """The first difference between the two camera paths of N pairs."""
 
     kind: Tensor  # (N,) int32
     depth: Tensor  # (N,) int32, number of ideal vertices before; of a horizon its surface counts
@@ -45,7 +45,7 @@ class Difference(NamedTuple):
 
 
 class Pairing(NamedTuple):
-    """N pairs of paths."""
+    """N pairs of camera paths, by index."""
 
     first: Tensor  # (N,) int64, rows of paths
     second: Tensor
@@ -87,7 +87,7 @@ def depth_by_depth(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: P
 
 @stage()
 def unparted(pairs: Pairing) -> Difference:
-    """The differences before any vertex: unknown."""
+    """The differences of pairs of paths before any vertex was compared: none so far."""
     nothing = torch.zeros_like(pairs.first, dtype=torch.int32)
     return Difference(nothing, nothing, torch.zeros_like(nothing, dtype=torch.float64),
                       torch.ones_like(nothing, dtype=torch.bool))
@@ -95,7 +95,7 @@ def unparted(pairs: Pairing) -> Difference:
 
 @stage("surfaces", "vertices")
 def parted(surfaces: Surfaces, vertices: Vertices, pairs: Pairing, so_far: Difference, number: Tensor) -> Difference:
-    """The differences of paths after one more vertex.
+    """Compares pairs of paths at one more vertex.
 
     Args:
         surfaces: of the scene.

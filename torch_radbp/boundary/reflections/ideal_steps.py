@@ -68,7 +68,7 @@ IdealStep = Callable[[Onward, int], tuple[Tensor, Reached, Onward | None]]
 
 def ideal_step(integrand: Integrand, surfaces: Surfaces, ideal: Ideal, onward: Onward,
                depth: int) -> tuple[Tensor, Reached, Onward | None]:
-    """Takes one step of every path.
+    """Traces one vertex of every path: hits, and the paths that an ideal mirror or glass scatters on.
 
     Args:
         integrand: from `only_ideal`, of a detached scene.

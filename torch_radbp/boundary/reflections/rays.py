@@ -84,7 +84,7 @@ def adjoint_of_start(integrand: Integrand, chains: Chains, adj_ray: Ray, wanted:
 
 
 class Follows(NamedTuple):
-    """The derivatives of K numbers by chains."""
+    """The derivatives of K numbers through chains of ideal vertices."""
 
     integrand: Integrand
     chains: Chains
@@ -118,7 +118,7 @@ class FollowFunction(torch.autograd.Function):
 
 
 def following(follows: Follows, start: Ray, scene: SceneTensors) -> Tensor:
-    """(K,) float64 zeros with derivatives through chains.
+    """(K,) float64 zeros with derivatives through chains of mirrors and glass.
 
     Args:
         follows: how.

@@ -75,7 +75,7 @@ def paths_from(searched: Searched, points: FilmPoints) -> IdealPath:
 
 
 def parting(searched: Searched, path: IdealPath, pairs: Pairing) -> Difference:
-    """The differences of the paths of pairs."""
+    """Compares the camera paths of pairs: how they differ first."""
     return path_difference(searched.call.stages, searched.tables, path, pairs)
 
 

@@ -38,7 +38,7 @@ class LineTable(NamedTuple):
     most: int  # S
 
     def row(self, prim: Tensor, slot: Tensor | int) -> Tensor:
-        """The rows of triangles' texture lines, (N,) int64."""
+        """The rows of the table with the discontinuity lines of triangles' textures, (N,) int64."""
         return slot * self.count + self.shape.index_select(0, prim.clamp_min(0))
 
 

@@ -274,7 +274,7 @@ def borders_in_view(call: RenderCall, number: int, casting: Casting, lights: Lig
 @stage("scene", "geometry", "outline", "camera")
 def border_course(scene: SceneTensors, geometry: Geometry, outline: Outline, camera: Camera, borders: Borders,
                   inwards: Vec3, times: Tensor, aperture: Vec2 | None) -> BorderCourse:
-    """Computes the course of borders on the film.
+    """Computes how shadow borders run on the film: image, normal and swept area.
 
     Args:
         scene, geometry, outline, borders: as for `border`, detached.
@@ -293,7 +293,7 @@ def border_course(scene: SceneTensors, geometry: Geometry, outline: Outline, cam
 
 
 def aperture_of(view: View, key: LaneKey) -> Vec2 | None:
-    """Random points of the lens, as of `CameraKind.sample_ray`."""
+    """Random points of the camera's lens, as of `CameraKind.sample_ray`."""
     if not view.camera.kind.has_aperture:
         return None
     more = bounce_key(key, APERTURE_COUNTER)

@@ -135,7 +135,7 @@ class Way(NamedTuple):
     distance: Tensor  # float64
 
     def meets(self, borders: Borders) -> Hit:
-        """The receivers, as hits of these rays."""
+        """The receivers of shadow borders, as hits of these rays."""
         return borders.receiver._replace(t=self.distance.to(self.ray.d.x.dtype))
 
 

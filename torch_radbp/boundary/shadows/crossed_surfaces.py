@@ -134,7 +134,7 @@ def hit_at(sheets: Sheets, place: Vec2, dtype: torch.dtype) -> Hit:
 @stage("geometry", "segments", "at")
 def sheets_seen(geometry: Geometry, segments: Segments, at: Vec3, passed: Passed,
                 extent: Tensor) -> tuple[Sheets, Sheets]:
-    """Both surfaces at samples on segments.
+    """The two intersecting surfaces at samples on segments, as viewpoints see them.
 
     Args:
         geometry: of the scene, detached.

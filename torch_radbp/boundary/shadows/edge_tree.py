@@ -104,7 +104,7 @@ def numbers_to(count: int, like: Tensor) -> Tensor:
 
 @stage("geometry", "outline", "slots")
 def edge_bounds(geometry: Geometry, outline: Outline, slots: Tensor, slot: Tensor) -> EdgeNodes:
-    """The node bounds of single edges.
+    """The bounds of leaf nodes of the tree, one edge each.
 
     Args:
         geometry: of the scene, detached.

@@ -43,7 +43,7 @@ def eyes_for_each(outline: Outline, eyes: Eyes, looks: int) -> int:
 
 
 class Tried(NamedTuple):
-    """N tests of an edge from a viewpoint."""
+    """Tests whether edges are silhouettes from viewpoints; N tests."""
 
     eye: Tensor  # (N,) int32, viewpoint
     angle: Tensor  # (N,) float64, angle that the edge subtends; 0: no silhouette
@@ -90,7 +90,7 @@ def close_to(geometry: Geometry, outline: Outline, found: Tensor) -> Tensor:
 @stage("geometry", "outline", "eyes", "edges")
 def edge_tried(geometry: Geometry, outline: Outline, eyes: Eyes, edges: Tensor, seed: SampleKey, each: Tensor, count: Tensor,
                extent: Tensor, lane: Tensor) -> Tried:
-    """Tests edges from viewpoints.
+    """Tests whether edges are silhouettes as seen from viewpoints.
 
     Args:
         geometry, outline, extent: as for `seen_edges.angle_seen`.

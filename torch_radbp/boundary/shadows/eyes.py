@@ -33,7 +33,7 @@ class Eyes(NamedTuple):
 
 
 def how_much_counts(eye: Eyes, d: Vec3, cosine: Tensor | float = 1.0, sine: Tensor | float = 0.0) -> Tensor:
-    """A bound of the weight of directions in a cone, (N,).
+    """A bound of the weights of directions within a cone, for sampling edges; (N,).
 
     Args:
         eye: (N,).

@@ -137,7 +137,7 @@ def jumps_of_cuts(call: RenderCall, number: int, casting: Casting, found: CutsOf
 
 
 class CutCourse(NamedTuple):
-    """The course of N occlusion borders; detached, float64."""
+    """The course of borders at which edges occlude light, at N samples; detached, float64."""
 
     basis: tuple[Vec3, Vec3]  # across the line of sight
     normal: Vec2  # as of `CutsOfView`; 0 where unknown
@@ -330,12 +330,12 @@ def all_cuts(stages: Stages, geometry: Geometry, casting: Casting, points: Viewp
 
 
 def matter(found: CutsOfView) -> Tensor:
-    """The indices of samples at which light is lost, int64."""
+    """The indices of samples at which an edge occludes any light, int64."""
     return (found.strength != 0).any(0).nonzero().squeeze(1)
 
 
 def some_cuts(found: CutsOfView, kept: Tensor) -> CutsOfView:
-    """Selects samples by index."""
+    """Selects samples of occluding edges by index."""
     return found._replace(cuts=rows(found.cuts, kept), normal=rows(found.normal, kept), strength=found.strength[:, kept],
                           sweep=found.sweep[kept])
 
@@ -349,7 +349,7 @@ def with_used_viewpoints(found: CutsOfView) -> CutsOfView:
 
 @stage("geometry", "outline", "at")
 def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, hit: Hit, extent: Tensor) -> CutCourse:
-    """Computes the course of occlusion borders.
+    """Computes how borders of occluded light run over the surfaces beyond.
 
     Args:
         geometry: of the scene, detached.

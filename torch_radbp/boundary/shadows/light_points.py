@@ -25,7 +25,7 @@ SALT = 0x1F83D9AC  # tells the random numbers of these samples from others
 
 
 class LightPoints(NamedTuple):
-    """M light samples."""
+    """M samples of lights, with the kind of each."""
 
     draw: LightDraw
     kind: Tensor  # (M,) int64, kind of light, index into `Layout.lights`

@@ -94,7 +94,7 @@ def in_picture(lines: JumpLines, whole: bool, device: torch.device) -> tuple[Vec
 
 
 class PictureBorders(NamedTuple):
-    """K samples of such curves that a view sees; detached."""
+    """K samples on borders of projected images that a view sees; detached."""
 
     curves: LitCurves
     place: Vec2  # on the film

@@ -115,7 +115,7 @@ def edge_found(geometry: Geometry, slots: EdgeSlots, eyes: Eyes, at: Descent, ex
 @stage("geometry", "outline", "eyes", "lot", "found", "eye")
 def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, found: PickedEdges, eye: Tensor, seed: SampleKey,
                 extent: Tensor, place: Tensor) -> Passed:
-    """Samples points on found edges.
+    """Samples points on the silhouette edges that viewpoints have selected.
 
     Args:
         geometry, outline, extent: as for `angle_seen`.

@@ -57,7 +57,7 @@ def ends_of(geometry: Geometry, segments: Segments) -> tuple[Vec3, Vec3]:
 
 @stage("geometry", "segments", "slots")
 def segment_bounds(geometry: Geometry, segments: Segments, slots: Tensor, slot: Tensor) -> EdgeNodes:
-    """The node bounds of single segments.
+    """The bounds of leaf nodes of the tree, one segment each.
 
     Args:
         geometry: of the scene, detached.
@@ -123,7 +123,7 @@ def segment_passed(geometry: Geometry, segments: Segments, eyes: Eyes, lot: Lot,
 
 
 def surfaces_along(segments: Segments) -> list[tuple[Tensor, Tensor | None]]:
-    """The two triangles of each segment, with instances."""
+    """The two intersecting triangles of each segment, with instances."""
     return [(segments.triangle, segments.instance), (segments.through, segments.shown_by)]
 
 

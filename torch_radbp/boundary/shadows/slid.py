@@ -23,7 +23,7 @@ from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, ro
 
 def less_what_slides(call: RenderCall, number: int, geometry: Geometry, points: Viewpoints, start: Vec3, met: Hit,
                      seen: Vec2) -> Vec2:
-    """Subtracts the sliding of triangles' points from attached border positions; (N,) barycentric.
+    """Subtracts how triangles' points slide from attached border positions; (N,) barycentric.
 
     Args:
         call, number: of the view.

@@ -50,7 +50,7 @@ def trying(call: RenderCall) -> RenderCall:
 
 
 def with_numbers(call: RenderCall, salt: int) -> RenderCall:
-    """The call with other random numbers."""
+    """The call with other random numbers, by a salt."""
     return call._replace(views=[view._replace(sample_keys=tuple(
         SampleKey(hash32(key.seed ^ salt), key.shared) for key in view.sample_keys)) for view in call.views])
 
@@ -71,7 +71,7 @@ def variance(found: SampledIntegral | None) -> float:
 
 
 def squares(amounts: Tensor) -> float:
-    """The sum of squares of finite entries, (3, N)."""
+    """The sum of squares of an integral's finite contributions, (3, N)."""
     return float(torch.where(torch.isfinite(amounts), amounts, 0.0).square().sum())
 
 

@@ -64,7 +64,7 @@ def shadow_of(scene: SceneTensors, geometry: Geometry, strips: Strips, p: Vec3) 
 
 
 def strips_in_view(call: RenderCall, number: int, contacts: Segments) -> Strips | None:
-    """Samples strips that view `number` would see; None: there are none.
+    """Samples edges that rest on surfaces in view, for the strips that open below them; None: there are none.
 
     Args:
         call: detached.
@@ -106,7 +106,7 @@ def strips_in_view(call: RenderCall, number: int, contacts: Segments) -> Strips 
 
 
 class AcrossEdge(NamedTuple):
-    """The plane across edges at N samples; detached."""
+    """The plane perpendicular to edges at N samples; detached."""
 
     outwards: Vec3  # unit, along the surface, away from the body, towards the camera
     upwards: Vec3  # unit normal of the surface

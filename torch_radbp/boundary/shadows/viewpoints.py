@@ -51,7 +51,7 @@ class Viewpoints(NamedTuple):
 
 
 class Begun(NamedTuple):
-    """N paths that start in cells of the film."""
+    """N camera paths that start in cells of the film, for selecting viewpoints."""
 
     pixel: Tensor  # as of `Viewpoints`
     sample: Tensor
@@ -75,7 +75,7 @@ class Picked(NamedTuple):
 
     @staticmethod
     def nothing(state: PathState, instanced: bool) -> Picked:
-        """The initial state without selected vertices; `instanced`: hits have instances."""
+        """The reservoir before any vertex was selected; `instanced`: hits have instances."""
         none = torch.full_like(state.lane, -1)
         zero, vector = partial(torch.zeros_like, state.pdf), partial(Vec3.buffer, state.pdf)
         hit = Hit(none.clone(), zero(), zero(), zero(), none.clone() if instanced else None)

@@ -43,11 +43,11 @@ class Slot(NamedTuple):
 
     @property
     def constant(self) -> np.ndarray:
-        """(3,) the mean colour."""
+        """(3,) the mean colour of the texture."""
         return self.values.mean((0, 1))
 
     def number(self) -> float:
-        """The mean of the first channel."""
+        """The mean of the texture's first channel."""
         return float(self.values[:, :, 0].mean())
 
 

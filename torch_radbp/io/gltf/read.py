@@ -61,7 +61,7 @@ def gltf_options(file: str, given: dict[str, Any]) -> Options:
 
 
 def option(file: str, name: str, value: Any) -> Any:
-    """Converts one option."""
+    """Converts one option of a glTF reader from text, or checks its type."""
     if name == "camera":
         words = {"true": True, "false": False}
         value = words.get(value, value) if isinstance(value, str) else value
