@@ -102,11 +102,11 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
     finite(f"parameter {name!r}", parameter)
     place = inside(scene, name, d, checked_step(parameter, d, step), chosen=step is not None,
                    turns=direction is None or isinstance(direction, str))
-    moves = what_it_sets(name) not in STILL
+    batch, moves = Batch(-(-spp // batches), seed, sensors), what_it_sets(name) not in STILL
     for tried in range(TRIES if step is None else 1):
         finer = place._replace(step=place.step / FINER**tried)
-        result = outcome(Measurement(renderer, f"scene.{name}", parameter, finer, moves, -(-spp // batches), seed, sensors,
-                                     progress), name, batches)
+        measurement = Measurement(renderer, f"scene.{name}", parameter, finer, batch, moves, progress)
+        result = outcome(measurement, name, batches)
         if result.verdict != TOO_LARGE and not (result.verdict == BIASED and moves and tried == 0):
             break
     floor = floor_of(scene, name)
@@ -126,10 +126,11 @@ def outcome(measurement: Measurement, name: str, batches: int) -> GradientCheck:
     rounding = eps * sum(map(abs, stencil.weights)) * torch.stack([found.size for found in differences]).amax(0) / step
     samples = Estimates(torch.stack([found.value for found in differences]), torch.stack(tangents), rounding,
                         torch.stack([found.bend for found in differences]) if measurement.bends else None)
-    cotangents = informative_cotangents(reference, measurement.seed)
+    cotangents = informative_cotangents(reference, measurement.batch.seed)
     backward = measurement.backward(batches + 1, [cotangent.image for cotangent in cotangents])
-    question = Question(name, direction, step, stencil.words, measurement.spp * batches, batches, measurement.seed,
-                        measurement.bends, _left_out(measurement.renderer))
+    spp, seed = measurement.batch.spp * batches, measurement.batch.seed
+    question = Question(name, direction, step, stencil.words, spp, batches, seed, measurement.bends,
+                        _left_out(measurement.renderer))
     result = judge(question, compare(samples, cotangents, backward, eps))
     if result.verdict != BIASED:
         return result
@@ -147,26 +148,33 @@ class ImageDifference(NamedTuple):
     bend: Tensor | None  # half of the second difference, divided by the step
 
 
+class Batch(NamedTuple):
+    """The arguments of the renderings of a batch."""
+
+    spp: int
+    seed: int  # of the first batch
+    sensors: SensorChoice = None
+
+
 class Measurement:
     """Renders a scene with one of its parameters moved, batch by batch."""
 
-    def __init__(self, renderer: Renderer, name: str, value: Tensor, place: ParameterMove, bends: bool, spp: int, seed: int,
-                 sensors: SensorChoice, progress: Callable[[int, int], None] | None):
+    def __init__(self, renderer: Renderer, name: str, value: Tensor, place: ParameterMove, batch: Batch, bends: bool = False,
+                 progress: Callable[[int, int], None] | None = None):
         self.renderer, self.name, self.value = renderer, name, value
         self.step, stencil, self.direction = self.place = place
         self.weights, self.bends = dict(zip(stencil.offsets, stencil.weights)), bends
         self.offsets = [offset for offset, weight in self.weights.items() if weight or bends]
-        self.spp, self.seed, self.sensors = spp, seed, sensors
+        self.batch = batch
         self.progress, self.done, self.total = progress, 0, 0
 
     def with_step(self, step: float) -> Measurement:
         """The same measurement with another step, from the same samples."""
-        return Measurement(self.renderer, self.name, self.value, self.place._replace(step=step), False, self.spp, self.seed,
-                           self.sensors, None)
+        return Measurement(self.renderer, self.name, self.value, self.place._replace(step=step), self.batch)
 
     def arguments(self, number: int) -> dict:
         """Arguments of the rendering of batch `number`; different batches share no samples."""
-        return {"seed": self.seed + number * NEXT_SEED, "sensors": self.sensors, "spp": self.spp}
+        return self.batch._replace(seed=self.batch.seed + number * NEXT_SEED)._asdict()
 
     def count(self, renderings: int) -> None:
         self.done += renderings

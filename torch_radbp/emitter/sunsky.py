@@ -25,7 +25,7 @@ from torch import Tensor
 from torch_radbp.emitter.attributes import FACTOR, colour, factor, weight
 from torch_radbp.emitter.envmap import Envmap, EnvmapKind, EnvmapTable, density, envmap_table, sample_direction
 from torch_radbp.emitter.kind import Aim, Light, Pick, SurroundKind
-from torch_radbp.emitter.sun_position import DAY, check_place_and_time, sun_position
+from torch_radbp.emitter.sun_position import PlaceAndTime, check_place_and_time, sun_position
 from torch_radbp.plugin import Matrix4, Point3, SceneWarning, Texture, finite, register
 from torch_radbp.plugin.domain import FRACTION, NUMBER, Domain
 from torch_radbp.sampling.sampler import fine_unit
@@ -128,20 +128,20 @@ def _light(table: SunskyTable, d: Vec3, met: Tensor) -> Vec3:
 
 def _formula(coefficients: tuple[Vec3, ...], local: Vec3, towards: Vec3) -> Vec3:
     """Hosek and Wilkie's equation 8, for each channel; above the horizon."""
-    a, b, c, d, e, f, g, h, sharpness = coefficients
     cosine = local.z.clamp_min(NEAR_HORIZON)
     apart = local - towards
     squared = dot(apart, apart).clamp_min(NEAR_SUN)
     gamma_cosine = 1.0 - 0.5 * squared
     gamma = torch.atan2(torch.sqrt((squared * (1.0 - 0.25 * squared)).clamp_min(NEAR_SUN)), gamma_cosine)
 
-    def of_channel(a, b, c, d, e, f, g, h, sharpness) -> Tensor:
+    def of_channel(channel: tuple[Tensor, ...]) -> Tensor:
+        a, b, c, d, e, f, g, h, sharpness = channel
         spread = (1.0 + sharpness * sharpness - 2.0 * sharpness * gamma_cosine).clamp_min(NEAR_HORIZON)
         around = (1.0 + gamma_cosine * gamma_cosine) / (spread * torch.sqrt(spread))
         return (1.0 + a * torch.exp(b / (cosine + 0.01))) * (
             c + d * torch.exp(e * gamma) + f * (gamma_cosine * gamma_cosine) + g * around + h * torch.sqrt(cosine))
 
-    return Vec3(*(of_channel(*channel) for channel in zip(a, b, c, d, e, f, g, h, sharpness)))
+    return Vec3(*map(of_channel, zip(*coefficients)))
 
 
 def _between(table: Tensor, place: Tensor) -> Tensor:
@@ -257,9 +257,9 @@ class Sunsky(Light):
                  "day": day, "hour": hour, "minute": minute, "second": second}
         named = [name for name, value in given.items() if value is not None]
         if sun_direction is None:
-            moment = {name: DAY[name] if value is None else value for name, value in given.items()}
+            moment = PlaceAndTime(**{name: given[name] for name in named})
             check_place_and_time(moment)
-            sun = self.rotation().double() @ sun_position(**moment)
+            sun = self.rotation().double() @ sun_position(moment)
         elif named:
             raise ValueError(f"give either sun_direction or a place and time, got {', '.join(named)} as well")
         else:

@@ -1,4 +1,4 @@
-"""4 x 4 matrices of a scene's transform elements: world from local, float64, column vectors."""
+"""Matrices of a scene's transform elements, 4 x 4: world from local, float64, column vectors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""glTF's extensions: which are read, and what those of materials become in `principled`.
+"""The extensions of glTF: which are read, and what those of materials become in `principled`.
 
 | extension | becomes |
 |---|---|
