@@ -13,7 +13,7 @@ from torch_radbp.call.chunks import Chunk
 from torch_radbp.call.render_call import RenderCall, film_places, of_wavefronts
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.film.develop import Development, Grid, across, row_sums
-from torch_radbp.film.splat import Block, deposited, gathered, gathered_by, offset_sums, sums_in_pairs
+from torch_radbp.film.splat import Block, deposited, gathered_by, gathered_from_pixels, offset_sums, sums_in_pairs
 from torch_radbp.tensors.record import joined, rows_between
 from torch_radbp.tensors.vec import Vec2, Vec3, rows
 
@@ -119,7 +119,7 @@ def adjoint_of_chunk(call: RenderCall, chunk: Chunk, place: Vec2, pixels: Vec3) 
         # Read once for all samples of a pixel; of a single one `flatten` alone would repeat the same place in memory.
         return rows(pixels, entry).map(lambda each: each[:, None].expand(-1, chunk.samples).flatten().contiguous())
     block = Block(place, chunk.samples, call.spp)
-    return Vec3(*gathered_by(call.stages(gathered), grid.kernel, tuple(pixels), block, entry, width, 1))
+    return Vec3(*gathered_by(call.stages(gathered_from_pixels), grid.kernel, tuple(pixels), block, entry, width, 1))
 
 
 def weighted(L: Vec3, weight: Tensor | None) -> Vec3:

@@ -102,7 +102,7 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
     finite(f"parameter {name!r}", parameter)
     place = inside(scene, name, d, checked_step(parameter, d, step), chosen=step is not None,
                    turns=direction is None or isinstance(direction, str))
-    batch, moves = Batch(-(-spp // batches), seed, sensors), what_it_sets(name) not in STILL
+    batch, moves = BatchRendering(-(-spp // batches), seed, sensors), what_it_sets(name) not in STILL
     for tried in range(TRIES if step is None else 1):
         finer = place._replace(step=place.step / FINER**tried)
         measurement = Measurement(renderer, f"scene.{name}", parameter, finer, batch, moves, progress)
@@ -148,7 +148,7 @@ class ImageDifference(NamedTuple):
     bend: Tensor | None  # half of the second difference, divided by the step
 
 
-class Batch(NamedTuple):
+class BatchRendering(NamedTuple):
     """The arguments of the renderings of a batch."""
 
     spp: int
@@ -159,8 +159,8 @@ class Batch(NamedTuple):
 class Measurement:
     """Renders a scene with one of its parameters moved, batch by batch."""
 
-    def __init__(self, renderer: Renderer, name: str, value: Tensor, place: ParameterMove, batch: Batch, bends: bool = False,
-                 progress: Callable[[int, int], None] | None = None):
+    def __init__(self, renderer: Renderer, name: str, value: Tensor, place: ParameterMove, batch: BatchRendering,
+                 bends: bool = False, progress: Callable[[int, int], None] | None = None):
         self.renderer, self.name, self.value = renderer, name, value
         self.step, stencil, self.direction = self.place = place
         self.weights, self.bends = dict(zip(stencil.offsets, stencil.weights)), bends

@@ -80,8 +80,8 @@ class PixelAdjoints(NamedTuple):
 
 
 @stage("pixels", "place")
-def gathered(kernel: Kernel, pixels: PixelAdjoints, place: Vec2, entry: Tensor, first: Tensor, left: Tensor,
-             count: int) -> tuple[Tensor, ...]:
+def gathered_from_pixels(kernel: Kernel, pixels: PixelAdjoints, place: Vec2, entry: Tensor, first: Tensor, left: Tensor,
+                         count: int) -> tuple[Tensor, ...]:
     """The transpose of `deposited`: gathers the adjoints of some samples of a pixel from the pixels around it.
 
     Args:
@@ -179,7 +179,7 @@ def gathered_by(stage: Stage, kernel: Kernel, tables: tuple[Tensor, ...], block:
     """C of (P samples,): the adjoints of samples, gathered from the adjoints of the pixels around them.
 
     Args:
-        stage: `gathered`, as it is run.
+        stage: `gathered_from_pixels`, as it is run.
         kernel: the reconstruction filter.
         tables: C, as of `PixelAdjoints`; `down`, `across` likewise.
         block: of the samples.
@@ -199,7 +199,7 @@ def gathered_from_sums(kernel: Kernel, block: Block, sums: Tensor) -> tuple[Tens
     size, pixels = sums.shape[0], sums.shape[-1]
     pixel = torch.arange(pixels, dtype=torch.int32, device=sums.device)
     tables = tuple(table.flatten() for table in sums.unbind(2))
-    return gathered_by(EAGER(gathered), kernel, tables, block, pixel, size * pixels, pixels)
+    return gathered_by(EAGER(gathered_from_pixels), kernel, tables, block, pixel, size * pixels, pixels)
 
 
 class Deposited(torch.autograd.Function):
