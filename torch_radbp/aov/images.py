@@ -107,22 +107,22 @@ def lane_values(integrand: Integrand, start: PathState, names: tuple[str, ...], 
         L: their radiance, likewise.
     """
     fixed, fixed_start = integrand.still(), detached(start)
-    found = {}
+    quantities = {}
     with torch.no_grad():
         hit = first_hit(fixed, fixed_start.ray, 0) if hit is None else hit
         for name in names:
             if name in OF_PATHS:
-                found[name] = path.FUNCTIONS[name](fixed, fixed_start, hit, L)
+                quantities[name] = path.FUNCTIONS[name](fixed, fixed_start, hit, L)
         if fixed.settings.hide_emitters:  # as in Mitsuba they are hidden in the image alone
             hit = first_hit(fixed._replace(settings=fixed.settings._replace(hide_emitters=False)), fixed_start.ray, 0)
     geometric = tuple(name for name in names if name in surface.FUNCTIONS)
     moving = integrand.settings.moving
     if geometric:
         scene = summed(surface.without_materials(integrand.scene))
-        found.update(zip(geometric, integrand.stages(surface_values)(scene, start.ray, hit, geometric, moving)))
+        quantities.update(zip(geometric, integrand.stages(surface_values)(scene, start.ray, hit, geometric, moving)))
     material_names = tuple(name for name in names if name == "albedo" or (
         name == "sh_normal" and material.turns_normals(integrand.scene)))
     if material_names:
-        found.update(zip(material_names, material.material_values(integrand, start, hit, material_names,
-                                                                   found.get("sh_normal"))))
-    return found
+        quantities.update(zip(material_names, material.material_values(integrand, start, hit, material_names,
+                                                                       quantities.get("sh_normal"))))
+    return quantities

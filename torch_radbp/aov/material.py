@@ -34,7 +34,7 @@ def material_values(integrand: Integrand, state: PathState, hit: Hit, names: tup
         normals: the normals by which surfaces are shaded where no material turns them.
     """
     none = hit.t.new_zeros(hit.t.shape)
-    found = {"albedo": (none, none, none), "sh_normal": normals}
+    quantities = {"albedo": (none, none, none), "sh_normal": normals}
     front, order, queues = queued(integrand, detached(state.ray), hit, False)
     for queue in queues:
         if not queue.event.scatters:
@@ -46,9 +46,9 @@ def material_values(integrand: Integrand, state: PathState, hit: Hit, names: tup
         texture_values = texture_values_at(integrand.scene, integrand.scatterer(queue.event), places)
         for name in names:
             if name == "albedo" or integrand.scatterer(queue.event).kind.turns_normals:
-                own = integrand.stages(material_value)(part, here, texture_values, integrand.settings, name)
-                found[name] = tuple(old.index_copy(0, lanes.long(), new) for old, new in zip(found[name], own))
-    return tuple(found[name] for name in names)
+                values = integrand.stages(material_value)(part, here, texture_values, integrand.settings, name)
+                quantities[name] = tuple(old.index_copy(0, lanes.long(), new) for old, new in zip(quantities[name], values))
+    return tuple(quantities[name] for name in names)
 
 
 def albedo(scene: SceneTensors, arrival: Arrival, texture_values: tuple[TextureValue, ...], settings: Settings) -> Values:
@@ -65,8 +65,8 @@ def turned_normal(scene: SceneTensors, arrival: Arrival, texture_values: tuple[T
     material = material_at(scene, si, texture_values)
     front_row = lookup(scene.triangles.material, si.prim)
     two_sided = lookup(scene.materials.turned, front_row + scene.materials.count)
-    own = si.frame.n * (1.0 - 2.0 * (~si.front & two_sided).to(si.t.dtype))
-    return tuple(where(two_sided, own, si.frame.to_world(material.kind.shading_normal(material.values, si.wi))))
+    surface_normal = si.frame.n * (1.0 - 2.0 * (~si.front & two_sided).to(si.t.dtype))
+    return tuple(where(two_sided, surface_normal, si.frame.to_world(material.kind.shading_normal(material.values, si.wi))))
 
 
 FUNCTIONS = {"albedo": albedo, "sh_normal": turned_normal}

@@ -32,18 +32,18 @@ def hit_anything(integrand: Integrand, start: PathState, hit: Hit, L: Vec3 | Non
 def alpha(integrand: Integrand, start: PathState, hit: Hit, L: Vec3 | None) -> Values:
     """1 where a surface or visible environment is seen; surfaces that light passes straight through do not count."""
     surrounded = integrand.scene.layout.surround is not None and not integrand.settings.hide_emitters
-    found = torch.full_like(start.pdf, 1.0 if surrounded else 0.0)
+    opacity = torch.full_like(start.pdf, 1.0 if surrounded else 0.0)
     if surrounded or integrand.max_depth == 0:
-        return found,
+        return opacity,
     for bounce in bounces(integrand._replace(max_depth=integrand.max_depth + 1), start, hit=hit):
         if bounce.depth == integrand.max_depth:
             break
         met = bounce.state.lane[bounce.step.hit.prim >= 0]
         passing = passes_through(bounce)
-        found.index_fill_(0, met.long(), 1.0).index_fill_(0, passing.long(), 0.0)
+        opacity.index_fill_(0, met.long(), 1.0).index_fill_(0, passing.long(), 0.0)
         if not len(passing):
             break
-    return found,
+    return opacity,
 
 
 def passes_through(bounce: Bounce) -> Tensor:

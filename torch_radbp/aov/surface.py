@@ -84,10 +84,10 @@ def _tangents(seen: SeenPoint) -> tuple[Vec3, Vec3]:
 def _number(seen: SeenPoint, which: int) -> Values:
     """The AOV "prim_index" or "shape_index", as a floating-point number."""
     triangles = seen.scene.triangles
-    found = lookup(triangles.numbers[which], seen.hit.prim.clamp_min(0))
+    number = lookup(triangles.numbers[which], seen.hit.prim.clamp_min(0))
     if which == 1 and triangles.instances is not None:  # shapes of groups have the number 0
-        found = found + lookup(triangles.instances.number, seen.hit.instance)
-    return found.to(seen.t.dtype),
+        number = number + lookup(triangles.instances.number, seen.hit.instance)
+    return number.to(seen.t.dtype),
 
 
 FUNCTIONS = {

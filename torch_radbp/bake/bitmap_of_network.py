@@ -62,13 +62,13 @@ def bitmap(texture: NeuralTexture, resolution: int | Sequence[int],
     else:
         places = _positions(TensorMesh.of_trimesh(shape) if is_trimesh(shape) else shape, height, width)
     like = next((value for value in texture.module.parameters()), torch.empty(0))
-    function, found = texture.function().with_parameters(list(texture.module.parameters())), []
+    function, values = texture.function().with_parameters(list(texture.module.parameters())), []
     with torch.no_grad():
         for part in places.view(height * width, -1).split(PLACES):
             part = part.to(like)
-            found.append(function.run(part))
-            function.check(found[-1], part)
-    return Bitmap(data=torch.cat(found).view(height, width, -1), wrap_mode="clamp").to(like)
+            values.append(function.run(part))
+            function.check(values[-1], part)
+    return Bitmap(data=torch.cat(values).view(height, width, -1), wrap_mode="clamp").to(like)
 
 
 def _size_of(resolution: int | Sequence[int]) -> tuple[int, int]:

@@ -69,11 +69,11 @@ def mesh(shape: Shape | trimesh.Trimesh | trimesh.Scene, *, unwrap: bool = False
     surface = body.surface
     if unwrap or surface.uv is None:
         surface = _unwrapped(surface, resolution)
-    found = TensorMesh(vertex_positions=surface.vertices, faces=surface.faces, vertex_normals=surface.normals,
+    baked = TensorMesh(vertex_positions=surface.vertices, faces=surface.faces, vertex_normals=surface.normals,
                        vertex_texcoords=surface.uv, bsdf=body.bsdf, emitter=body.emitter).to(surface.vertices)
     for name, values in surface.attributes:
-        found.add_attribute(name, values)
-    return found
+        baked.add_attribute(name, values)
+    return baked
 
 
 def body_of(shape: Surface | ShapeGroup | Instance) -> ShapeTriangles:
@@ -85,12 +85,13 @@ def body_of(shape: Surface | ShapeGroup | Instance) -> ShapeTriangles:
     if isinstance(shape, Surface):
         return ShapeTriangles(shape.oriented()._replace(ball=None), shape.bsdf, shape.emitter)
     group = shape.shapegroup if isinstance(shape, Instance) else shape
-    own, names = list(group.shapes.values()), list(group.shapes)
-    if len({id(each.bsdf) for each in own}) != 1:
+    surfaces, names = list(group.shapes.values()), list(group.shapes)
+    if len({id(each.bsdf) for each in surfaces}) != 1:
         raise ValueError(f"a mesh has one material, and the shapes of the group, {', '.join(names)}, have several or none "
                          f"that they share: bake each by itself, rb.bake.mesh(group.{names[0] if names else 'NAME'})")
-    surface = _joined([each.oriented() for each in own])
-    return ShapeTriangles(instanced(surface, shape.to_world) if isinstance(shape, Instance) else surface, own[0].bsdf, None)
+    surface = _joined([each.oriented() for each in surfaces])
+    surface = instanced(surface, shape.to_world) if isinstance(shape, Instance) else surface
+    return ShapeTriangles(surface, surfaces[0].bsdf, None)
 
 
 def _joined(surfaces: list[Triangles]) -> Triangles:
@@ -104,11 +105,11 @@ def _joined(surfaces: list[Triangles]) -> Triangles:
 
     attributes = [dict(each.attributes) for each in surfaces]
     shared = [name for name, values in attributes[0].items()
-              if all(name in own and own[name].shape[1] == values.shape[1] for own in attributes)]
+              if all(name in columns and columns[name].shape[1] == values.shape[1] for columns in attributes)]
     return Triangles(torch.cat([each.vertices for each in surfaces]),
                      torch.cat([each.faces + start for each, start in zip(surfaces, starts)]),
                      rows([each.normals for each in surfaces]), rows([each.uv for each in surfaces]),
-                     attributes=tuple((name, torch.cat([own[name] for own in attributes])) for name in shared))
+                     attributes=tuple((name, torch.cat([columns[name] for columns in attributes])) for name in shared))
 
 
 def flat_with_normals(surface: Triangles) -> Triangles:

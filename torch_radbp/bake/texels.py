@@ -65,7 +65,7 @@ def texels_of(uv: Tensor, faces: Tensor, height: int, width: int) -> TexelPlaces
     distance, (row, column) = torch.from_numpy(distance), torch.from_numpy(nearest).long()
     triangle = triangle[row * width + column]
     place = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    y, x = (torch.where(distance <= REACH, own, other) for own, other in zip(place, (row, column)))
+    y, x = (torch.where(distance <= REACH, coordinate, other) for coordinate, other in zip(place, (row, column)))
     weights = weights_in(corners[triangle.flatten()], x.flatten(), y.flatten())
     return TexelPlaces(triangle, weights.view(height, width, 3), int((count > 1).sum()))
 
@@ -84,10 +84,10 @@ def pairs(corners: Tensor, usable: Tensor, height: int, width: int) -> Iterator[
     boxes = extent.prod(1) * usable
     part = (boxes.cumsum(0) // PAIRS).tolist()
     triangles = torch.arange(len(corners)).split([part.count(number) for number in sorted(set(part))])
-    for own in triangles:
-        owner = own.repeat_interleave(boxes[own])
-        first = boxes[own].cumsum(0) - boxes[own]
-        number = torch.arange(len(owner)) - first.repeat_interleave(boxes[own])
+    for some in triangles:
+        owner = some.repeat_interleave(boxes[some])
+        first = boxes[some].cumsum(0) - boxes[some]
+        number = torch.arange(len(owner)) - first.repeat_interleave(boxes[some])
         across = extent[owner, 0]
         yield owner, (low[owner, 1] + number // across) * width + low[owner, 0] + number % across
 

@@ -126,19 +126,19 @@ class BlendKind(Kind):
         return LobeChoice(picked.to(chance.dtype), probability, delta, (first, second))
 
     def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
-        first, second = (own_sample(kind, part, wi, own, u, v)
-                         for kind, part, own in zip((self.first, self.second), self.parts(values), choice.parts))
+        first, second = (own_sample(kind, part, wi, part_choice, u, v)
+                         for kind, part, part_choice in zip((self.first, self.second), self.parts(values), choice.parts))
         return where(choice.lobe > 0, second, first)
 
     def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: LobeChoice) -> Tensor | None:
-        first, second = (kind.chance_by_direction(part, wi, wo, own)
-                         for kind, part, own in zip((self.first, self.second), self.parts(values), choice.parts))
+        first, second = (kind.chance_by_direction(part, wi, wo, part_choice)
+                         for kind, part, part_choice in zip((self.first, self.second), self.parts(values), choice.parts))
         return either(choice.lobe > 0, second, first)
 
     def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
         weight, none = values[0].x, Vec3.full(wi.z, 0.0)
-        first, second = (kind.specular(part, wi, own) if kind.delta else none
-                         for kind, part, own in zip((self.first, self.second), self.parts(values), choice.parts))
+        first, second = (kind.specular(part, wi, part_choice) if kind.delta else none
+                         for kind, part, part_choice in zip((self.first, self.second), self.parts(values), choice.parts))
         return where(choice.lobe > 0, second * weight, first * (1.0 - weight))
 
 

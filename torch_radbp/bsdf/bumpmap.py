@@ -24,7 +24,7 @@ class BumpMapKind(TurnedKind):
     nested kind.
     """
 
-    own: ClassVar[int] = 2
+    normal_values: ClassVar[int] = 2
 
     def normal(self, values: Values) -> Vec3:
         rise = values[0] * values[1].x

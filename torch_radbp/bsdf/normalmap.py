@@ -20,7 +20,7 @@ from torch_radbp.texture.rgb import as_texture
 class NormalMapKind(TurnedKind):
     """A normal-mapped kind. Values: the normal as a colour (n + 1) / 2, those of the nested kind."""
 
-    own: ClassVar[int] = 1
+    normal_values: ClassVar[int] = 1
 
     def normal(self, values: Values) -> Vec3:
         one = torch.ones_like(values[0].x)

@@ -171,15 +171,15 @@ class PrincipledKind(FeaturedKind):
         """The reflectance of a microfacet of the main boundary."""
         colour, tint = values[0], self.number(values, "spec_tint")
         plain = weights.dielectric * (1.0 - tint) * at.reflectance
-        found = Vec3(plain, plain, plain)
+        reflected = Vec3(plain, plain, plain)
         grazing = schlick_weight(at.cos_i, at.eta) if self.has("metallic") or self.has("spec_tint") else None
         if self.has("metallic"):
-            found = found + colour.map(lambda c: mixed(c, 1.0, grazing)) * weights.metallic
+            reflected = reflected + colour.map(lambda c: mixed(c, 1.0, grazing)) * weights.metallic
         if self.has("spec_tint"):
             straight = tint_of(colour) * normal_reflectance(at.eta)
-            found = found + straight.map(lambda c: mixed(c, 1.0, grazing)) * (weights.dielectric * tint)
+            reflected = reflected + straight.map(lambda c: mixed(c, 1.0, grazing)) * (weights.dielectric * tint)
         behind = weights.refracting * at.reflectance
-        return found.map(lambda c: mixed(behind, c, at.front)) if self.transmits else found
+        return reflected.map(lambda c: mixed(behind, c, at.front)) if self.transmits else reflected
 
     def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
         return values[0]

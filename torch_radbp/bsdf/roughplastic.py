@@ -118,8 +118,8 @@ class RoughPlastic(Plastic):
 
     def coat(self) -> Tensor:
         """(SUMS,) the tabulated transmittance of the coat, see `rough_coat`, attached to `alpha` and `eta`."""
-        found = coat_of(self.distribution, float(self.alpha.detach()), float(self.eta.detach()))
-        numbers, by_alpha, by_eta = (part.to(self.alpha) for part in found)
+        tabulated = coat_of(self.distribution, float(self.alpha.detach()), float(self.eta.detach()))
+        numbers, by_alpha, by_eta = (part.to(self.alpha) for part in tabulated)
         return attached(numbers, by_alpha * self.alpha + by_eta * self.eta)
 
     def kind(self) -> Kind:

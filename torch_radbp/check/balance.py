@@ -82,8 +82,8 @@ def ideal_weight(kind: CheckedKind | Kind, values: Values, wi: Vec3, wo: Vec3, r
     weight = torch.zeros(len(wi.z), 3, dtype=wi.z.dtype)
     for choice in choices(kind, values, wi, random):
         off = kind.sample(values, wi, choice, random.u, random.v) - wo
-        same = (dot(off, off) < BACK) & choice.is_delta(kind) & (choice.probability > 0)
-        weight = weight + kind.specular(values, wi, choice).stack().detach() * same[:, None]
+        is_wo = (dot(off, off) < BACK) & choice.is_delta(kind) & (choice.probability > 0)
+        weight = weight + kind.specular(values, wi, choice).stack().detach() * is_wo[:, None]
     return weight
 
 
@@ -93,9 +93,9 @@ def balances(subject: Subject, count: int, seed: int) -> list[Balance]:
             *([delta_balance(subject, count, seed)] if subject.kind.delta else [])]
 
 
-def reciprocity(found: list[Balance], claimed: bool) -> Finding:
+def reciprocity(balances: list[Balance], claimed: bool) -> Finding:
     """The finding on reciprocity; for kinds that do not declare it only the figures."""
-    off, pairs = max(balance.asymmetry for balance in found), sum(balance.pairs for balance in found)
+    off, pairs = max(balance.asymmetry for balance in balances), sum(balance.pairs for balance in balances)
     figures = f"f(wi, wo) and f(wo, wi) differ by up to {off:.2g} of {pairs} pairs"
     return Finding("reciprocity", off <= SAME or not claimed, figures if claimed else f"not claimed; {figures}")
 
@@ -104,16 +104,16 @@ def _power(subject: Subject, z: float, squared_index: float, count: int, seed: i
     """The albedo, (3,), seen from the cosine z, and its standard error; in transmission divided by the squared index."""
     kind, wi = subject.kind, direction(z, AZIMUTH, count)
     values = subject.values(wi.z)
-    found = sampled(kind, values, wi, random_numbers(count, seed))
-    weight = weight_of(kind, values, wi, found).stack().detach()
+    sample = sampled(kind, values, wi, random_numbers(count, seed))
+    weight = weight_of(kind, values, wi, sample).stack().detach()
     change = squared_index if z > 0 else 1.0 / squared_index
-    weight = weight * torch.where(wi.z * found.wo.z < 0, change, 1.0).detach()[:, None]
+    weight = weight * torch.where(wi.z * sample.wo.z < 0, change, 1.0).detach()[:, None]
     return weight.mean(0), weight.std(0) / count**0.5
 
 
-def energy(subjects: dict[str, Subject], found: list[Balance], claimed: bool, count: int, seed: int) -> Finding:
+def energy(subjects: dict[str, Subject], balances: list[Balance], claimed: bool, count: int, seed: int) -> Finding:
     """The finding on energy conservation, for several variants of a material, named by the keys."""
-    crossing = [balance.squared_index for balance in found if balance.squared_index != 1.0]
+    crossing = [balance.squared_index for balance in balances if balance.squared_index != 1.0]
     squared_index = crossing[0] if crossing else 1.0
     excess, words = [], []
     for name, subject in subjects.items():

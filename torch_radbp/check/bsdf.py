@@ -76,14 +76,14 @@ def check_bsdf(bsdf: BSDF | dict[str, Any], *, samples: int = 50_000, seed: int 
     bsdf = standing_alone(bsdf)
     subject = subject_of(bsdf)
     with torch.no_grad():
-        found = [*scattering_findings(subject, samples, seed), worst("methods", [methods_off(subject, PAIRS, seed)], "")]
+        findings = [*scattering_findings(subject, samples, seed), worst("methods", [methods_off(subject, PAIRS, seed)], "")]
         light = balances(subject, PAIRS, seed)
-        found += [reciprocity(light, claims(subject.kind, "reciprocal")),
-                  energy({"as given": subject, "with white reflectances": subject_of(white(bsdf))}, light,
-                         claims(subject.kind, "conserves"), samples, seed)]
+        findings += [reciprocity(light, claims(subject.kind, "reciprocal")),
+                     energy({"as given": subject, "with white reflectances": subject_of(white(bsdf))}, light,
+                            claims(subject.kind, "conserves"), samples, seed)]
     with torch.enable_grad():
-        found += [statements(subject, seed), _finite_everywhere(bsdf)]
-    return PluginCheck(f"bsdf {material_name(bsdf)}", tuple(found))
+        findings += [statements(subject, seed), _finite_everywhere(bsdf)]
+    return PluginCheck(f"bsdf {material_name(bsdf)}", tuple(findings))
 
 
 def subject_of(bsdf: BSDF) -> Subject:
@@ -128,9 +128,9 @@ def _finite_everywhere(bsdf: BSDF) -> Finding:
     variants = {"as given": bsdf, **dict(at_ends(bsdf))}
     for words, variant in variants.items():
         for dtype in (torch.float32, torch.float64):
-            own = standing_alone(variant).to(dtype)
-            kind, wi = checked_kind(own), differentiable_copy(viewers(torch.tensor(COSINE, dtype=dtype)))
-            values = tuple(differentiable_copy(value) for value in values_at(own, PLACE, wi.z))
+            alone = standing_alone(variant).to(dtype)
+            kind, wi = checked_kind(alone), differentiable_copy(viewers(torch.tensor(COSINE, dtype=dtype)))
+            values = tuple(differentiable_copy(value) for value in values_at(alone, PLACE, wi.z))
             trouble = next(chain(troubles_of_evaluation(kind, values, wi),
                                  troubles_of_samples(kind, values, wi, random_corners(kind), LENGTH)), None)
             if trouble is not None:

@@ -104,18 +104,18 @@ def check_emitter(emitter: Light | dict[str, Any], *, samples: int = 50_000, see
     if kind.on_surface and not alone.radiance.tabulated:
         alone.radiance = RGB(value=torch.ones(()))
     scene = scene_of(alone)
-    found = []
+    findings = []
     with torch.no_grad():
         tensors = tree_map_only(Tensor, Tensor.detach, pack(scene))
         vertices, faces = tensors.triangles.vertices.p.stack(), torch.stack(tensors.triangles.corners, 1)
         lit = Lit(tensors, kind.on_surface, make_caster(None, vertices, faces))
         lights = {where: light_from(lit, place, samples, seed) for where, place in PLACES.items()}
-        found.append(worst("samples", [_samples_off(where, light, PLACES[where]) for where, light in lights.items()], ""))
+        findings.append(worst("samples", [_samples_off(where, light, PLACES[where]) for where, light in lights.items()], ""))
         whole = "without extent: only samples find it"
         cases = {} if kind.delta else lights
-        found.append(worst("weights", [weights_off(lit, where, light) for where, light in cases.items()], whole))
-        found.append(worst("light", [light_off(lit, where, light, seed) for where, light in cases.items()], whole))
-    return PluginCheck(f"emitter {emitter.type}", (*found, _finite_everywhere(scene)))
+        findings.append(worst("weights", [weights_off(lit, where, light) for where, light in cases.items()], whole))
+        findings.append(worst("light", [light_off(lit, where, light, seed) for where, light in cases.items()], whole))
+    return PluginCheck(f"emitter {emitter.type}", (*findings, _finite_everywhere(scene)))
 
 
 def scene_of(emitter: Light) -> Scene:
@@ -162,16 +162,17 @@ def weights_off(lit: Lit, where: str, light: LightSample) -> tuple[float, str]:
     used = (light.pdf > 0).nonzero()[:, 0]
     if not len(used):
         return 0.0, f"{where}: no sample can be used"
-    own, of_rays = light.weighing[used], _seen(lit, where, rows(light.d, used)).weighing
-    off = ((own - of_rays).abs() / own.abs().clamp_min(1e-30)).sort().values[int(EXACT_ENOUGH * (len(used) - 1))]
+    of_samples, of_rays = light.weighing[used], _seen(lit, where, rows(light.d, used)).weighing
+    off = ((of_samples - of_rays).abs() / of_samples.abs().clamp_min(1e-30)).sort().values
+    off = off[int(EXACT_ENOUGH * (len(used) - 1))]
     return float(off) / SAME, f"{where}: the density of samples and that of rays differ by up to {float(off):.2g}"
 
 
 def light_off(lit: Lit, where: str, light: LightSample, seed: int) -> tuple[float, str]:
     """The error of the light by samples against that by rays, over parts of the sphere and in total, in such units."""
     count, used = len(light.pdf), light.pdf > 0
-    own = rows(light.d, used.nonzero()[:, 0])
-    cells = Cells.around(own, max(count // 200, 1))
+    to_lights = rows(light.d, used.nonzero()[:, 0])
+    cells = Cells.around(to_lights, max(count // 200, 1))
     integral = cells.integrals(lambda w: [_brightness(_seen(lit, where, w).radiance)])[0]
 
     # The two ways in which a path may find the light, each with its weight.
@@ -182,18 +183,18 @@ def light_off(lit: Lit, where: str, light: LightSample, seed: int) -> tuple[floa
     ray = _seen(lit, where, even)
     by_chance = _brightness(ray.radiance) / UNIFORM_SPHERE_PDF * power_heuristic(
         torch.full_like(density, UNIFORM_SPHERE_PDF), ray.weighing)
-    found = []
+    cases = []
     groups = part_of_cell(cells), _part_of(light.d), _part_of(even)
     for part in (*groups[0].unique().tolist(), None):
         inside = [torch.ones_like(group, dtype=torch.bool) if part is None else group == part for group in groups]
         total, error = float(integral.value[inside[0]].sum()), float(integral.error[inside[0]].sum())
-        parts = [values * own for values, own in zip((by_light, by_chance), inside[1:])]
+        parts = [values * to_lights for values, to_lights in zip((by_light, by_chance), inside[1:])]
         mean, spread = sum(float(values.mean()) for values in parts), math.hypot(*(float(values.std()) for values in parts))
         allowed = SIGMAS * spread / count**0.5 + error + QUADRATURE * float(integral.value.sum())
         words = "in all" if part is None else "in the worst part of the sphere"
-        found.append((abs(mean - total) / max(allowed, 1e-30) if mean != total else 0.0,
+        cases.append((abs(mean - total) / max(allowed, 1e-30) if mean != total else 0.0,
                       f"{where}: samples find {mean:.4g} {words}, rays {total:.4g}"))
-    return max(found)
+    return max(cases)
 
 
 def _brightness(radiance: Vec3) -> Tensor:
@@ -217,15 +218,15 @@ def _part_of(d: Vec3) -> Tensor:
 def _finite_everywhere(scene: Scene) -> Finding:
     """The finding on finite values and derivatives, from points at all distances."""
     for dtype in (torch.float32, torch.float64):
-        own = copy.deepcopy(scene).to(dtype).requires_grad_()
+        alone = copy.deepcopy(scene).to(dtype).requires_grad_()
         axes = torch.tensor([[0.0, 0, 1], [0, 0, -1], [1, 0, 0], [0, 1, 0], [0.6, 0, 0.8]], dtype=dtype)
         p = torch.cat([axes * distance for distance in CLOSE]).requires_grad_()
         with torch.enable_grad():
-            tensors = pack(own)
+            tensors = pack(alone)
             for u, v in ((0.0, 0.0), (0.3, 0.7), (1 - 2.0**-24, 1 - 2.0**-24)):
                 bits = [torch.full((len(p),), int((number - 0.5) * 2**32), dtype=torch.int32) for number in (0.5, 0.5, u, v)]
                 light = sample_light(tensors, tensors, Vec3.of(p), LightNumbers(*bits))
-                trouble = first_trouble(light, p, dict(own.named_parameters()))
+                trouble = first_trouble(light, p, dict(alone.named_parameters()))
                 if trouble:
                     words = f"in {str(dtype).removeprefix('torch.')}, u = {u:g}, v = {v:g}: {trouble}"
                     return Finding("finite", False, words)

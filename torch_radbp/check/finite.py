@@ -59,10 +59,10 @@ class Lanes(NamedTuple):
 
     def named(self) -> dict[str, Tensor]:
         """All scalars of the lanes, by name."""
-        found = {f"values[{k}].{c}": part for k, value in enumerate(self.values) for c, part in zip("xyz", value)}
-        found |= {f"wi.{c}": part for c, part in zip("xyz", self.wi)}
+        scalars = {f"values[{k}].{c}": part for k, value in enumerate(self.values) for c, part in zip("xyz", value)}
+        scalars |= {f"wi.{c}": part for c, part in zip("xyz", self.wi)}
         names = ("wo.x", "wo.y", "wo.z") if isinstance(self.other, Vec3) else ("choice", "u", "v")
-        return found | dict(zip(names, self.other))
+        return scalars | dict(zip(names, self.other))
 
     def at(self, bad: Tensor) -> str:
         """The first of the lanes in `bad`, (N,) bool, in words."""

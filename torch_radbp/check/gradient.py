@@ -123,9 +123,9 @@ def outcome(measurement: Measurement, name: str, batches: int) -> GradientCheck:
     tangents = [tangent, *(measurement.forward(k)[1] for k in range(batches + 2, 2 * batches + 1))]
     # The rounding of the pixels makes their difference uncertain, even where there is no noise.
     eps = torch.finfo(image.dtype).eps
-    rounding = eps * sum(map(abs, stencil.weights)) * torch.stack([found.size for found in differences]).amax(0) / step
-    samples = Estimates(torch.stack([found.value for found in differences]), torch.stack(tangents), rounding,
-                        torch.stack([found.bend for found in differences]) if measurement.bends else None)
+    rounding = eps * sum(map(abs, stencil.weights)) * torch.stack([each.size for each in differences]).amax(0) / step
+    samples = Estimates(torch.stack([difference.value for difference in differences]), torch.stack(tangents), rounding,
+                        torch.stack([difference.bend for difference in differences]) if measurement.bends else None)
     cotangents = informative_cotangents(reference, measurement.batch.seed)
     backward = measurement.backward(batches + 1, [cotangent.image for cotangent in cotangents])
     spp, seed = measurement.batch.spp * batches, measurement.batch.seed
@@ -232,8 +232,8 @@ def informative_cotangents(reference: Tensor, seed: int) -> list[Cotangent]:
     smooth = interpolate(coarse, reference.shape[2:], mode="bilinear", align_corners=True).to(reference.device)
     # Each pixel is divided by its own size, too, so that a few bright ones do not drown the others.
     size = reference.abs() + reference.abs().mean()
-    own = torch.where(size > 0, reference / torch.where(size > 0, size, 1.0), 0.0)
-    return [Cotangent("ones", torch.ones_like(reference)), Cotangent("derivative image", own),
+    image = torch.where(size > 0, reference / torch.where(size > 0, size, 1.0), 0.0)
+    return [Cotangent("ones", torch.ones_like(reference)), Cotangent("derivative image", image),
             Cotangent("smooth random", smooth)]
 
 
@@ -273,9 +273,9 @@ def checked_step(parameter: Tensor, direction: Tensor, step: float | None) -> fl
 
 def _left_out(renderer: Renderer) -> list[str]:
     """Known omissions in the derivatives of a renderer: by its settings, and by its warnings."""
-    found = [f"terms={tuple(renderer.terms)!r} leaves out {term!r}" for term in TERMS if term not in renderer.terms]
-    return found + [str(said).partition(". ")[0] for said in renderer.jump_watch.said.values()
-                    if isinstance(said, SilhouetteWarning)]
+    omissions = [f"terms={tuple(renderer.terms)!r} leaves out {term!r}" for term in TERMS if term not in renderer.terms]
+    return omissions + [str(said).partition(". ")[0] for said in renderer.jump_watch.said.values()
+                        if isinstance(said, SilhouetteWarning)]
 
 
 def what_it_sets(name: str) -> str:

@@ -63,26 +63,26 @@ def choices(kind: Kind | CheckedKind, values: Values, wi: Vec3, random: LaneNumb
 
     `most`: after so many it ends, should the probabilities not add up to 1.
     """
-    found, last = [], torch.zeros_like(random.choice)
-    while (open_ := last < 1 - 1e-9).any() and len(found) < most:
+    chosen, last = [], torch.zeros_like(random.choice)
+    while (open_ := last < 1 - 1e-9).any() and len(chosen) < most:
         choice = kind.choose(values, wi, last + 1e-12, random.u, random.v)
-        found.append(choice._replace(probability=torch.where(open_, choice.probability, 0.0)))
-        last = last + found[-1].probability
-    return found
+        chosen.append(choice._replace(probability=torch.where(open_, choice.probability, 0.0)))
+        last = last + chosen[-1].probability
+    return chosen
 
 
-def weight_of(kind: Kind | CheckedKind, values: Values, wi: Vec3, found: SampledDirection) -> Vec3:
+def weight_of(kind: Kind | CheckedKind, values: Values, wi: Vec3, sample: SampledDirection) -> Vec3:
     """The path throughput factor of a sampled direction; 0 where the direction is invalid.
 
     That is eval / pdf, or of delta lobes specular / probability.
     """
     weight = Vec3.full(wi.z, 0.0)
     if kind.smooth:
-        value, pdf = kind.eval_pdf(values, wi, found.wo)
+        value, pdf = kind.eval_pdf(values, wi, sample.wo)
         weight = value * torch.where(pdf > 0, 1.0 / torch.where(pdf > 0, pdf, 1.0), 0.0)
     if kind.delta:
-        ideal = kind.specular(values, wi, found.choice) * (1.0 / found.choice.probability)
-        delta = found.choice.is_delta(kind)
+        ideal = kind.specular(values, wi, sample.choice) * (1.0 / sample.choice.probability)
+        delta = sample.choice.is_delta(kind)
         weight = Vec3(*(torch.where(delta, a, b) for a, b in zip(ideal, weight)))
     return weight
 

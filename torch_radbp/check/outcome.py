@@ -116,7 +116,7 @@ class GradientCheck:
                 ("smallest error of the derivative that would show", f"{self.detectable:.1%}")]
 
 
-def judge(asked: Question, comparison: Comparison) -> GradientCheck:
+def judge(question_asked: Question, comparison: Comparison) -> GradientCheck:
     """Decides the verdict on a comparison of derivatives.
 
     A derivative is biased if a projection of it is off by more than 4 standard errors and by more than 1% of its scale, or
@@ -127,16 +127,16 @@ def judge(asked: Question, comparison: Comparison) -> GradientCheck:
     """
     informative = comparison.projections[1]
     surest = min(comparison.projections if informative.bend else [informative], key=hidden)
-    verdict, explanation = verdict_on(comparison, asked, surest)
-    *question, _, _ = asked
+    verdict, explanation = verdict_on(comparison, question_asked, surest)
+    *question, _, _ = question_asked
     return GradientCheck(*question, comparison, verdict, explanation, hidden(surest))
 
 
-def said_of_step(asked: Question, result: GradientCheck, halved: Comparison, change: Comparison) -> GradientCheck:
+def said_of_step(question: Question, result: GradientCheck, halved: Comparison, change: Comparison) -> GradientCheck:
     """Revises a biased verdict, if the error shrinks with the step: then the step is too large.
 
     Args:
-        asked: what led to it.
+        question: what led to it.
         result: of differences by the whole step.
         halved: of differences by half of the step, from the same samples.
         change: of the differences, compared with none.
@@ -147,7 +147,7 @@ def said_of_step(asked: Question, result: GradientCheck, halved: Comparison, cha
         return result
     return replace(result, verdict=TOO_LARGE, explanation=(
         f"differences by this step are off by {before:+.1%}, and by half of it {after:+.1%}, so that they make the error, "
-        f"not the derivative; use a smaller step (step={asked.step / 8:.2g})"))
+        f"not the derivative; use a smaller step (step={question.step / 8:.2g})"))
 
 
 def said_of_floor(result: GradientCheck, floor: float) -> GradientCheck:
@@ -185,7 +185,7 @@ def uncertainty(projection: Projection) -> float:
     return projection.standard_error / projection.size if projection.size > 0 else math.inf
 
 
-def verdict_on(comparison: Comparison, asked: Question, surest: Projection) -> tuple[str, str]:
+def verdict_on(comparison: Comparison, question: Question, surest: Projection) -> tuple[str, str]:
     """The verdict on a derivative, and the sentence that explains it."""
     if comparison.not_finite:
         return BIASED, f"the derivative by forward mode has {comparison.not_finite} values that are NaN or infinite"
@@ -202,10 +202,10 @@ def verdict_on(comparison: Comparison, asked: Question, surest: Projection) -> t
         where = (f"off by {worst.relative_error:+.1%} ({worst.z:+.1f} standard errors) on {worst.name}" if worst
                  else f"off by {tiles.relative_bias:.1%} in tiles of the image, though not in sum")
         held = f"half of the squared error lies in {comparison.pixels.concentration:.1%} of the pixels"
-        if asked.left_out:
-            return SILHOUETTES, f"{where}; {held}. The renderer leaves out a part: {'; '.join(asked.left_out)}"
+        if question.left_out:
+            return SILHOUETTES, f"{where}; {held}. The renderer leaves out a part: {'; '.join(question.left_out)}"
         step = "By half of the step the differences are off as well"
-        if asked.moves:
+        if question.moves:
             return BIASED, (f"{where}; {held}. The renderer does not know of anything that it leaves out; without a warning "
                             f"it leaves out edges that surfaces see by reflection, and shadows of a mask's holes. {step}")
         return BIASED, f"{where}; {held}. {step}"
@@ -216,10 +216,10 @@ def verdict_on(comparison: Comparison, asked: Question, surest: Projection) -> t
     if detectable > DETECT and surest.bend > MOST_Z * surest.standard_error:
         return TOO_NOISY, (f"an error below {detectable:.1%} would go undetected, since differences to one side are so far "
                            f"off those to both, as where edges move over the borders of pixels; use a smaller step "
-                           f"(step={asked.step / 8:.2g}) and 8 times the samples (spp={8 * asked.spp}), or another "
+                           f"(step={question.step / 8:.2g}) and 8 times the samples (spp={8 * question.spp}), or another "
                            f"direction")
     if detectable > DETECT:
         more = math.ceil(min((detectable / DETECT) ** 2, 1e9))
         return TOO_NOISY, (f"an error below {detectable:.1%} would go undetected; use {more} times the samples "
-                           f"(spp={more * asked.spp}){', or a larger step' if asked.moves else ''}")
+                           f"(spp={more * question.spp}){', or a larger step' if question.moves else ''}")
     return AGREES, f"an error of {max(detectable, STEP_ERROR):.1%} of the derivative would have been detected"

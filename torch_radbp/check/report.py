@@ -55,15 +55,15 @@ class PluginCheck:
         return html_table(self.plugin, ("check", "", "figures"), rows, self.verdict)
 
 
-def worst(check: str, found: list[tuple[float, str]], agreed: str) -> Finding:
+def worst(check: str, cases: list[tuple[float, str]], agreed: str) -> Finding:
     """The worst result of a check that was made in several cases.
 
     Args:
         check: its name.
-        found: of each case how far it is off, in units of what is allowed, and the figures in words.
+        cases: of each how far it is off, in units of what is allowed, and the figures in words.
         agreed: what to say if there was no case.
     """
-    if not found:
+    if not cases:
         return Finding(check, True, agreed)
-    excess, figures = max(found, key=lambda case: math.inf if math.isnan(case[0]) else case[0])
+    excess, figures = max(cases, key=lambda case: math.inf if math.isnan(case[0]) else case[0])
     return Finding(check, excess <= 1.0, figures)

@@ -57,10 +57,10 @@ def viewed(subject: Subject, where: str, count: int, seed: int) -> ViewerSamples
     """Samples a material for one of `VIEWERS`, and integrates its density and BSDF."""
     kind, wi, random = subject.kind, direction(VIEWERS[where], AZIMUTH, count), random_numbers(count, seed)
     values = subject.values(wi.z)
-    found = sampled(kind, values, wi, random)
-    delta = found.choice.is_delta(kind)
-    weight = weight_of(kind, values, wi, found).stack().detach()
-    wo, cells, density, scattered = found.wo.detach(), None, None, []
+    sample = sampled(kind, values, wi, random)
+    delta = sample.choice.is_delta(kind)
+    weight = weight_of(kind, values, wi, sample).stack().detach()
+    wo, cells, density, scattered = sample.wo.detach(), None, None, []
     keep = torch.zeros_like(delta)
     if kind.smooth:
         keep = (kind.eval_pdf(values, wi, wo)[1].detach() > 0) & ~delta
@@ -87,13 +87,13 @@ def fit(view: ViewerSamples) -> float:
     0 if the density is not finite.
     """
     half = len(view.keep) // 2  # those that have not made the cells
-    own = view.keep[half:].nonzero()[:, 0] + half
-    if not len(own):
+    smooth = view.keep[half:].nonzero()[:, 0] + half
+    if not len(smooth):
         return 1.0
     if not bool(torch.isfinite(view.density.value).all()):
         return 0.0
     number = len(view.keep) - half
-    return p_value(view.cells.counts(rows(view.wo, own)), number * view.density.value, 0, number * view.density.error)
+    return p_value(view.cells.counts(rows(view.wo, smooth)), number * view.density.value, 0, number * view.density.error)
 
 
 def _samples_off(view: ViewerSamples) -> tuple[float, str]:
@@ -108,13 +108,13 @@ def weight_off(view: ViewerSamples) -> tuple[float, str]:
     """The error of the mean of eval / pdf against the integral of eval, in such units; of the worst channel."""
     smooth = view.weight * (~view.delta).double()[:, None]
     means, errors = smooth.mean(0), smooth.std(0) / len(smooth) ** 0.5
-    found = []
+    cases = []
     for mean, error, scattered in zip(means.tolist(), errors.tolist(), view.scattered):
         total = scattered.value.sum().item()
         allowed = SIGMAS * error + scattered.error.sum().item() + QUADRATURE * max(abs(total), abs(mean))
-        found.append((abs(mean - total) / max(allowed, 1e-12),
+        cases.append((abs(mean - total) / max(allowed, 1e-12),
                       f"{view.where}: samples reflect {mean:.4f} by eval / pdf, eval integrates to {total:.4f}"))
-    return max(found)
+    return max(cases)
 
 
 def lobes_off(subject: Subject, where: str, seed: int, count: int = 4096) -> tuple[float, str]:
@@ -123,9 +123,9 @@ def lobes_off(subject: Subject, where: str, seed: int, count: int = 4096) -> tup
     wi, choice = direction(VIEWERS[where], AZIMUTH, count), (torch.arange(count, dtype=torch.float64) + 0.5) / count
     for pair in torch.rand(TRIES, 2, generator=torch.Generator().manual_seed(seed), dtype=torch.float64):
         u, v = (number.expand(count).clone() for number in pair)
-        found = kind.choose(subject.values(wi.z), wi, choice, u, v)
-        lobes, number = torch.stack([part.expand(count) for part in chosen_lobes(found)], 1).unique(
-            dim=0, return_inverse=True)[1], found.probability.expand(count)
+        lobe_choice = kind.choose(subject.values(wi.z), wi, choice, u, v)
+        lobes, number = torch.stack([part.expand(count) for part in chosen_lobes(lobe_choice)], 1).unique(
+            dim=0, return_inverse=True)[1], lobe_choice.probability.expand(count)
         frequency = torch.bincount(lobes).double() / count
         off = max(off, float((frequency[lobes] - number).abs().max()))
     # Of a lobe that others stand between, each border is counted half a step too far or too near.
@@ -142,10 +142,10 @@ def scattering_findings(subject: Subject, count: int, seed: int) -> list[Finding
     views = [viewed(subject, where, count, seed + number) for number, where in enumerate(VIEWERS)]
     smooth = [view for view in views if view.density is not None]
     ideal = "only delta lobes, whose pdf is 0"
-    found = [worst("density", [density_off(view) for view in smooth], ideal),
-             worst("samples", [_samples_off(view) for view in smooth], ideal),
-             worst("weight", [weight_off(view) for view in smooth], ideal)]
-    return [*found, worst("lobes", [lobes_off(subject, where, seed) for where in VIEWERS], "")]
+    findings = [worst("density", [density_off(view) for view in smooth], ideal),
+                worst("samples", [_samples_off(view) for view in smooth], ideal),
+                worst("weight", [weight_off(view) for view in smooth], ideal)]
+    return [*findings, worst("lobes", [lobes_off(subject, where, seed) for where in VIEWERS], "")]
 
 
 def methods_off(subject: Subject, count: int, seed: int) -> tuple[float, str]:
@@ -156,10 +156,10 @@ def methods_off(subject: Subject, count: int, seed: int) -> tuple[float, str]:
     others = {"eval": (kind.eval(values, wi, wo), value), "pdf": (kind.pdf(values, wi, wo), pdf)}
     others |= dict(zip(("eval_pdf with fixed_lobes, the BSDF", "eval_pdf with fixed_lobes, the density"),
                        zip(kind.eval_pdf(values, wi, wo, True), (value, pdf))))
-    for name, (found, expected) in others.items():
-        found, expected = (each.stack().detach() if isinstance(each, Vec3) else each.detach() for each in (found, expected))
-        if not torch.allclose(found, expected, rtol=1e-9, atol=0, equal_nan=True):
-            return math.inf, f"{name} differs from eval_pdf by up to {float((found - expected).abs().max()):.2g}"
+    for name, (value, expected) in others.items():
+        value, expected = (each.stack().detach() if isinstance(each, Vec3) else each.detach() for each in (value, expected))
+        if not torch.allclose(value, expected, rtol=1e-9, atol=0, equal_nan=True):
+            return math.inf, f"{name} differs from eval_pdf by up to {float((value - expected).abs().max()):.2g}"
     least = min(float(value.stack().min()), float(pdf.min()))
     return (math.inf if least < 0 else 0.0), (f"eval or pdf is negative, {least:.2g}" if least < 0 else
                                               "eval, pdf and eval_pdf say the same")

@@ -42,22 +42,22 @@ class Cells(NamedTuple):
         """Cells with at most `most` of some directions each, or at the finest level."""
         level, row, column = 0, *(each.flatten() for each in torch.meshgrid(
             torch.arange(ROWS), torch.arange(COLUMNS), indexing="ij"))
-        found = []
+        finished = []
         while len(row):
             full = (_counted(w, level, row, column) > most) & (level < DEEPEST)
-            found.append(Cells(torch.full_like(row[~full], level), row[~full], column[~full]))
+            finished.append(Cells(torch.full_like(row[~full], level), row[~full], column[~full]))
             halves = torch.tensor([0, 0, 1, 1]), torch.tensor([0, 1, 0, 1])
             row, column = ((2 * each[full][:, None] + half).flatten() for each, half in zip((row, column), halves))
             level += 1
-        return Cells(*(torch.cat(parts) for parts in zip(*found)))
+        return Cells(*(torch.cat(parts) for parts in zip(*finished)))
 
     def counts(self, w: Vec3) -> Tensor:
         """(C,) the number of directions in each cell."""
-        found = torch.zeros_like(self.row)
+        counts = torch.zeros_like(self.row)
         for level in self.level.unique().tolist():
-            own = self.level == level
-            found[own] = _counted(w, level, self.row[own], self.column[own])
-        return found
+            of_level = self.level == level
+            counts[of_level] = _counted(w, level, self.row[of_level], self.column[of_level])
+        return counts
 
     def integrals(self, functions: Callable[[Vec3], Sequence[Tensor]]) -> list[Integral]:
         """The integrals over solid angle of functions of directions.
@@ -72,12 +72,12 @@ class Cells(NamedTuple):
         polar, longitude = polar.reshape(-1), longitude.reshape(-1)
         values = [functions(unit_vectors(*part)) for part in zip(polar.split(BATCH), longitude.split(BATCH))]
         sine, area = polar.sin().reshape(-1, NODES, NODES), height * width
-        found = []
+        integrals = []
         for value in map(torch.cat, zip(*values)):
             value = value.detach().double().reshape(-1, NODES, NODES) * sine
             fine, coarse = (each.mean((1, 2)) * area for each in (value, value[:, COARSE // 2::COARSE, COARSE // 2::COARSE]))
-            found.append(Integral(fine, (fine - coarse).abs() / COARSE))
-        return found
+            integrals.append(Integral(fine, (fine - coarse).abs() / COARSE))
+        return integrals
 
 
 def unit_vectors(polar: Tensor, longitude: Tensor) -> Vec3:

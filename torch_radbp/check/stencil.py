@@ -86,10 +86,10 @@ def floor_of(scene: Scene, name: str) -> float:
 
 def domains_of(scene: Scene, parameter: Tensor) -> list[Domain]:
     """The domains of all attributes that use a tensor of the scene."""
-    found = [domain for held in held_values(scene).values() for domain in held.domains
-             if held.attribute is not None and getattr(held.owner, held.attribute) is parameter]
-    return found + [domain for shape in scene.shapes for owner in (shape.bsdf, shape.emitter) if owner is not None
-                    for name, domain, _ in attributes_read(owner) if getattr(shape, name, None) is parameter]
+    domains = [domain for held in held_values(scene).values() for domain in held.domains
+               if held.attribute is not None and getattr(held.owner, held.attribute) is parameter]
+    return domains + [domain for shape in scene.shapes for owner in (shape.bsdf, shape.emitter) if owner is not None
+                      for name, domain, _ in attributes_read(owner) if getattr(shape, name, None) is parameter]
 
 
 def _outside(scene: Scene, name: str, value: Tensor, leeway: float) -> str | None:

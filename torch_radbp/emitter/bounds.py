@@ -47,8 +47,8 @@ def bounds_of_groups(bounds: LightBounds, group: Tensor, count: int) -> LightBou
     """
     def least(values: Tensor, largest: bool = False) -> Tensor:
         start = values.new_full((count,), -math.inf if largest else math.inf)
-        found = start.scatter_reduce(0, group, values, "amax" if largest else "amin")
-        return torch.where(found.isinf(), 0.0, found)
+        reduced = start.scatter_reduce(0, group, values, "amax" if largest else "amin")
+        return torch.where(reduced.isinf(), 0.0, reduced)
 
     def total(values: Tensor) -> Tensor:
         return values.new_zeros(count).index_add_(0, group, values)

@@ -93,10 +93,10 @@ class EnvmapKind(SurroundKind):
         around = texels_around(uv, proposal.rows, proposal.columns)
         if proposal.at_texels is None:
             seen = around.interpolated(lambda texel: lookup(proposal.texels, texel))
-            found = sum(part * share for part, share in zip(seen, LUMINANCE)).abs()
+            brightness = sum(part * share for part, share in zip(seen, LUMINANCE)).abs()
         else:
-            found = around.interpolated(lambda texel: lookup(proposal.at_texels, texel))
-        return (found * (4.0 * proposal.to_density) * jacobian).clamp_min(LEAST_WEIGHING)
+            brightness = around.interpolated(lambda texel: lookup(proposal.at_texels, texel))
+        return (brightness * (4.0 * proposal.to_density) * jacobian).clamp_min(LEAST_WEIGHING)
 
 
 def density(table: EnvmapTable, d: Vec3) -> Tensor:
@@ -126,8 +126,8 @@ def sample_direction(table: EnvmapTable, u: Tensor, v: Tensor) -> tuple[Vec3, Te
     local = Vec3(across * torch.sin(phi), 1.0 - 2.0 * h, -across * torch.cos(phi))
     d = table.to_world.to_local(local)
     squared = dot(d, d).clamp_min(TINY)
-    found = lookup(table.brightness, cell.row * columns + cell.column) * table.to_density
-    return d * torch.rsqrt(squared), found * table.volume * squared * torch.sqrt(squared)
+    density = lookup(table.brightness, cell.row * columns + cell.column) * table.to_density
+    return d * torch.rsqrt(squared), density * table.volume * squared * torch.sqrt(squared)
 
 
 class Latitudes(NamedTuple):

@@ -166,9 +166,9 @@ def coefficients_of(emitter: Sunsky) -> tuple[Tensor, Tensor, Tensor]:
 
     place = torch.tensor((math.degrees(elevation) - ELEVATIONS[0]) / (ELEVATIONS[1] - ELEVATIONS[0]), dtype=torch.float64)
     sun = _between(_between(tables["sun_radiance"], turbidity), place.clamp(0.0, len(ELEVATIONS) - 1.0))
-    usual, own = (math.sin(math.radians(0.25 * angle)) ** 2 for angle in (USUAL_APERTURE, emitter.sun_aperture))
+    usual, chosen = (math.sin(math.radians(0.25 * angle)) ** 2 for angle in (USUAL_APERTURE, emitter.sun_aperture))
     return (interpolated(tables["sky_params"]), interpolated(tables["sky_radiance"]) * SCALE * emitter.sky_scale,
-            sun * (usual / own) * emitter.sun_scale)
+            sun * (usual / chosen) * emitter.sun_scale)
 
 
 def sunsky_table(emitter: Sunsky, like: Tensor) -> SunskyTable:

@@ -36,10 +36,10 @@ class Grid(NamedTuple):
     def quotient(self, image: Tensor, filters: Tensor) -> Tensor:
         """(C, ...) an image (C, H, W) divided by the sums of filter weights, padded with zeros up to the last sample."""
         reach = self.kernel.reach
-        found = image.new_zeros(len(image), self.rows + 2 * reach, self.columns + 2 * reach)
-        inside = self.cropped(found, reach)
+        padded = image.new_zeros(len(image), self.rows + 2 * reach, self.columns + 2 * reach)
+        inside = self.cropped(padded, reach)
         torch.div(image, torch.where(filters == 0, 1.0, filters), out=inside)
-        return found
+        return padded
 
 
 def row_sums(stage: Stage, grid: Grid, values: tuple[Tensor, ...], block: Block) -> Tensor:
@@ -56,8 +56,8 @@ def row_sums(stage: Stage, grid: Grid, values: tuple[Tensor, ...], block: Block)
     pieces = []
     for first in range(0, rows, most):
         lanes = slice(first * grid.columns * samples, (first + most) * grid.columns * samples)
-        own = Block(Vec2(*(part[lanes] for part in place)), samples, spp)
-        pieces.append(across(grid, offset_sums(stage, grid.kernel, tuple(value[lanes] for value in values), own)))
+        part_of_block = Block(Vec2(*(part[lanes] for part in place)), samples, spp)
+        pieces.append(across(grid, offset_sums(stage, grid.kernel, tuple(value[lanes] for value in values), part_of_block)))
     return torch.cat(pieces, 2)
 
 

@@ -46,11 +46,11 @@ class HDRFilm(Film):
                 or self.crop_offset_y + self.crop_height > self.height):
             raise ValueError(f"the crop window {self.crop_width} x {self.crop_height} at ({crop_offset_x}, {crop_offset_y}) "
                              f"must lie inside the image of {width} x {height}")
-        for name, value, known in (("pixel_format", pixel_format, PIXEL_FORMATS),
-                                   ("component_format", component_format, COMPONENT_FORMATS),
-                                   ("file_format", file_format, FILE_FORMATS)):
-            if value not in known:
-                raise ValueError(f"{name} {value!r} is not supported; {nearest(value, known)}")
+        for name, value, supported in (("pixel_format", pixel_format, PIXEL_FORMATS),
+                                       ("component_format", component_format, COMPONENT_FORMATS),
+                                       ("file_format", file_format, FILE_FORMATS)):
+            if value not in supported:
+                raise ValueError(f"{name} {value!r} is not supported; {nearest(value, supported)}")
         self.sample_border, self.pixel_format = boolean("sample_border", sample_border), pixel_format
         self.component_format, self.file_format, self.banner = component_format, file_format, boolean("banner", banner)
         self.rfilter = Gaussian() if rfilter is None else rfilter

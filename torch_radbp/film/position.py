@@ -63,12 +63,12 @@ def _counted(kernel: Kernel, inside: Tensor, size: Tensor, before: Tensor, after
         before, after: () int32, columns in front of the window and behind it in which there are samples, too.
         place: (N,) pixels from the border of the window.
     """
-    own = torch.floor(place)
+    nearest = torch.floor(place)
     sampled = (place + before >= 0) & (place < size + after)
-    own = torch.where(sampled, own, 0.0)
-    found = []
-    for step, value in enumerate(kernel.around(torch.where(sampled, place - own, 0.0))):
-        index = own.to(torch.int32) + (step - kernel.reach)
+    nearest = torch.where(sampled, nearest, 0.0)
+    counted = []
+    for step, value in enumerate(kernel.around(torch.where(sampled, place - nearest, 0.0))):
+        index = nearest.to(torch.int32) + (step - kernel.reach)
         column = torch.minimum(index.clamp_min(0), size - 1)
-        found.append((column, torch.where((index == column) & sampled, value / lookup(inside, column), 0.0)))
-    return found
+        counted.append((column, torch.where((index == column) & sampled, value / lookup(inside, column), 0.0)))
+    return counted

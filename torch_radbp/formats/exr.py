@@ -45,21 +45,21 @@ def read_exr_with_alpha(path: str | os.PathLike,
     parts = OpenEXR.File(str(path), separate_channels=True).parts
     if len(parts) < len(headers):  # which it prints and leaves out
         raise ValueError("its pixels are damaged or cut short")
-    found: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}  # layer -> colour and alpha of the first part that has it
+    layers: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}  # layer -> colour and alpha of the first part that has it
     for channels in (part.channels for part in parts):
         for layer in sorted({name.rpartition(".")[0] for name in channels}):
             prefix = f"{layer}." if layer else ""
             colour = layer_colour(channels, prefix)
             if colour is not None:
                 alpha = next((channels[name].pixels for name in (f"{prefix}A", f"{prefix}a") if name in channels), None)
-                found.setdefault(layer, (colour, alpha))
-    if not found:
+                layers.setdefault(layer, (colour, alpha))
+    if not layers:
         names = ", ".join(name for part in parts for name in part.channels)
         raise ValueError(f"no colour among its channels {names}; supported: R, G, B or Y, alone or in a layer")
-    chosen = [layer for layer in found if layer.rpartition(".")[2].lower() in BEAUTY_LAYERS] or list(found)
+    chosen = [layer for layer in layers if layer.rpartition(".")[2].lower() in BEAUTY_LAYERS] or list(layers)
     if len(chosen) > 1 and "" not in chosen:
         raise ValueError(f"several layers have colours, {', '.join(chosen)}; keep one or call it beauty")
-    return found["" if "" in chosen else chosen[0]]
+    return layers["" if "" in chosen else chosen[0]]
 
 
 def layer_colour(channels: dict[str, OpenEXR.Channel], prefix: str) -> np.ndarray | None:

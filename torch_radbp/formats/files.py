@@ -44,14 +44,14 @@ def opened(path: str | os.PathLike) -> Iterator[BinaryIO]:
         raise type(error)(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
-def unknown_kind(path: str | os.PathLike, what: str, known: Iterable[str]) -> str:
-    """The message about a path whose extension is not one of those `known` for `what`, or which is no file at all."""
+def unknown_kind(path: str | os.PathLike, what: str, supported: Iterable[str]) -> str:
+    """The message about a path whose extension is not one of those `supported` for `what`, or which is no file at all."""
     if os.path.isdir(path):
         return f"{path}: is a folder, not a file"
     if os.path.exists(path) and not os.path.isfile(path):
         return f"{path}: is not an ordinary file"
     suffix = os.path.splitext(path)[1].lower()
-    return f"{path}: unknown kind of {what} {suffix!r}; supported: {', '.join(known)}"
+    return f"{path}: unknown kind of {what} {suffix!r}; supported: {', '.join(supported)}"
 
 
 def check_source(path: str | os.PathLike) -> None:

@@ -177,8 +177,8 @@ def _check_signature(path: str | os.PathLike, kind: str) -> None:
     if begin.startswith(SIGNATURES[kind]):
         return
     other = next((name for name, signature in SIGNATURES.items() if signature and begin.startswith(signature)), None)
-    found = f"begins as {other} does; change its extension" if other else f"begins with {begin!r}" if begin else "is empty"
-    raise ValueError(f"{path}: cannot be read as {kind}: the file {found}")
+    problem = f"begins as {other} does; change its extension" if other else f"begins with {begin!r}" if begin else "is empty"
+    raise ValueError(f"{path}: cannot be read as {kind}: the file {problem}")
 
 
 def colours(pixels: np.ndarray) -> np.ndarray:

@@ -74,7 +74,7 @@ def read_obj(file: BinaryIO, place: str, want_normals: bool = True) -> MeshArray
     merged = _merged(faces) if faces else None
     if merged is None or not len(merged.counts):
         raise ValueError(f"{place}: the mesh has {seen['v']} vertices and no faces (lines like \"f 1 2 3\")")
-    values = {keyword: np.concatenate(found) for keyword, found in rows.items()}
+    values = {keyword: np.concatenate(blocks) for keyword, blocks in rows.items()}
     if not want_normals:
         merged.corners["vn"][:] = -1
     for keyword in WIDTHS:
@@ -233,9 +233,9 @@ def _mesh(faces: Polygons, values: dict[str, np.ndarray]) -> MeshArrays:
     first[vertex[::-1]] = corner[::-1]  # of several values for one entry the last is kept
     is_first = first[vertex] == corner
     numbered = (np.cumsum(is_first) - 1)[first[vertex]]  # int64
-    taken = {keyword: values[keyword][index[is_first]] if (index >= 0).any() else None
-             for keyword, index in faces.corners.items()}
-    return MeshArrays(taken["v"], fans(numbered, faces.counts), taken["vn"], taken["vt"])
+    columns = {keyword: values[keyword][index[is_first]] if (index >= 0).any() else None
+               for keyword, index in faces.corners.items()}
+    return MeshArrays(columns["v"], fans(numbered, faces.counts), columns["vn"], columns["vt"])
 
 
 def _pairs(first: np.ndarray, second: np.ndarray) -> np.ndarray:

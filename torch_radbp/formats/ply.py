@@ -111,11 +111,11 @@ def _check_elements(header: Header, place: str) -> str:
     lists = [p.name for p in face.properties if p.count is not None]
     if "texcoord" in lists:
         raise ValueError(f"{place}: texture coordinates are stored per face; export them per vertex (u, v)")
-    found = [name for name in CORNERS if name in lists]
-    if len(found) != 1:
+    present = [name for name in CORNERS if name in lists]
+    if len(present) != 1:
         raise ValueError(f"{place}: element face needs one list of integers called {' or '.join(CORNERS)}, got "
                          f"{', '.join(lists) or 'no list'}")
-    return found[0]
+    return present[0]
 
 
 def _mesh(columns: dict[str, np.ndarray], corners: np.ndarray, counts: np.ndarray, want_normals: bool,
@@ -158,8 +158,8 @@ def write_ply(path: str | os.PathLike, mesh: MeshArrays) -> None:
     kind = "<f8" if mesh.vertices.dtype == np.float64 else "<f4"
     of_faces: dict[tuple[str, ...], np.ndarray] = {}
     for name, values in mesh.attributes.items():
-        element, _, own = name.partition("_")
-        (columns if element == "vertex" else of_faces)[property_names(own, values.shape[1])] = values
+        element, _, attribute = name.partition("_")
+        (columns if element == "vertex" else of_faces)[property_names(attribute, values.shape[1])] = values
 
     def table(rows: int, columns: dict, fields: list) -> np.ndarray:
         made = np.empty(rows, dtype=[*fields, *((name, kind) for names in columns for name in names)])

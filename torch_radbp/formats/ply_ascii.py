@@ -39,10 +39,10 @@ class AsciiTables:
                 raise ValueError(f"{self.place}: cut short, it has {element.rows - missing} of the {element.rows} rows of "
                                  f"element {element.name!r}")
             self.rest = lines.between(missing, lines.rows)
-            taken = lines.between(0, missing)
-            missing -= taken.rows
-            numbers.append(taken.numbers)
-            yield taken
+            part = lines.between(0, missing)
+            missing -= part.rows
+            numbers.append(part.numbers)
+            yield part
         self.numbers[element.name] = np.concatenate(numbers)
 
     def columns(self, element: PLYElement) -> dict[str, np.ndarray]:

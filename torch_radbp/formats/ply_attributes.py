@@ -27,18 +27,18 @@ def attributes_in(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
     Properties that stand for themselves, or for two or four channels, are none.
     """
     names = list(names)
-    found: dict[str, tuple[str, ...]] = {}
+    attributes: dict[str, tuple[str, ...]] = {}
     for channels in COLOURS:
         if all(name in names for name in channels):
-            found.setdefault("color", channels)
+            attributes.setdefault("color", channels)
     stems = dict.fromkeys(name[:-2] for name in names if len(name) > 2 and name[-2] == "_")
     for stem in stems:
-        own = [name for name in names if name[:-2] == stem and name[-2] == "_"]
+        properties = [name for name in names if name[:-2] == stem and name[-2] == "_"]
         for postfixes, ending in POSTFIXES.items():
             channels = tuple(f"{stem}_{postfix}" for postfix in postfixes)
-            if own == [channels[0]] or own == list(channels):
-                found[stem + ending] = tuple(own)
-    return found
+            if properties == [channels[0]] or properties == list(channels):
+                attributes[stem + ending] = tuple(properties)
+    return attributes
 
 
 def property_names(name: str, count: int) -> tuple[str, ...]:

@@ -102,6 +102,6 @@ def _add_property(words: list[str], elements: list[PLYElement]) -> None:
     for kind in types:
         if kind not in TYPES:
             raise ValueError(f"{kind!r} is not a type of PLY; {nearest(kind, TYPES)}")
-    if name in [known.name for known in elements[-1].properties]:
+    if name in [earlier.name for earlier in elements[-1].properties]:
         raise ValueError(f"the property {name!r} of element {elements[-1].name!r} is given twice")
     elements[-1].properties.append(Property(name, TYPES[types[-1]], TYPES[types[0]] if is_list else None))

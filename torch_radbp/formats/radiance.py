@@ -39,18 +39,18 @@ def read_radiance(path: str | os.PathLike, check_size: Callable[[int, int], None
         check_size(width, height)
         file.seek(0)
         data = file.read()
-    found: list[np.ndarray] = []  # (R, 4, W) rows
+    parts: list[np.ndarray] = []  # (R, 4, W) rows
     for row in range(height):
         if data[place:place + 2] == MARK and width in WIDTHS and data[place + 2] < 128:
-            found.append(np.empty((1, 4, width), dtype=np.uint8))
-            place = _decode_row(data, place, found[-1][0])
+            parts.append(np.empty((1, 4, width), dtype=np.uint8))
+            place = _decode_row(data, place, parts[-1][0])
             continue
         rest = 4 * width * (height - row)
         if len(data) - place < rest:
             raise ValueError(f"its pixels are cut short in row {row} of {height}")
-        found.append(np.frombuffer(data, np.uint8, rest, place).reshape(-1, width, 4).transpose(0, 2, 1))
+        parts.append(np.frombuffer(data, np.uint8, rest, place).reshape(-1, width, 4).transpose(0, 2, 1))
         break
-    pixels = np.concatenate(found)
+    pixels = np.concatenate(parts)
     mantissa, exponent = pixels[:, :3].astype(np.float32), pixels[:, 3:].astype(np.int32)
     values = np.where(exponent == 0, np.float32(0), np.ldexp(mantissa, exponent - (128 + 8)))
     return np.ascontiguousarray(values.transpose(0, 2, 1), dtype=np.float32)

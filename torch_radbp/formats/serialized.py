@@ -145,14 +145,14 @@ class Inflated:
             self.fill(size)
         if len(self.ready) < size:
             raise ValueError(f"{self.place}: cut short, it ends in {what}, which need {size} bytes")
-        taken = bytes(self.ready[:size])
+        content = bytes(self.ready[:size])
         del self.ready[:size]
-        return taken
+        return content
 
     def table(self, name: str, rows: int, columns: int, kind: str) -> np.ndarray:
         """Reads a table of (rows, columns) numbers."""
-        taken = self.take(rows * columns * np.dtype(kind).itemsize, f"its {name} ({rows} rows)")
-        return np.frombuffer(taken, kind).reshape(rows, columns)
+        content = self.take(rows * columns * np.dtype(kind).itemsize, f"its {name} ({rows} rows)")
+        return np.frombuffer(content, kind).reshape(rows, columns)
 
     def name(self) -> None:
         """Skips a text that ends with a zero."""

@@ -82,12 +82,12 @@ def mesh_arrays(mesh: trimesh.Trimesh) -> MeshArrays:
                                ("face", len(mesh.faces), mesh.face_attributes)):
         for name, array in values.items():
             numbers = _column(array, rows)
-            own = str(name).lstrip("_").replace(".", "_")
-            if numbers is None or not own or own in RESERVED:
+            attribute = str(name).lstrip("_").replace(".", "_")
+            if numbers is None or not attribute or attribute in RESERVED:
                 note(f"the {kind} attribute {name!r} of trimesh", f"is left out: one of numbers, with one or three for each "
                      f"{kind}, and a name that is not another's, is read")
             else:
-                attributes[f"{kind}_{own}"] = numbers
+                attributes[f"{kind}_{attribute}"] = numbers
     name, colours = colours_of(visual)
     if name:
         if (colours[:, 3:] != 255).any():

@@ -33,10 +33,10 @@ def checked_sampling(name: str, plain: str, given: ProjectiveSampling) -> dict[s
         plain: of the one that it is rendered as.
         given: the settings.
     """
-    for key, value, known in (("guiding", given.guiding, GUIDING), ("project_seed", given.project_seed, SEEDS)):
-        if value not in known:
-            raise ValueError(f"{key} {value!r} is not known; {nearest(str(value), known)}")
-    counts = {key: value if value is None else integer(key, value, 0) for key, value in zip(given._fields, given[:3])}
+    for key, value, supported in (("guiding", given.guiding, GUIDING), ("project_seed", given.project_seed, SEEDS)):
+        if value not in supported:
+            raise ValueError(f"{key} {value!r} is not known; {nearest(str(value), supported)}")
+    counts: dict[str, Any] = {key: value if value is None else integer(key, value, 0) for key, value in zip(given._fields, given[:3])}
     settings = given._replace(**counts, guiding_proj=boolean("guiding_proj", given.guiding_proj),
                               guiding_rounds=integer("guiding_rounds", given.guiding_rounds, 1))._asdict()
     warnings.warn(f"{name} is rendered as {plain}: derivatives have the interior, the edges in view and the borders of "

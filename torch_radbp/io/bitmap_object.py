@@ -28,10 +28,10 @@ def linear_values(bitmap: Any, raw: bool) -> Tensor:
     Raises:
         ValueError: on bitmaps of other pixel formats.
     """
-    found = bitmap.pixel_format().name
-    if found not in (*GREY, *COLOURED):
-        raise ValueError(f"a Bitmap must have one of the pixel formats {', '.join((*GREY, *COLOURED))}, got {found}")
-    wanted = bitmap.PixelFormat.Y if found in GREY else bitmap.PixelFormat.RGB
+    pixel_format = bitmap.pixel_format().name
+    if pixel_format not in (*GREY, *COLOURED):
+        raise ValueError(f"a Bitmap must have one of the pixel formats {', '.join((*GREY, *COLOURED))}, got {pixel_format}")
+    wanted = bitmap.PixelFormat.Y if pixel_format in GREY else bitmap.PixelFormat.RGB
     converted = bitmap.convert(pixel_format=wanted, component_format=bitmap.Float32,
                                srgb_gamma=raw and bitmap.srgb_gamma())
     values = np.array(converted, dtype=np.float32)

@@ -88,8 +88,8 @@ class _Builder:
         """Builds all objects of the top level, and the `Scene` of them."""
         root = self.description
         if not isinstance(root, dict) or root.get("type") != "scene":
-            found = repr(root.get("type")) if isinstance(root, dict) else type(root).__name__
-            raise SceneError(f"a scene dict must have \"type\": \"scene\" and contain its objects by name, got {found}")
+            got = repr(root.get("type")) if isinstance(root, dict) else type(root).__name__
+            raise SceneError(f"a scene dict must have \"type\": \"scene\" and contain its objects by name, got {got}")
         self.collect_ids((), root)
         for name, value in with_shapes(root):
             if name not in self.ids and _is_object(value) and not _is_reference(value):
@@ -173,15 +173,15 @@ class _Builder:
         if not isinstance(plugin, Plugin) and ("texture" not in expected or len(path) == 1):
             raise self.error(path, value, f"a {type(plugin).__name__} cannot stand here; supported: {', '.join(expected)}")
         if isinstance(plugin, Plugin) and plugin.category not in expected:
-            found = with_article(plugin.category)
-            raise self.error(path, value, f"{found} cannot stand here; supported: {', '.join(expected)}")
+            got = with_article(plugin.category)
+            raise self.error(path, value, f"{got} cannot stand here; supported: {', '.join(expected)}")
         return plugin
 
     def check_live(self, path: tuple[str, ...], node: dict[str, Any], arguments: dict[str, Any], plugin: Plugin) -> None:
         """Raises SceneError if an `nn.Parameter` was given that has not become a parameter of the plugin."""
-        own = {id(parameter) for parameter in plugin.parameters()}
+        ids = {id(parameter) for parameter in plugin.parameters()}
         for key, value in arguments.items():
-            if isinstance(value, nn.Parameter) and id(value) not in own:
+            if isinstance(value, nn.Parameter) and id(value) not in ids:
                 raise self.error((*path, key), node, str(no_gradient(key)), key)
 
     def referenced(self, path: tuple[str, ...], value: dict[str, Any], expected: Iterable[str]) -> Plugin:
@@ -211,9 +211,9 @@ class _Builder:
         if tag is not None and tag not in expected:
             raise self.error(path, node, f"{with_article(tag)} cannot stand here; supported: {', '.join(expected)}")
         possible = [tag] if tag else list(expected)
-        found = next((REGISTRY[category][name] for category in possible if name in REGISTRY[category]), None)
-        if found is not None:
-            return found
+        plugin_class = next((REGISTRY[category][name] for category in possible if name in REGISTRY[category]), None)
+        if plugin_class is not None:
+            return plugin_class
         elsewhere = next((category for category in REGISTRY if name in REGISTRY[category]), None)
         if elsewhere and tag:
             raise self.error(path, node, f"{name!r} is {with_article(elsewhere)}, not {with_article(tag)}; "
@@ -294,13 +294,13 @@ class _Builder:
     def file(self, key: str, name: str, node: dict[str, Any]) -> str:
         """The path of a file that the object `node` names."""
         folders = node.folders if isinstance(node, XMLObject) else [self.base_dir]
-        found = find_file(name, folders)
-        if found is None:
+        path = find_file(name, folders)
+        if path is None:
             looked = ", ".join(str(folder.resolve()) for folder in folders)
             like = next(filter(None, (otherwise_spelled(folder / name) for folder in folders)), None)
             raise ValueError(f"{key} {value_text(name)} not found; looked in {looked}"
                              f"{f'; did you mean {like}?' if like else ''}")
-        return str(found)
+        return str(path)
 
     def colour(self, key: str, value: dict[str, Any], node: dict[str, Any], cls: type[Plugin]) -> Any:
         """Converts a colour to one number, three, or a spectrum, for the attribute `key` of the object `node`."""

@@ -72,17 +72,17 @@ def cameras_from_colmap(folder: str | os.PathLike, *, scale: float = 1.0, rfilte
     is_binary = not (folder / "cameras.txt").exists() and (folder / "cameras.bin").exists()
     of_cameras, of_images = (folder / f"{name}{'.bin' if is_binary else '.txt'}" for name in ("cameras", "images"))
     cameras = read_cameras(records(of_cameras, binary_cameras(of_cameras)) if is_binary else lines_of(of_cameras))
-    found: dict[str, Calibrated] = {}
+    sensors: dict[str, Calibrated] = {}
     for line, pose, camera, name in read_images(
             records(of_images, binary_images(of_images)) if is_binary else image_lines(of_images)):
         if camera not in cameras:
             raise line.fail(f"no camera has the id {camera}; {of_cameras.name} has {', '.join(cameras) or 'none'}")
-        if name in found:
+        if name in sensors:
             raise line.fail(f"a second image is called {name!r}")
-        found[name] = sensor_of(cameras[camera], pose, scale, rfilter, attributes)
-    if not found:
+        sensors[name] = sensor_of(cameras[camera], pose, scale, rfilter, attributes)
+    if not sensors:
         raise SceneError(f"{of_images}: has no image")
-    return found
+    return sensors
 
 
 class Line(NamedTuple):
@@ -121,9 +121,9 @@ def lines_of(path: Path) -> Iterator[Line]:
                 raise SceneError(f"{path}, line {number}: is no text; is the file binary?") from None
 
 
-def records(path: Path, found: Iterable[tuple[int, list[str]]]) -> Iterator[Line]:
+def records(path: Path, numbered: Iterable[tuple[int, list[str]]]) -> Iterator[Line]:
     """Wraps the records of a binary file as lines."""
-    return (Line(path, number, words, "record") for number, words in found)
+    return (Line(path, number, words, "record") for number, words in numbered)
 
 
 def read_cameras(lines: Iterable[Line]) -> dict[str, Intrinsics]:

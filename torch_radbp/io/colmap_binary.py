@@ -56,13 +56,13 @@ class Records:
 
     def text(self) -> str:
         """Reads characters up to a zero."""
-        found = bytearray()
+        content = bytearray()
         while (byte := self.take("c")[0]) != b"\0":
-            found += byte
-            if len(found) > LONGEST_NAME:
+            content += byte
+            if len(content) > LONGEST_NAME:
                 raise self.fail(f"the name of an image has more than {LONGEST_NAME} bytes; is the file damaged?")
         try:
-            return found.decode()
+            return content.decode()
         except UnicodeDecodeError:
             raise self.fail("the name of an image is no text; is the file damaged?") from None
 

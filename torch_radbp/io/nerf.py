@@ -247,16 +247,16 @@ def intrinsics(frame: NerfFrame, given: dict[str, Any], size: list[int]) -> Intr
         focal.append(length)
     if focal == [None, None]:
         raise SceneError(f"{place}: the focal length is missing: give fl_x (pixels) or camera_angle_x (radians)")
-    fx, fy = (own if own is not None else other for own, other in (focal, reversed(focal)))
+    fx, fy = (along_axis if along_axis is not None else other for along_axis, other in (focal, reversed(focal)))
     cx, cy = (0.5 * side if middle is None else middle
               for side, middle in ((width, _number(place, given, "cx")), (height, _number(place, given, "cy"))))
-    known = COEFFICIENTS.get(model, ())
+    names = COEFFICIENTS.get(model, ())
     values = {key: _number(place, given, key) for key in ("k1", "k2", "k3", "k4", "p1", "p2")}
-    stray = [key for key, value in values.items() if value and key not in known]
+    stray = [key for key, value in values.items() if value and key not in names]
     if stray:
         raise SceneError(f"{place}: {stray[0]} = {values[stray[0]]:g} is no coefficient of the camera_model {model}; "
-                         f"known: {', '.join(known) or 'none'}")
-    coefficients = {key: values[key] for key in known if values[key] is not None}
+                         f"known: {', '.join(names) or 'none'}")
+    coefficients = {key: values[key] for key in names if values[key] is not None}
     return Intrinsics(width, height, fx, fy, cx - 0.5, cy - 0.5, model=LENSES[model], coefficients=coefficients)
 
 

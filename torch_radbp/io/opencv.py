@@ -149,13 +149,13 @@ def filter_of(rfilter: ReconstructionFilter | str | None) -> ReconstructionFilte
     """
     if rfilter is None or isinstance(rfilter, ReconstructionFilter):
         return rfilter
-    known = REGISTRY["rfilter"]
+    filters = REGISTRY["rfilter"]
     if not isinstance(rfilter, str):
-        raise TypeError(f"rfilter must be a reconstruction filter or the name of one ({', '.join(sorted(known))}), got "
+        raise TypeError(f"rfilter must be a reconstruction filter or the name of one ({', '.join(sorted(filters))}), got "
                         f"{rfilter!r:.60}")
-    if rfilter not in known:
-        raise ValueError(f"rfilter {rfilter!r} is not known; {nearest(rfilter, known)}")
-    return known[rfilter]()
+    if rfilter not in filters:
+        raise ValueError(f"rfilter {rfilter!r} is not known; {nearest(rfilter, filters)}")
+    return filters[rfilter]()
 
 
 def array(name: str, value: Any, shape: tuple[int, ...] | None) -> np.ndarray:

@@ -63,9 +63,9 @@ class Meshes:
             mesh.vertex_normals = array_of(surface.normals)
         kept = appearance.colours[0] if appearance.colours else ""
         for attribute, values in surface.attributes:
-            kind, _, own = attribute.partition("_")
+            kind, _, short = attribute.partition("_")
             if attribute != kept:
-                (mesh.vertex_attributes if kind == "vertex" else mesh.face_attributes)[own] = array_of(values)
+                (mesh.vertex_attributes if kind == "vertex" else mesh.face_attributes)[short] = array_of(values)
         mesh.visual = self.visual(name, surface, appearance)
         return mesh
 
@@ -147,27 +147,27 @@ def mesh_of_shape(shape: Surface) -> trimesh.Trimesh:
 def scene_of_scene(scene: Scene) -> trimesh.Scene:
     """Converts a scene, for `Scene.to_trimesh`."""
     import trimesh
-    meshes, found = Meshes(scene), trimesh.Scene()
+    meshes, converted = Meshes(scene), trimesh.Scene()
 
     def add(name: str, shape: Surface, node: str, to_world: np.ndarray | None = None) -> None:
-        if name not in found.geometry:
-            found.geometry[name] = meshes.of(name, shape)
-        found.graph.update(frame_to=node, matrix=np.eye(4) if to_world is None else to_world, geometry=name)
+        if name not in converted.geometry:
+            converted.geometry[name] = meshes.of(name, shape)
+        converted.graph.update(frame_to=node, matrix=np.eye(4) if to_world is None else to_world, geometry=name)
 
     with torch.no_grad():
         for name, child in scene.named_children():
             if isinstance(child, Instance):
                 group = scene.name_of(child.shapegroup)
-                for own, shape in child.shapegroup.shapes.items():
-                    add(f"{group}_{own}", shape, f"{name}_{own}", matrix_of(child.to_world))
+                for leaf, shape in child.shapegroup.shapes.items():
+                    add(f"{group}_{leaf}", shape, f"{name}_{leaf}", matrix_of(child.to_world))
             elif isinstance(child, Surface):
                 add(name, child, name)
             elif isinstance(child, Emitter):
                 meshes.losses.add(name, f"a {child.type} emitter is left out: only surfaces shine in what trimesh keeps")
             elif isinstance(child, Sensor):
-                look_through(found, name, child, meshes.losses)
+                look_through(converted, name, child, meshes.losses)
     meshes.warn()
-    return found
+    return converted
 
 
 def look_through(scene: trimesh.Scene, name: str, sensor: Sensor, losses: Losses) -> None:

@@ -110,9 +110,9 @@ class Looks:
     def entries(self, material: Any) -> dict[str, Any]:
         """Converts a trimesh material to entries of a glTF document."""
         if hasattr(material, "baseColorFactor"):
-            pbr, found = material, {}
+            pbr, entries = material, {}
         else:
-            pbr, found = material.to_pbr(), {"metallicFactor": 0.0, "name": material.name}
+            pbr, entries = material.to_pbr(), {"metallicFactor": 0.0, "name": material.name}
         for name in (*PLAIN, *ROUGH, *SURFACE):
             value = getattr(pbr, name)
             if value is None:
@@ -120,13 +120,13 @@ class Looks:
             if name.endswith("Texture"):
                 self.images.pictures.append(bytes_of(value))
                 self.document.value["textures"].append({"source": len(self.images.pictures) - 1})
-                found[name] = {"index": len(self.images.pictures) - 1}
+                entries[name] = {"index": len(self.images.pictures) - 1}
             elif name == "baseColorFactor":
-                found[name] = (np.asarray(value) / 255.0).tolist()
+                entries[name] = (np.asarray(value) / 255.0).tolist()
             else:
-                found[name] = value.tolist() if isinstance(value, np.ndarray) else value
-        found["pbrMetallicRoughness"] = {name: found.pop(name) for name in ROUGH if name in found}
-        return {name: value for name, value in found.items() if value is not None}
+                entries[name] = value.tolist() if isinstance(value, np.ndarray) else value
+        entries["pbrMetallicRoughness"] = {name: entries.pop(name) for name in ROUGH if name in entries}
+        return {name: value for name, value in entries.items() if value is not None}
 
 
 def shape_of_mesh(source: trimesh.Trimesh | trimesh.Scene) -> TensorMesh:
@@ -149,10 +149,10 @@ def _shapes_of(name: str, value: Any, others: dict[str, Any]) -> Iterator[tuple[
     except ValueError as error:
         raise SceneError(f"{name}: {error}") from error
     for each in placed:
-        own = name if len(placed) == 1 else f"{name}_{each.name}".replace(".", "_")
-        while own != name and own in others:
-            own += "_"
-        yield own, {"type": "mesh", "mesh": each.mesh, "to_world": each.to_world}
+        key = name if len(placed) == 1 else f"{name}_{each.name}".replace(".", "_")
+        while key != name and key in others:
+            key += "_"
+        yield key, {"type": "mesh", "mesh": each.mesh, "to_world": each.to_world}
 
 
 def with_shapes(node: dict[str, Any]) -> Iterator[tuple[str, Any]]:
@@ -174,7 +174,7 @@ def with_arrays(arguments: dict[str, Any], looks: Looks) -> dict[str, Any]:
     source, file = arguments.get("mesh"), arguments.get("filename")
     if (source is None) == (file is None) or "vertex_positions" in arguments:
         return arguments  # the shape says what is wrong
-    found = {name: value for name, value in arguments.items() if name != "filename"}
+    changed = {name: value for name, value in arguments.items() if name != "filename"}
     placed = placed_meshes(read_trimesh(file) if source is None else source)
     if arguments.get("bsdf") is not None:
         parts = [Dressed(mesh_arrays(each.mesh), None) for each in placed]
@@ -184,13 +184,13 @@ def with_arrays(arguments: dict[str, Any], looks: Looks) -> dict[str, Any]:
         raise ValueError(f"one shape has one material, and the {len(parts)} meshes have several: give a bsdf for all of "
                          "them, or put the trimesh.Scene (of a file: trimesh.load_scene(filename)) into the dict by itself, "
                          "which makes a shape of each")
-    found["mesh"] = joined_meshes([transformed_mesh(part.arrays, each.to_world) for part, each in zip(parts, placed)])
+    changed["mesh"] = joined_meshes([transformed_mesh(part.arrays, each.to_world) for part, each in zip(parts, placed)])
     bsdf, emitter = dress(parts[0].look)
     if bsdf is not None:
-        found["bsdf"] = bsdf
+        changed["bsdf"] = bsdf
     if emitter is not None:
-        found.setdefault("emitter", emitter)
-    return found
+        changed.setdefault("emitter", emitter)
+    return changed
 
 
 def dress(look: Look | None) -> tuple[BSDF | None, Emitter | None]:

@@ -101,7 +101,7 @@ class _Writer:
         plugins = [module for module in scene.modules() if isinstance(module, Plugin)]
         owners = Counter(id(part) for plugin in plugins for part in _parts(plugin))
         self.shared = {part for part, count in owners.items() if count > 1}
-        self.taken = {*self.ids.values(), *(plugin.id for plugin in plugins)}
+        self.used = {*self.ids.values(), *(plugin.id for plugin in plugins)}
         self.files: list[Path] = []
         self.lacking: list[str] = []  # what Mitsuba has no counterpart of
 
@@ -210,17 +210,17 @@ class _Writer:
 
     def new_id(self, name: str) -> str:
         """An id that no other object has, without the dots that Mitsuba refuses."""
-        found = name.replace(".", "_")
-        while found in self.taken:
-            found += "_"
-        self.taken.add(found)
-        return found
+        unused = name.replace(".", "_")
+        while unused in self.used:
+            unused += "_"
+        self.used.add(unused)
+        return unused
 
     def file(self, name: str, suffix: str) -> Path:
         """A new path for a file of the scene."""
-        taken = {file.name for file in self.files}
+        used = {file.name for file in self.files}
         stem = f"{self.stem}_{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}"
-        while f"{stem}{suffix}" in taken:
+        while f"{stem}{suffix}" in used:
             stem += "_"
         self.files.append(self.folder / f"{stem}{suffix}")
         return self.files[-1]

@@ -112,10 +112,10 @@ class _Reader:
             if element.tag in PROPERTIES and "type" not in element.attributes:
                 raise element.fail(f"<scene> takes no values; supported inside it: {_supported()}")
             children.append(self.child(element))
-        taken = {"type": 0, **{child["id"]: 0 for child in children if "id" in child and child["type"] != "ref"}}
+        used = {"type": 0, **{child["id"]: 0 for child in children if "id" in child and child["type"] != "ref"}}
         for child in children:
             name = child.get("id") if child["type"] != "ref" else None
-            scene[name or _free_name(child["type"], taken)] = child
+            scene[name or _free_name(child["type"], used)] = child
         for reference in self.references:
             reference["id"] = self.aliases.get(reference["id"], reference["id"])
         return scene
@@ -146,11 +146,11 @@ class _Reader:
         node["type"] = element.attributes["type"]
         if element.attributes.get("id"):
             node["id"] = self.register(element)
-        taken = {child.attributes["name"]: 0 for child in element.children if "name" in child.attributes}
+        used = {child.attributes["name"]: 0 for child in element.children if "name" in child.attributes}
         for child in self.expand(element.children):
             is_value = child.tag in PROPERTIES and not (child.tag == "spectrum" and "type" in child.attributes)
             value = property_value(child) if is_value else self.child(child)
-            name = child.attributes.get("name") or _free_name(child.tag, taken)
+            name = child.attributes.get("name") or _free_name(child.tag, used)
             if name in node.places or name in ("type", "id"):
                 first = f"first in line {node.places[name].line}" if name in node.places else "it is reserved"
                 raise child.fail(f"the name {name!r} is given twice in <{element.tag}> ({first})")
@@ -279,14 +279,14 @@ def _is_of_old_version(root: Element) -> bool:
     return int(match[1]) < 2
 
 
-def _free_name(name: str, taken: dict[str, int]) -> str:
-    """A free name: `name`, or name_1, name_2, ...; `taken` holds the last number of each name, and is updated."""
-    number, free = taken.get(name, 0), name
-    while free in taken:
+def _free_name(name: str, used: dict[str, int]) -> str:
+    """A free name: `name`, or name_1, name_2, ...; `used` holds the last number of each name, and is updated."""
+    number, free = used.get(name, 0), name
+    while free in used:
         number += 1
         free = f"{name}_{number}"
-    taken[name] = number
-    taken.setdefault(free, 0)
+    used[name] = number
+    used.setdefault(free, 0)
     return free
 
 

@@ -24,13 +24,13 @@ INTEGER = re.compile(r"[+-]?\d{1,18}", re.ASCII)
 def check_element(element: Element, required: Iterable[str] = (), optional: Iterable[str] = ()) -> None:
     """Raises SceneError unless the element has all `required` attributes and no others than those and `optional`."""
     required = list(required)
-    known = [*required, *optional]
+    allowed = [*required, *optional]
     for name in element.attributes:
-        if name not in known:
-            raise element.fail(f"unknown attribute {name!r}; {nearest(name, known)}")
+        if name not in allowed:
+            raise element.fail(f"unknown attribute {name!r}; {nearest(name, allowed)}")
     for name in required:
         if name not in element.attributes:
-            raise element.fail(f"the attribute {name!r} is missing; expected {', '.join(known)}")
+            raise element.fail(f"the attribute {name!r} is missing; expected {', '.join(allowed)}")
 
 
 def _numbers(element: Element, attribute: str, counts: tuple[int, ...]) -> list[float]:

@@ -48,17 +48,17 @@ def closest_points(points: Tensor, vertices: Tensor, faces: Tensor) -> OnMesh:
     open_, looked_at = torch.arange(len(points)), FIRST
     while len(open_):
         looked_at = min(looked_at, len(faces))
-        far, found = tree.query(points[open_].numpy(), looked_at)
-        far, found = (torch.from_numpy(part).view(len(open_), looked_at) for part in (far, found))
-        possible = far - radius[found] < nearest[open_, None]
+        far, candidates = tree.query(points[open_].numpy(), looked_at)
+        far, candidates = (torch.from_numpy(part).view(len(open_), looked_at) for part in (far, candidates))
+        possible = far - radius[candidates] < nearest[open_, None]
         row, column = possible.nonzero(as_tuple=True)
-        own_weights, own_distance = closest_in_triangles(points[open_[row]], corners[found[row, column]])
+        own_weights, own_distance = closest_in_triangles(points[open_[row]], corners[candidates[row, column]])
         distance, all_weights = torch.full_like(far, torch.inf), far.new_zeros(*far.shape, 3)
         distance[row, column], all_weights[row, column] = own_distance, own_weights
         least, best = distance.min(1)
         closer = (least < nearest[open_]).nonzero().squeeze(1)
         place, best = open_[closer], best[closer]
-        triangle[place], weights[place], nearest[place] = found[closer, best], all_weights[closer, best], least[closer]
+        triangle[place], weights[place], nearest[place] = candidates[closer, best], all_weights[closer, best], least[closer]
         unsure = (nearest[open_] > far[:, -1] - radius.max()) & (looked_at < len(faces))
         open_, looked_at = open_[unsure], 4 * looked_at
     return OnMesh(triangle, weights)

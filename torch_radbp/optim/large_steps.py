@@ -57,8 +57,8 @@ class LargeSteps(nn.Module):
         """Solves (I + smoothness L) x = b for columns b, (places, k)."""
         if self.solver is None:
             self.solver = factorised(self.edges, self.count, self.smoothness)
-        found = self.solver(right.detach().to("cpu", torch.float64).numpy())
-        return torch.from_numpy(found).to(right)
+        solution = self.solver(right.detach().to("cpu", torch.float64).numpy())
+        return torch.from_numpy(solution).to(right)
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"solver": None}

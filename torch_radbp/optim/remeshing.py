@@ -75,9 +75,9 @@ def remesh(mesh: Mesh, remesher: Callable | trimesh.Trimesh, optimizer: torch.op
     mesh.replace(vertices.to(mesh.vertex_positions), triangles, columns)
     at_places = at_vertices
     if steps is not None:
-        made, found = LargeSteps(mesh.faces, mesh.vertex_positions, steps.smoothness), mesh.vertex_positions.detach()
-        found = found.new_zeros(made.count, 3).index_copy_(0, made.place, found)
-        at_places = closest_points(found.double().cpu(), positions, faces)
+        made, old_positions = LargeSteps(mesh.faces, mesh.vertex_positions, steps.smoothness), mesh.vertex_positions.detach()
+        old_positions = old_positions.new_zeros(made.count, 3).index_copy_(0, made.place, old_positions)
+        at_places = closest_points(old_positions.double().cpu(), positions, faces)
         parametrize.register_parametrization(mesh, POSITIONS, made)
     for name, parameter in _parameters_of(mesh).items():
         parameter.requires_grad_(held[name].requires_grad)
@@ -135,11 +135,11 @@ def large_steps_of(mesh: Mesh) -> LargeSteps | None:
     """The `LargeSteps` parametrisation of a mesh's positions; None: there is none."""
     if not parametrize.is_parametrized(mesh, POSITIONS):
         return None
-    found = list(mesh.parametrizations[POSITIONS])
-    if len(found) != 1 or not isinstance(found[0], LargeSteps):
-        raise ValueError(f"the positions have the parametrisation {', '.join(type(each).__name__ for each in found)}; only "
+    steps = list(mesh.parametrizations[POSITIONS])
+    if len(steps) != 1 or not isinstance(steps[0], LargeSteps):
+        raise ValueError(f"the positions have the parametrisation {', '.join(type(each).__name__ for each in steps)}; only "
                          f"LargeSteps is carried over: remove it, and register it again")
-    return found[0]
+    return steps[0]
 
 
 def _parameters_of(mesh: Mesh) -> dict[str, nn.Parameter]:

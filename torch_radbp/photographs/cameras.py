@@ -43,7 +43,7 @@ def scaled_to_files(cameras: Mapping[str, ProjectiveCamera], pictures: Sequence[
     """
     if positive("scale", scale) == 1:
         return dict(cameras)
-    found = {}
+    scaled = {}
     for (name, camera), picture in zip(cameras.items(), pictures):
         size, whole = picture_size(picture.image), (camera.film.width, camera.film.height)
         if any(abs(side - scale * full) > ROUNDING for side, full in zip(size, whole)):
@@ -51,8 +51,8 @@ def scaled_to_files(cameras: Mapping[str, ProjectiveCamera], pictures: Sequence[
             raise ValueError(f"{picture_name(picture.image)} has {size[0]} x {size[1]} pixels, and its camera {whole[0]} x "
                              f"{whole[1]}, which is {whole[0] * scale:g} x {whole[1] * scale:g} with scale={scale:g}"
                              f"{f'; {turned}' if turned else ''}")
-        found[name] = camera.resized(*size)
-    return found
+        scaled[name] = camera.resized(*size)
+    return scaled
 
 
 def checked_size(name: str, camera: ProjectiveCamera, picture: Picture) -> tuple[int, int]:
@@ -72,8 +72,8 @@ def checked_size(name: str, camera: ProjectiveCamera, picture: Picture) -> tuple
         raise ValueError(f"{picture_name(picture.image)} has {width} x {height} pixels, and its camera {name!r} "
                          f"{film.crop_width} x {film.crop_height}; {advice}")
     if picture.mask is not None and picture_size(picture.mask) != (width, height):
-        found = picture_size(picture.mask)
-        raise ValueError(f"the mask {picture_name(picture.mask)} has {found[0]} x {found[1]} pixels, and its image "
+        mask_size = picture_size(picture.mask)
+        raise ValueError(f"the mask {picture_name(picture.mask)} has {mask_size[0]} x {mask_size[1]} pixels, and its image "
                          f"{width} x {height}")
     return width, height
 

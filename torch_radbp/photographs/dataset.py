@@ -242,10 +242,11 @@ class Photographs(Dataset[Photograph]):
         Raises:
             ValueError: if a name is not that of a sensor of the scene.
         """
-        known = scene.named_sensors
+        sensors = scene.named_sensors
         for name in self.names:
-            if name not in known:
-                raise ValueError(f"the scene has no sensor {name!r} to put a camera in the place of; {nearest(name, known)}")
+            if name not in sensors:
+                raise ValueError(f"the scene has no sensor {name!r} to put a camera in the place of; "
+                                 f"{nearest(name, sensors)}")
         for name, camera in self.cameras.items():
             setattr(scene, name, camera.to(scene.device, scene.dtype))
 

@@ -143,10 +143,10 @@ def mask_of(folder: str | os.PathLike, name: str) -> Path:
         FileNotFoundError: if there is none; it lists where it was looked for.
     """
     tried = [Path(folder) / f"{name}.png", (Path(folder) / name).with_suffix(".png"), Path(folder) / name]
-    found = next((path for path in tried if path.is_file()), None)
-    if found is None:
+    mask = next((path for path in tried if path.is_file()), None)
+    if mask is None:
         raise FileNotFoundError(f"the image {name} has no mask; looked for {', '.join(map(str, tried))}")
-    return found
+    return mask
 
 
 def present(path: Path, what: str, name: str) -> Path:

@@ -30,9 +30,9 @@ def view_indices(views: int | Tensor, images: Tensor, count: int) -> Tensor:
     Raises:
         ValueError: if there is not one for each image, or there is no such view.
     """
-    found = torch.as_tensor(views, device=images.device).reshape(-1)
-    if found.is_floating_point() or found.dtype == torch.bool or len(found) != len(images):
+    indices = torch.as_tensor(views, device=images.device).reshape(-1)
+    if indices.is_floating_point() or indices.dtype == torch.bool or len(indices) != len(images):
         raise ValueError(f"views must be one integer for each of {len(images)} images, got {views!r:.80}")
-    if len(found) and not 0 <= int(found.min()) <= int(found.max()) < count:
-        raise ValueError(f"views must be from 0 to {count - 1}, got {found.tolist()}")
-    return found.long()
+    if len(indices) and not 0 <= int(indices.min()) <= int(indices.max()) < count:
+        raise ValueError(f"views must be from 0 to {count - 1}, got {indices.tolist()}")
+    return indices.long()

@@ -188,8 +188,8 @@ def assigned(owner: Plugin, name: str, value: Any) -> Any:
         TypeError: if the attribute holds a plugin, and the value cannot stand there.
     """
     if not hasattr(owner, name) and name != "parametrizations":
-        known = {*attributes(type(owner)), *owner._parameters, *owner._modules, *owner.shared}
-        raise AttributeError(f"{owner.type or type(owner).__name__} has no attribute {name!r}; {nearest(name, known)}")
+        names = {*attributes(type(owner)), *owner._parameters, *owner._modules, *owner.shared}
+        raise AttributeError(f"{owner.type or type(owner).__name__} has no attribute {name!r}; {nearest(name, names)}")
     schema = attributes(type(owner))
     expected = plugin_categories(schema[name].annotation) if name in schema else []
     if not expected or value is None:
@@ -197,10 +197,10 @@ def assigned(owner: Plugin, name: str, value: Any) -> Any:
     if isinstance(value, nn.Module) and not isinstance(value, Plugin) and "texture" in expected:
         value = Texture.of_module(value)
     if not isinstance(value, Plugin) or value.category not in expected:
-        found = "a texture" if isinstance(value, Texture) else f"a {type(value).__name__}"
+        got = "a texture" if isinstance(value, Texture) else f"a {type(value).__name__}"
         advice = {"bsdf": "; a network or another texture stands in a material, as .bsdf.reflectance",
                   "texture": "; numbers go into its parameter, as .reflectance.value.data"}.get(expected[0], "")
-        raise TypeError(f"{name} of {with_article(owner.type)} must be {with_article(expected[0])}, got {found}{advice}")
+        raise TypeError(f"{name} of {with_article(owner.type)} must be {with_article(expected[0])}, got {got}{advice}")
     if isinstance(value, Texture) and not value.tabulated and not owner.takes_modules:
         raise no_module(owner, name, value)
     return value

@@ -81,7 +81,7 @@ class Domain(NamedTuple):
     def check_pose(name: str, matrix: Tensor) -> None:
         """Raises ValueError unless a (4, 4) matrix is an invertible affine transform, in float32 too."""
         *rows, last = matrix.detach().tolist()  # a scene may have thousands: numbers are faster than tensors of 16
-        if max(abs(found - wanted) for found, wanted in zip(last, (0, 0, 0, 1))) > 1e-5:
+        if max(abs(entry - wanted) for entry, wanted in zip(last, (0, 0, 0, 1))) > 1e-5:
             raise ValueError(f"{name} must be affine: its last row must be 0 0 0 1, got {last}")
         (a, b, c), (d, e, f), (g, h, i) = linear = [row[:3] for row in rows]
         volume = abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g))

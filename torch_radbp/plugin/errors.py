@@ -18,12 +18,12 @@ class SceneWarning(UserWarning):
     """A scene description that is read in another way than its author may have meant."""
 
 
-def nearest(name: str, known: Iterable[str], alike: float = 0.5) -> str:
+def nearest(name: str, names: Iterable[str], alike: float = 0.5) -> str:
     """A sentence that lists known names, the most similar first: those whose similarity (1: equal) is at least `alike`."""
-    known = sorted(known)
-    close = difflib.get_close_matches(name, known, n=3, cutoff=alike)
+    names = sorted(names)
+    close = difflib.get_close_matches(name, names, n=3, cutoff=alike)
     hint = f"did you mean {' or '.join(repr(c) for c in close)}? " if close else ""
-    return f"{hint}known: {', '.join(known) or 'none'}"
+    return f"{hint}known: {', '.join(names) or 'none'}"
 
 
 def with_article(noun: str) -> str:

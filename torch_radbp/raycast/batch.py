@@ -34,7 +34,7 @@ def begin(code: Vectors, balls: bool, columns: int, outputs: int) -> list[str]:
         code.lay(f"%out{number} = load ptr, ptr {code.at('ptr', '%outputs', number)}")
     for number, name in enumerate((*INPUTS, *(every_ball.INPUTS if balls else ())), columns):
         code.lay(f"%{name} = load ptr, ptr {code.at('ptr', '%inputs', number)}")
-    found = [code.load("ptr", "%inputs", number) for number in range(columns)]
+    columns_at = [code.load("ptr", "%inputs", number) for number in range(columns)]
     code.lay("%run_count = load i64, ptr %run_count_at", "%columns = load i64, ptr %columns_at",
              f"%scale = load {code.scalar}, ptr %scale_at")
     code.lay(f"%seen = alloca {code.numbers}, i64 {12 * MOST}, align 64")  # the corners of a run
@@ -48,7 +48,7 @@ def begin(code: Vectors, balls: bool, columns: int, outputs: int) -> list[str]:
     left = code.line("sub i64 %last, %base")
     code.lay(f"%count = call i64 @llvm.smin.i64(i64 {left}, i64 {BATCH})")
     code.declared["llvm.smin.i64"] = "declare i64 @llvm.smin.i64(i64, i64)"
-    return [code.at(code.scalar, column, "%base") for column in found]
+    return [code.at(code.scalar, column, "%base") for column in columns_at]
 
 
 def next_batch(code: Vectors) -> str:
@@ -83,9 +83,9 @@ def enter(code: Vectors, rays: RayVector, at: str, end: str | None) -> None:
     length = greatest(code, rays.d)
     over = [code.negated_where_negative(code.lesser(code.div(length, code.magnitude(component)),
                                                     code.number(STEEPEST)), component) for component in rays.d]
-    known = (*view.o, *view.slopes, unit, *over, code.mul(far, code.number(WIDER)),
-             code.choose(rays.valid, end, code.constant(DONE)))
-    for name, value in zip(NUMBERS, known):
+    values = (*view.o, *view.slopes, unit, *over, code.mul(far, code.number(WIDER)),
+              code.choose(rays.valid, end, code.constant(DONE)))
+    for name, value in zip(NUMBERS, values):
         code.store(code.numbers, value, code.at(code.scalar, f"%ray.{name}", at))
     code.store(code.integers, view.axis, code.at("i32", "%ray.axis", at))
     for name in ("prim", "ball"):
@@ -106,13 +106,13 @@ def list_of_box(code: Vectors, name: str, number: str, before: str, count: str) 
     numbers = [code.splat(code.load(code.scalar, box, number), code.scalar) for number in range(6)]
     at = f"%{name}.at"
     loop(code, name, before, code.width, f"%{name}.found = phi i64 [ 0, %{before} ], [ %{name}.listed, %{name}.end ]")
-    known = {column: code.line(f"load {code.numbers}, ptr {code.at(code.scalar, f'%ray.{column}', at)}")
-             for column in ("x", "y", "z", "over_x", "over_y", "over_z", "margin", "end")}
-    near, far = ZERO, known["end"]
+    loaded = {column: code.line(f"load {code.numbers}, ptr {code.at(code.scalar, f'%ray.{column}', at)}")
+              for column in ("x", "y", "z", "over_x", "over_y", "over_z", "margin", "end")}
+    near, far = ZERO, loaded["end"]
     for axis, centre, half in zip("xyz", numbers[:3], numbers[3:]):
-        over = known[f"over_{axis}"]
-        middle = code.mul(code.sub(centre, known[axis]), over)
-        reach = code.mul(code.add(half, known["margin"]), code.magnitude(over))
+        over = loaded[f"over_{axis}"]
+        middle = code.mul(code.sub(centre, loaded[axis]), over)
+        reach = code.mul(code.add(half, loaded["margin"]), code.magnitude(over))
         near, far = code.greater(near, code.sub(middle, reach)), code.lesser(far, code.add(middle, reach))
     met = code.compare(near, "ole", far)
     packed = code.compressed(code.counted(at), met)

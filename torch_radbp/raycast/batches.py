@@ -60,48 +60,48 @@ class Following(NamedTuple):
 
     at: str
 
-    def known(self, code: Vectors, name: str) -> str:
+    def column(self, code: Vectors, name: str) -> str:
         """Loads a column of the batch for these rays."""
         kind = "i32" if name in INTEGERS else code.scalar
         return code.line(f"load {code.vector(kind)}, ptr {code.at(kind, f'%ray.{name}', self.at)}")
 
     def view(self, code: Vectors) -> RayView:
         """The view of points along these rays, loaded from the batch."""
-        return RayView.of(self.known(code, name) for name in VIEW)
+        return RayView.of(self.column(code, name) for name in VIEW)
 
     def end(self, code: Vectors) -> str:
         """The greatest t of each ray, loaded from the batch."""
-        return self.known(code, "end")
+        return self.column(code, "end")
 
     def learn(self, code: Vectors, kind: str, name: str, value: str, where: str) -> None:
         """Stores new values of a column into the batch, in lanes whose flag is set."""
-        code.store(code.vector(kind), code.choose(where, value, self.known(code, name), kind),
+        code.store(code.vector(kind), code.choose(where, value, self.column(code, name), kind),
                    code.at(kind, f"%ray.{name}", self.at))
 
 
 def seen_face(code: Vectors, row: str, corners: int) -> list[list[str]]:
     """The corners of a face of a run in the rays' own coordinates; `row`: of `Runs.faces`."""
-    found = []
+    points = []
     for number in range(corners):
         corner = code.line(f"zext i32 {code.load('i32', row, number)} to i64")
         place = code.at(code.numbers, "%seen", code.line(f"mul i64 {code.line(f'sub i64 {corner}, %corner.first')}, 3"))
-        found.append([code.load(code.numbers, place, k) for k in range(3)])
-    return found
+        points.append([code.load(code.numbers, place, k) for k in range(3)])
+    return points
 
 
 def tested(code: Vectors, row: str, parallelogram: bool, end: str, any_hit: bool) -> tuple[str, str, str]:
     """Tests rays against one face: flags of those that hit it, their t, and the number of the triangle, i32."""
     first = code.splat(code.load("i32", row, 4), "i32")
     if parallelogram:
-        found, between = crossing_of_both(code, *seen_face(code, row, 4))
+        crossing, between = crossing_of_both(code, *seen_face(code, row, 4))
     else:
-        found = triangle_crossing(code, *seen_face(code, row, 3))
+        crossing = triangle_crossing(code, *seen_face(code, row, 3))
     if any_hit:
-        return struck(code, found, end), code.constant(DONE), first
-    hit, distance = closer(code, found, end)
+        return struck(code, crossing, end), code.constant(DONE), first
+    hit, distance = closer(code, crossing, end)
     if not parallelogram:
         return hit, distance, first
-    beyond = code.compare(code.negated_where_negative(between, found.total), "olt", ZERO)
+    beyond = code.compare(code.negated_where_negative(between, crossing.total), "olt", ZERO)
     return hit, distance, code.choose(beyond, code.splat(code.load("i32", row, 5), "i32"), first, "i32")
 
 
@@ -131,8 +131,8 @@ def test_run(code: Vectors, name: str, rays: Listed | Following, before: str, an
              f"{end} = phi {code.numbers} [ {first_end}, %{name}.{kind} ], [ {end}.next, %{face}.end ]",
              f"{prim} = phi {code.integers} [ splat (i32 -1), %{name}.{kind} ], [ {prim}.next, %{face}.end ]")
         row = code.at("[6 x i32]", "%faces", code.line(f"add i64 %face.first, %{face}.at"))
-        hit, found, number = tested(code, row, kind == "two", end, any_hit)
-        code.lay(f"{end}.next = select {code.flags} {hit}, {code.numbers} {found}, {code.numbers} {end}",
+        hit, distance, number = tested(code, row, kind == "two", end, any_hit)
+        code.lay(f"{end}.next = select {code.flags} {hit}, {code.numbers} {distance}, {code.numbers} {end}",
                  f"{prim}.next = select {code.flags} {hit}, {code.integers} {number}, {code.integers} {prim}")
         again(code, face, "%face.count", f"{name}.{kind}.all")
         code.lay(f"br label %{name}.tested")
@@ -243,16 +243,16 @@ def closest_hit_of_batches(code: Vectors, balls: bool) -> str:
     # Say where they are hit.
     loop(code, "locate", "ball_answer" if balls else "answer", code.width)
     batch = Following("%locate.at")
-    view, prim, unit = batch.view(code), batch.known(code, "prim"), batch.known(code, "unit")
-    found = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
-    numbers, label = columns_at(code, code.choose(found, prim, ZERO, "i32"), "locate")
+    view, prim, unit = batch.view(code), batch.column(code, "prim"), batch.column(code, "unit")
+    is_hit = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
+    numbers, label = columns_at(code, code.choose(is_hit, prim, ZERO, "i32"), "locate")
     corners = [view.sees(code, numbers[number:number + 3]) for number in (0, 3, 6)]
-    answers = (prim, *(code.choose(found, answer, ZERO) for answer in place_on(code, corners, unit)))
+    answers = (prim, *(code.choose(is_hit, answer, ZERO) for answer in place_on(code, corners, unit)))
     mask = lanes_before(code, "%count", "%locate.at")
     if balls:
         rays = rays_at("%locate.at")[1]
-        ball, row, column = (batch.known(code, name) for name in ("ball", "row", "column"))
-        t = batch.known(code, "t")
+        ball, row, column = (batch.column(code, name) for name in ("ball", "row", "column"))
+        t = batch.column(code, "t")
         t = code.choose(code.line(f"icmp sge {code.integers} {ball}, {ZERO}"), t, answers[3])
         others = [every_ball.numbers_in_mesh(code, prim), *answers[1:3]]
         answers = every_ball.placed(code, rays, (ball, row, column), t, others, label)

@@ -65,10 +65,10 @@ class Brute:
         """The closest hit of the (lanes, 1) rays, as flat tensors."""
         t, u, v = self._crossings(ray)
         distance, prim = t.min(dim=1, keepdim=True)
-        found = (distance < torch.inf).squeeze(1)
+        is_hit = (distance < torch.inf).squeeze(1)
         zero = torch.zeros_like(distance).squeeze(1)
-        u, v, t = (torch.where(found, column.gather(1, prim).squeeze(1), zero) for column in (u, v, t))
-        return Hit(torch.where(found, prim.squeeze(1), -1).to(torch.int32), u, v, t)
+        u, v, t = (torch.where(is_hit, column.gather(1, prim).squeeze(1), zero) for column in (u, v, t))
+        return Hit(torch.where(is_hit, prim.squeeze(1), -1).to(torch.int32), u, v, t)
 
     def _crossings(self, ray: Ray) -> tuple[Tensor, Tensor, Tensor]:
         """The crossings of all rays with all triangles' planes, (lanes, F): t, infinite for a miss, and the barycentric u

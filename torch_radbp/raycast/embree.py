@@ -59,10 +59,10 @@ class Embree:
         self.vertices = checked_vertices(vertices, device=CPU)
         self.faces = checked_faces(faces, len(self.vertices), device=CPU)
         self.balls, self.instances = balls, instances
-        own = self.faces if instances is None else self.faces[:int(instances.first_triangle[0])]
+        triangles = self.faces if instances is None else self.faces[:int(instances.first_triangle[0])]
         self._tables, numbers = [], None
         if balls is not None:
-            own, numbers = other_triangles(own, balls)
+            triangles, numbers = other_triangles(triangles, balls)
         self.rays_cast = 0
         self._counting = Lock()
         embree = library.load_embree()
@@ -70,21 +70,21 @@ class Embree:
         extent = self.vertices.amax(0) - self.vertices.amin(0) if instances is None else instances.extent(self.vertices)
         self._near = (packets.NEAR * extent.max()).float()
         device = Device() if instances is None or last is None else last.device
-        geometries = [TreeGeometry.of_triangles(device, self.vertices, own)] if len(own) else []
+        geometries = [TreeGeometry.of_triangles(device, self.vertices, triangles)] if len(triangles) else []
         self.groups: list[GroupTree] = []
         if instances is not None:
             self.groups = groups_of(device, self.vertices, self.faces, instances, [] if last is None else last.groups)
             places = instances.to_world.float().split(instances.first_instance.diff().tolist())
-            shown = [TreeGeometry.of_instances(device, group.tree, own) for group, own in zip(self.groups, places)]
+            shown = [TreeGeometry.of_instances(device, group.tree, poses) for group, poses in zip(self.groups, places)]
             geometries = [*shown, *geometries]  # Embree numbers them in this order
             self._tables = [torch.cat([torch.zeros(1), instances.first_triangle[:-1] - int(instances.first_triangle[0])
-                                       + len(own)]).to(torch.int32),
+                                       + len(triangles)]).to(torch.int32),
                             torch.cat([torch.ones(1), instances.first_instance[:-1] + 1]).to(torch.int32)]
         if balls is not None:
             shown = torch.arange(0 if instances is None else int(instances.first_triangle[0]), len(self.faces))
             numbers = numbers if instances is None else torch.cat([numbers, shown.to(torch.int32)])
             self._tables += [*ball_tables(balls, torch.float32), numbers]
-        self.device, self._scene = device, Tree(device, geometries, len(own))
+        self.device, self._scene = device, Tree(device, geometries, len(triangles))
 
     def intersect(self, ray: Ray) -> Hit:
         check_lanes(ray, None, CPU)

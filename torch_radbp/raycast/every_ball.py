@@ -63,8 +63,8 @@ def beside(kernel: CasterKernel) -> CasterKernel:
 
     def closest(code: Vectors, rays: RayVector) -> tuple[str, ...]:
         prim, u, v, t, *instance = kernel.closest(code, rays)
-        found, prim = code.line(f"icmp sge {code.integers} {prim}, {ZERO}"), numbers_in_mesh(code, prim)
-        farthest = code.choose(found, t, code.choose(rays.valid, code.constant(INFINITY), ZERO))
+        is_hit, prim = code.line(f"icmp sge {code.integers} {prim}, {ZERO}"), numbers_in_mesh(code, prim)
+        farthest = code.choose(is_hit, t, code.choose(rays.valid, code.constant(INFINITY), ZERO))
         answer = closest_ball(code, rays, (farthest, prim, u, v))
         kept = code.line(f"icmp eq {code.integers} {prim}, {answer[0]}")  # balls are in no group
         return *answer, *(code.choose(kept, shown, ZERO, "i32") for shown in instance)
@@ -87,8 +87,8 @@ def prepare(code: Vectors) -> None:
 
 def numbers_in_mesh(code: Vectors, prim: str) -> str:
     """Maps the numbers of triangles that are no ball's to their numbers in the mesh; -1 (a miss) stays."""
-    found = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
-    return code.choose(found, code.gather("i32", "%numbers", prim, found), prim, "i32")
+    is_hit = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
+    return code.choose(is_hit, code.gather("i32", "%numbers", prim, is_hit), prim, "i32")
 
 
 def closest_ball(code: Vectors, rays: RayVector, before: tuple[str, str, str, str]) -> tuple[str, str, str, str]:
@@ -119,12 +119,12 @@ def placed(code: Vectors, rays: RayVector, met: tuple[str, str, str], t: str, ot
     on_ball = code.line(f"icmp sge {code.integers} {ball}, {ZERO}")
     branch_if_any(code, on_ball, "place", "placed")
     ball, row, column = (code.choose(on_ball, number, ZERO, "i32") for number in (ball, row, column))
-    found = place_on_facet(code, local_of(code, rays, Nearest(ball, on_ball)).at(code, t), ball, row, column)
+    answers = place_on_facet(code, local_of(code, rays, Nearest(ball, on_ball)).at(code, t), ball, row, column)
     kinds = ("i32", code.scalar, code.scalar)
-    found = [code.choose(on_ball, *values, kind) for *values, kind in zip(found, others, kinds)]
+    answers = [code.choose(on_ball, *values, kind) for *values, kind in zip(answers, others, kinds)]
     code.lay("br label %placed", "placed:")
     prim, u, v = (code.line(f"phi {code.vector(kind)} [ {old}, %{before} ], [ {new}, %place ]")
-                  for old, new, kind in zip(others, found, kinds))
+                  for old, new, kind in zip(others, answers, kinds))
     return prim, u, v, code.choose(code.line(f"icmp sge {code.integers} {prim}, {ZERO}"), t, ZERO)
 
 
@@ -248,15 +248,15 @@ def meet_ball(code: Vectors, local: Local, sphere: SphereCrossing, some: str, en
     facet = facet_of(code, local.at(code, "%reached"), "%meeting")
     slope = code.dot(facet.n, local.d)
     falls = code.compare(code.choose("%out", code.negative(slope), slope), "olt", ZERO)
-    same = code.both(code.line(f"icmp eq {code.integers} {facet.row}, %row"),
-                     code.line(f"icmp eq {code.integers} {facet.column}, %column"))
+    unchanged = code.both(code.line(f"icmp eq {code.integers} {facet.row}, %row"),
+                          code.line(f"icmp eq {code.integers} {facet.column}, %column"))
     crossing = code.div(code.sub(one, code.dot(facet.n, local.o)), slope)
     code.lay(f"%row.next = add {code.integers} {facet.row}, {ZERO}",
              f"%column.next = add {code.integers} {facet.column}, {ZERO}",
              f"%meeting.next = and {code.flags} %meeting, {falls}",
-             f"%further = select {code.flags} {same}, {code.numbers} %reached, {code.numbers} {crossing}",
+             f"%further = select {code.flags} {unchanged}, {code.numbers} %reached, {code.numbers} {crossing}",
              "%steps.next = add i64 %steps, 1")
-    moving = code.both("%meeting.next", code.line(f"xor {code.flags} {same}, splat (i1 true)"))
+    moving = code.both("%meeting.next", code.line(f"xor {code.flags} {unchanged}, splat (i1 true)"))
     left = code.line(f"icmp ne i64 {code.bits(moving)}, 0")
     again = code.line(f"and i1 {left}, {code.line(f'icmp slt i64 %steps, {STEPS}')}")
     code.lay(f"br i1 {again}, label %step, label %settled", "settled:")

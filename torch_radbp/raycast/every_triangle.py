@@ -96,18 +96,18 @@ def _inside(code: Vectors, edges: list[str]) -> str:
     return code.either(code.compare(low, "oge", ZERO), code.compare(high, "ole", ZERO))
 
 
-def closer(code: Vectors, found: Crossing, end: str) -> tuple[str, str]:
+def closer(code: Vectors, crossing: Crossing, end: str) -> tuple[str, str]:
     """Flags of rays that cross a face before `end`, and t of the crossing."""
-    distance = code.div(found.distance, found.total)
+    distance = code.div(crossing.distance, crossing.total)
     before_end = code.both(code.compare(distance, "ogt", ZERO), code.compare(distance, "olt", end))
-    return code.both(_inside(code, found.edges), before_end), distance
+    return code.both(_inside(code, crossing.edges), before_end), distance
 
 
-def struck(code: Vectors, found: Crossing, end: str) -> str:
+def struck(code: Vectors, crossing: Crossing, end: str) -> str:
     """Flags of rays that cross a face at or before `end`."""
-    distance = code.negated_where_negative(found.distance, found.total)  # so is what it is compared to: no division
-    before_end = code.compare(distance, "ole", code.mul(end, code.magnitude(found.total)))
-    return code.both(_inside(code, found.edges), code.both(code.compare(distance, "ogt", ZERO), before_end))
+    distance = code.negated_where_negative(crossing.distance, crossing.total)  # so is what it is compared to: no division
+    before_end = code.compare(distance, "ole", code.mul(end, code.magnitude(crossing.total)))
+    return code.both(_inside(code, crossing.edges), code.both(code.compare(distance, "ogt", ZERO), before_end))
 
 
 def place_on(code: Vectors, corners: list[list[str]], unit: str) -> tuple[str, str, str]:

@@ -60,7 +60,7 @@ def _places_of(points: Tensor) -> tuple[Tensor, Tensor]:
     """The distinct points among (N, 3), and the index of each point into them, (N,) int64."""
     place = 0
     for numbers in points.T:  # one by one: torch sorts rows slowly
-        known, number = torch.unique(numbers, return_inverse=True)
-        place = place * len(known) + number
-    known, place = torch.unique(place, return_inverse=True)
-    return points.new_empty(len(known), 3).index_copy(0, place, points), place
+        distinct, number = torch.unique(numbers, return_inverse=True)
+        place = place * len(distinct) + number
+    distinct, place = torch.unique(place, return_inverse=True)
+    return points.new_empty(len(distinct), 3).index_copy(0, place, points), place

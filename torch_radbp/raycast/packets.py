@@ -86,17 +86,17 @@ def distance_from_first(code: Vectors, vector: list[str]) -> tuple[str, str]:
 def closest(code: Vectors, rays: RayVector) -> tuple[str, str, str, str]:
     """prim, u, v and t of the closest hits, by rtcIntersect8."""
     together = cast(code, rays, code.constant(INFINITY))
-    found = code.line(f"icmp ne {code.integers} {get(code, GEOM_ID, 'i32')}, {NOTHING}")
-    on_edge = code.both(found, at_edge(code, get(code, U), get(code, V)))
+    is_hit = code.line(f"icmp ne {code.integers} {get(code, GEOM_ID, 'i32')}, {NOTHING}")
+    on_edge = code.both(is_hit, at_edge(code, get(code, U), get(code, V)))
     some = code.line(f"icmp ne i64 {code.bits(on_edge)}, 0")
     code.lay(f"%unsure = and i1 {together}, {some}", "br i1 %unsure, label %alone, label %sure", "alone:")
     code.store(code.numbers, code.choose(on_edge, code.constant(INFINITY), get(code, TFAR)), row(code, TFAR))
     code.store(code.integers, code.choose(on_edge, NOTHING, get(code, GEOM_ID, "i32"), "i32"), row(code, GEOM_ID))
     code.store(code.integers, code.line(f"sext {code.flags} {on_edge} to {code.integers}"), "%active")
     code.lay("store i32 0, ptr %arguments", QUERY, "br label %sure", "sure:")
-    found = code.line(f"icmp ne {code.integers} {get(code, GEOM_ID, 'i32')}, {NOTHING}")
-    prim = code.choose(found, get(code, PRIM_ID, "i32"), NOTHING, "i32")
-    return prim, *(code.choose(found, get(code, number), ZERO) for number in (U, V, TFAR))
+    is_hit = code.line(f"icmp ne {code.integers} {get(code, GEOM_ID, 'i32')}, {NOTHING}")
+    prim = code.choose(is_hit, get(code, PRIM_ID, "i32"), NOTHING, "i32")
+    return prim, *(code.choose(is_hit, get(code, number), ZERO) for number in (U, V, TFAR))
 
 
 def at_edge(code: Vectors, u: str, v: str) -> str:
@@ -119,12 +119,12 @@ def closest_of_instances(code: Vectors, rays: RayVector) -> tuple[str, str, str,
     triangles that no instance shows, whose geometry Embree calls -1.
     """
     prim, *place = closest(code, rays)
-    found = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
+    is_hit = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
     geometry = code.line(f"sub {code.integers} {get(code, INST_ID, 'i32')}, {NOTHING}")
-    before, first = (code.gather("i32", table, geometry, found) for table in ("%first_triangles", "%first_instances"))
-    prim = code.choose(found, code.line(f"add {code.integers} {prim}, {before}"), prim, "i32")
+    before, first = (code.gather("i32", table, geometry, is_hit) for table in ("%first_triangles", "%first_instances"))
+    prim = code.choose(is_hit, code.line(f"add {code.integers} {prim}, {before}"), prim, "i32")
     instance = code.line(f"add {code.integers} {get(code, INST_PRIM_ID, 'i32')}, {first}")
-    return prim, *place, code.choose(found, instance, ZERO, "i32")
+    return prim, *place, code.choose(is_hit, instance, ZERO, "i32")
 
 
 # Embree's function and scene, and the address of the distance within which origins are near.

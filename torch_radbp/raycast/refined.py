@@ -30,6 +30,6 @@ def refined(vertices: Tensor, faces: Tensor, ray: Ray, hit: Hit, instances: Inst
     volume, of_u, of_v = crossing(ray, p0, e1, e2)
     u, v = of_u / volume, of_v / volume
     t = dot(p0 + e1 * u + e2 * v - ray.o, ray.d) / dot(ray.d, ray.d)
-    found = (hit.prim >= 0) & (volume != 0)
-    places = (torch.where(found, exact, rough.to(exact.dtype)) for exact, rough in zip((u, v, t), hit[1:4]))
+    is_exact = (hit.prim >= 0) & (volume != 0)
+    places = (torch.where(is_exact, exact, rough.to(exact.dtype)) for exact, rough in zip((u, v, t), hit[1:4]))
     return Hit(hit.prim, *places, hit.instance)

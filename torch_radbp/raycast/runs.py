@@ -53,15 +53,15 @@ def divisions(faces: MergedFaces, costs: Iterable[Costs]) -> list[tuple[list[int
     """
     p, kind = faces.points[faces.corners], faces.parallelogram.to(faces.points.dtype)
     most = min(MOST, len(p))
-    low, high = (beginning_at_each(found, most) for found in (p.amin(1), p.amax(1)))
+    low, high = (beginning_at_each(bound, most) for bound in (p.amin(1), p.amax(1)))
     extent = (high.cummax(2).values - low.cummin(2).values).transpose(1, 2)  # (P, most, 3) by first face and number
     scene = area(p.amax((0, 1)) - p.amin((0, 1))).clamp_min(torch.finfo(p.dtype).tiny)
     met = area(extent) / scene + LOST
     tests = (1 + (PARALLELOGRAM - 1) * kind)[:, None] * torch.arange(1, most + 1, device=p.device)
     tests = tests + CORNER * corners_from(faces.corners, most).to(p.dtype)
     mixed = (beginning_at_each(kind[:, None], most)[:, 0] != kind[:, None]).cummax(1).values
-    found = [torch.where(mixed, torch.inf, box + met * (visit + tests)) for box, visit in costs]
-    return cheapest(torch.stack(found).numpy())
+    per_run = [torch.where(mixed, torch.inf, box + met * (visit + tests)) for box, visit in costs]
+    return cheapest(torch.stack(per_run).numpy())
 
 
 def cheapest(costs: np.ndarray) -> list[tuple[list[int], float]]:
@@ -76,9 +76,9 @@ def cheapest(costs: np.ndarray) -> list[tuple[list[int], float]]:
     least[:, count + 1:] = np.inf
     following = np.zeros((kinds, count), np.int64)
     for first in reversed(range(count)):
-        found = costs[:, first] + least[:, first + 1:first + 1 + most]
-        following[:, first] = found.argmin(1)
-        least[:, first] = found.min(1)
+        totals = costs[:, first] + least[:, first + 1:first + 1 + most]
+        following[:, first] = totals.argmin(1)
+        least[:, first] = totals.min(1)
     divisions = []
     for steps, cost in zip((following + 1 + np.arange(count)).tolist(), least[:, 0].tolist()):
         firsts = [0]
@@ -138,8 +138,8 @@ def triangle_runs(p: Tensor, faces: MergedFaces, first: Tensor, scale: Tensor, b
     points = faces.points * scale
     corner = points[faces.corners]
     lengths = torch.cat([first, first.new_tensor([len(corner)])]).diff()
-    borders = [torch.segment_reduce(found, how, lengths=lengths)
-               for found, how in ((corner.amin(1), "min"), (corner.amax(1), "max"))]
+    borders = [torch.segment_reduce(values, how, lengths=lengths)
+               for values, how in ((corner.amin(1), "min"), (corner.amax(1), "max"))]
     if balls is not None:
         borders = [torch.cat(pair) for pair in zip(borders, box_of_ball(balls.to(p.dtype) * scale))]
     low, high = borders

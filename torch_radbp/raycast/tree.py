@@ -136,23 +136,23 @@ class GroupTree(NamedTuple):
 
 
 def groups_of(device: Device, vertices: Tensor, faces: Tensor, instances: Instances,
-              known: Sequence[GroupTree]) -> list[GroupTree]:
-    """The trees of the groups that instances show; trees among `known` with the same triangles and device are taken again.
+              last_groups: Sequence[GroupTree]) -> list[GroupTree]:
+    """The trees of the groups that instances show; trees of `last_groups` with the same triangles are reused.
 
     Args:
         device: for new ones.
         vertices: (V, 3) of the scene and of all groups.
         faces: (F, 3) likewise.
         instances: tell which are of which group.
-        known: groups of before.
+        last_groups: of the same device.
     """
     firsts, groups = zip(instances.first_vertex.tolist(), instances.first_triangle.tolist()), []
     start = next(firsts)
     for end in firsts:
-        own, corners = vertices[start[0]:end[0]], faces[start[1]:end[1]] - start[0]
-        same = next((group for group in known
-                     if torch.equal(group.vertices, own) and torch.equal(group.faces, corners)), None)
-        groups.append(same or GroupTree(Tree(device, [TreeGeometry.of_triangles(device, own, corners)], len(corners)),
-                                        own, corners))
+        points, corners = vertices[start[0]:end[0]], faces[start[1]:end[1]] - start[0]
+        equal = next((group for group in last_groups
+                      if torch.equal(group.vertices, points) and torch.equal(group.faces, corners)), None)
+        groups.append(equal or GroupTree(Tree(device, [TreeGeometry.of_triangles(device, points, corners)], len(corners)),
+                                         points, corners))
         start = end
     return groups

@@ -214,12 +214,12 @@ class Vectors:
         function = "llvm.x86.avx512.vpermi2var.ps.512"
         parts = [self.line(f"load {self.numbers}, ptr {self.at(self.scalar, base, first)}, align 4")
                  for first in range(0, entries, self.width)]
-        found = [self.call(function, self.numbers, (self.numbers, low), (self.integers, indices), (self.numbers, high))
-                 for low, high in zip(parts[::2], parts[1::2])]
-        if len(found) == 1:
-            return found[0]
+        halves = [self.call(function, self.numbers, (self.numbers, low), (self.integers, indices), (self.numbers, high))
+                  for low, high in zip(parts[::2], parts[1::2])]
+        if len(halves) == 1:
+            return halves[0]
         beyond = self.line(f"icmp ugt {self.integers} {indices}, splat (i32 {2 * self.width - 1})")
-        return self.choose(beyond, found[1], found[0])
+        return self.choose(beyond, halves[1], halves[0])
 
     def scatter(self, kind: str, value: str, base: str, indices: str, mask: str) -> None:
         """Scatters values to i32 indices of an array where the mask is set."""

@@ -155,11 +155,11 @@ def _started(device: torch.device):
     level, wp.config.log_level = wp.config.log_level, max(wp.config.log_level, wp.LOG_ERROR)
     try:  # without a word on what Warp finds and compiles
         wp.init()
-        found = wp.device_from_torch(device)
-        wp.load_module(__name__, device=found)
+        warp_device = wp.device_from_torch(device)
+        wp.load_module(__name__, device=warp_device)
     finally:
         wp.config.log_level = level
-    return found
+    return warp_device
 
 
 def release(mesh: wp.Mesh, streams: set[torch.cuda.Stream]) -> None:
@@ -209,12 +209,12 @@ def closest_hit(mesh: wp.uint64, unit: float,
     query = query_of(unit, ox[lane], oy[lane], oz[lane], dx[lane], dy[lane], dz[lane])
     if not query.valid:
         return
-    found = wp.mesh_query_ray(mesh, query.o, query.d, FARTHEST)
-    if found.result:
-        prim[lane] = found.face
-        u[lane] = found.v  # Warp's u and v are the weights of the first and the second vertex
-        v[lane] = wp.max(1.0 - found.u - found.v, 0.0)
-        t[lane] = found.t / query.per_t
+    hit = wp.mesh_query_ray(mesh, query.o, query.d, FARTHEST)
+    if hit.result:
+        prim[lane] = hit.face
+        u[lane] = hit.v  # Warp's u and v are the weights of the first and the second vertex
+        v[lane] = wp.max(1.0 - hit.u - hit.v, 0.0)
+        t[lane] = hit.t / query.per_t
 
 
 @wp.kernel(enable_backward=False)

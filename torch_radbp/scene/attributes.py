@@ -74,10 +74,10 @@ def attribute(scene: Scene, shape: Shape, name: str) -> Tensor:
     Raises:
         ValueError: if it has none of that name.
     """
-    known = getattr(shape, "attribute_names", ())
-    if name not in known:
+    names = getattr(shape, "attribute_names", ())
+    if name not in names:
         raise ValueError(f"the shape {scene.name_of(shape)!r} has no attribute {name!r}, which a mesh_attribute of its "
-                         f"material or emitter reads; {nearest(name, known)}. Add it, shape.add_attribute({name!r}, values)")
+                         f"material or emitter reads; {nearest(name, names)}. Add it, shape.add_attribute({name!r}, values)")
     return getattr(shape, name)
 
 

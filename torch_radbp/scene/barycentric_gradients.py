@@ -35,7 +35,7 @@ def barycentric_gradients(frame: ShadingFrame, shading: Vec3, n: Vec3, e1: Vec3,
         `shading`: where the z of a gradient is greater than 1, the lifted surface faces the other side of the triangle.
     """
     volume, cosine = dot(cross(e1, e2), shading), dot(n, shading)
-    known = (volume.abs() > TINY) & (cosine.abs() > LEAST_COSINE)
-    scale, upright = (known.to(one.dtype) / torch.where(known, one, 1.0) for one in (volume, cosine))
-    found = (cross(e2, shading) * scale, cross(shading, e1) * scale)
-    return tuple(Vec3(dot(world, frame.s), dot(world, frame.t), dot(world, n) * upright) for world in found)
+    is_regular = (volume.abs() > TINY) & (cosine.abs() > LEAST_COSINE)
+    scale, upright = (is_regular.to(one.dtype) / torch.where(is_regular, one, 1.0) for one in (volume, cosine))
+    gradients = (cross(e2, shading) * scale, cross(shading, e1) * scale)
+    return tuple(Vec3(dot(world, frame.s), dot(world, frame.t), dot(world, n) * upright) for world in gradients)

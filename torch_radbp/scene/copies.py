@@ -44,14 +44,14 @@ class Copies:
 
     def inventory(self, root: nn.Module) -> Inventory:
         """The `Inventory` of a module; that of the last rendering if it still holds."""
-        found = self.inventories.get(id(root))
-        if found is None:
+        inventory = self.inventories.get(id(root))
+        if inventory is None:
             last = self.last_inventories.get(id(root))
-            found = last if last is not None and last.holds(root) else Inventory(root)
-            self.inventories[id(root)] = found
-            self.moved |= found.live | found.restless
-            self.freeze(found)
-        return found
+            inventory = last if last is not None and last.holds(root) else Inventory(root)
+            self.inventories[id(root)] = inventory
+            self.moved |= inventory.live | inventory.restless
+            self.freeze(inventory)
+        return inventory
 
     def freeze(self, inventory: Inventory) -> None:
         """Copies the tensors of an inventory that are not differentiated, or keeps the copies where values are unchanged."""
@@ -59,11 +59,11 @@ class Copies:
         if self.is_as_it_was(inventory.root) and all(tensor.is_cpu and place in self.last_copies for place, tensor in left):
             copies = [self.last_copies[place] for place, _ in left]
             equal = same_bits_each([tensor for _, tensor in left], copies)
-            for (place, tensor), copy, same in zip(left, copies, equal):
-                if same:
+            for (place, tensor), copy, unchanged in zip(left, copies, equal):
+                if unchanged:
                     self.copies[place], self.seen[id(tensor)] = copy, (tensor, copy)
                     self.fixed.add(id(copy))
-            left = [each for each, same in zip(left, equal) if not same]
+            left = [each for each, unchanged in zip(left, equal) if not unchanged]
         for place, tensor in left:
             if self.frozen(place, tensor) is not self.last_copies.get(place):
                 self.moved.add(id(tensor))
@@ -80,15 +80,15 @@ class Copies:
             root: any module.
             arguments: any others.
         """
-        known, key = self.inventory(root).results, (make, *arguments)
-        if key not in known:
-            known[key] = make(root, *arguments)
-        return known[key]
+        results, key = self.inventory(root).results, (make, *arguments)
+        if key not in results:
+            results[key] = make(root, *arguments)
+        return results[key]
 
     def facts(self, root: nn.Module) -> dict[Hashable, Any]:
         """A dict for what is derived from a module's attributes; it is emptied when an attribute changes."""
-        found = self.inventories.get(id(root))
-        return {} if found is None else found.results
+        inventory = self.inventories.get(id(root))
+        return {} if inventory is None else inventory.results
 
     def frozen(self, place: Hashable, tensor: Tensor) -> Tensor:
         """A detached copy of a tensor; the same object as in the last rendering if not a bit has changed.
@@ -124,9 +124,9 @@ class Copies:
 
 def _unchanged(places: dict[Hashable, weakref.ref[Tensor]], copies: dict[Hashable, Tensor]) -> set[tuple[Hashable, int]]:
     """Compares tensors of the last rendering with their copies, all at once; places and ids of those that are unchanged."""
-    there = [(place, tensor, copies[place]) for place, found in places.items() if (tensor := found()) is not None]
+    there = [(place, tensor, copies[place]) for place, reference in places.items() if (tensor := reference()) is not None]
     there = [each for each in there if comparable(*each[1:])]
     if not there:
         return set()
-    same = torch.stack([(bits_of(tensor) == bits_of(copy)).all() for _, tensor, copy in there]).tolist()
-    return {(place, id(tensor)) for (place, tensor, _), equal in zip(there, same) if equal}
+    equal_bits = torch.stack([(bits_of(tensor) == bits_of(copy)).all() for _, tensor, copy in there]).tolist()
+    return {(place, id(tensor)) for (place, tensor, _), equal in zip(there, equal_bits) if equal}

@@ -80,9 +80,9 @@ def connections(cache: PackCache, shape: Surface) -> tuple[NamedTuple, ...]:
                          for number, value in enumerate(arguments))),)
 
 
-def oriented(shape: Surface, found: tuple[NamedTuple, ...]) -> Triangles:
+def oriented(shape: Surface, connections_of_shape: tuple[NamedTuple, ...]) -> Triangles:
     """The triangles of a shape in world space, oriented by its connections, if it has any."""
-    return shape.oriented(*found)
+    return shape.oriented(*connections_of_shape)
 
 
 def without_flat_normals(surface: Triangles) -> Triangles:
@@ -165,14 +165,14 @@ def casting_of(poses: Tensor, counts: tuple[int, ...], members: tuple[int, ...],
         vertices: (V, 3) of all shapes, those of groups last.
         faces: (F, 3) likewise.
     """
-    own, device = len(vertices) - sum(members), poses.device
+    outside_groups, device = len(vertices) - sum(members), poses.device
 
     def firsts(sizes: list[int]) -> Tensor:
-        in_groups = iter(sizes[own:])
+        in_groups = iter(sizes[outside_groups:])
         sums = [sum(itertools.islice(in_groups, count)) for count in members]
-        return torch.tensor(list(itertools.accumulate(sums, initial=sum(sizes[:own]))), device=device)
+        return torch.tensor(list(itertools.accumulate(sums, initial=sum(sizes[:outside_groups]))), device=device)
 
-    to_world, in_groups = poses[:, :3].contiguous(), iter(vertices[own:])
+    to_world, in_groups = poses[:, :3].contiguous(), iter(vertices[outside_groups:])
     points = [torch.cat(list(itertools.islice(in_groups, count))) for count in members]
     return Instances(to_world, firsts(list(map(len, vertices))), firsts(list(map(len, faces))),
                      torch.tensor(list(itertools.accumulate(counts, initial=0)), device=device),
@@ -188,13 +188,13 @@ def balls_among(balls: Sequence[Ball | None], counts: Sequence[int], device: tor
         device: of the result.
     """
     firsts = list(itertools.accumulate(counts, initial=0))
-    found = [(first, ball) for first, ball in zip(firsts, balls) if ball is not None]
-    if not found:
+    numbered = [(first, ball) for first, ball in zip(firsts, balls) if ball is not None]
+    if not numbered:
         return None
-    first = [first + number * TRIANGLES for first, ball in found for number in range(len(ball.turned))]
-    turned = [own for _, ball in found for own in ball.turned]
+    first = [first + number * TRIANGLES for first, ball in numbered for number in range(len(ball.turned))]
+    turned = [is_turned for _, ball in numbered for is_turned in ball.turned]
     return Balls(torch.tensor(first, dtype=torch.int32, device=device), torch.tensor(turned, device=device),
-                 torch.cat([ball.placement for _, ball in found]).to(device, torch.float64))
+                 torch.cat([ball.placement for _, ball in numbered]).to(device, torch.float64))
 
 
 def vertex_table(surfaces: Sequence[Triangles], normals: bool, uv: bool, attributes: tuple[str, ...], dtype: torch.dtype,
@@ -227,8 +227,8 @@ def face_table(surfaces: Sequence[Triangles], counts: Sequence[int], attributes:
 
 def channels(surfaces: Sequence[Triangles], name: str) -> list[Tensor | None]:
     """An attribute of each surface, in three channels; None where a surface has none of that name."""
-    found = [dict(surface.attributes).get(name) for surface in surfaces]
-    return [None if values is None else values.expand(-1, 3) for values in found]
+    columns = [dict(surface.attributes).get(name) for surface in surfaces]
+    return [None if values is None else values.expand(-1, 3) for values in columns]
 
 
 def triangle_rows(faces: Sequence[Tensor], vertices: Sequence[int], material: Sequence[int], emitting: Sequence[bool],
@@ -245,7 +245,7 @@ def triangle_rows(faces: Sequence[Tensor], vertices: Sequence[int], material: Se
     """
     firsts, counts = itertools.accumulate(vertices, initial=0), tuple(map(len, faces))
     none = torch.zeros(0, 3, dtype=torch.int32, device=device)
-    rows = torch.cat([none, *(own.to(torch.int32) + first for own, first in zip(faces, firsts))])
+    rows = torch.cat([none, *(faces_of_shape.to(torch.int32) + first for faces_of_shape, first in zip(faces, firsts))])
     materials = of_each(material, counts, torch.int32, device)
     return interleaved((rows.unbind(1), materials, emitter_rows(emitting, counts, device)))
 
@@ -266,8 +266,8 @@ def emitter_rows(emitting: Sequence[bool], counts: Sequence[int], device: torch.
 def _numbers(shapes: Sequence[TriangleNumbering], counts: Sequence[int], device: torch.device) -> tuple[Tensor, Tensor]:
     """The number of each triangle in its shape, and the number of that shape, (T,) int32 each, for AOVs."""
     none = torch.zeros(0, dtype=torch.int32)
-    own = [torch.arange(count, dtype=torch.int32) * shape.counted for shape, count in zip(shapes, counts)]
-    return torch.cat([none, *own]).to(device), of_each([shape.shape for shape in shapes], counts, torch.int32, device)
+    numbers = [torch.arange(count, dtype=torch.int32) * shape.counted for shape, count in zip(shapes, counts)]
+    return torch.cat([none, *numbers]).to(device), of_each([shape.shape for shape in shapes], counts, torch.int32, device)
 
 
 def normals_and_clearances(vertices: Tensor, faces: Tensor) -> tuple[Vec3, Tensor]:
@@ -290,7 +290,7 @@ def normals_and_clearances(vertices: Tensor, faces: Tensor) -> tuple[Vec3, Tenso
 def _concatenated(parts: Sequence[tuple[Vec3, Tensor]], dtype: torch.dtype, device: torch.device) -> tuple[Vec3, Tensor]:
     """Joins the normals and clearances of all shapes, (T,) each."""
     none = torch.zeros(0, dtype=dtype, device=device)
-    *n, clearances = (torch.cat([none, *column]) for column in zip((none,) * 4, *((*n, own) for n, own in parts)))
+    *n, clearances = (torch.cat([none, *column]) for column in zip((none,) * 4, *((*n, offset) for n, offset in parts)))
     return interleaved((Vec3(*n), clearances))
 
 
@@ -309,5 +309,5 @@ def growth_of_u(e1: Vec3, e2: Vec3, uv0: Vec2, uv1: Vec2, uv2: Vec2) -> Vec3:
     d1, d2 = Vec2(uv1.x - uv0.x, uv1.y - uv0.y), Vec2(uv2.x - uv0.x, uv2.y - uv0.y)
     sign = torch.sign(d1.x * d2.y - d1.y * d2.x).detach()
     tangent = scaled(e1 * (sign * d2.y) - e2 * (sign * d1.y))
-    known = max_component(tangent.detach().map(torch.abs)) > 0
-    return masked(known, normalize(where(known, tangent, Vec3.full(sign, 1.0))))
+    is_defined = max_component(tangent.detach().map(torch.abs)) > 0
+    return masked(is_defined, normalize(where(is_defined, tangent, Vec3.full(sign, 1.0))))

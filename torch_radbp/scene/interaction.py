@@ -99,7 +99,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     cosine = dot(n, ray.d)
     shading = shading_normal(scene, hit, n)
     shading_cosine = dot(shading, ray.d)
-    own = shading_cosine < 0
+    in_front = shading_cosine < 0
     emitter = lookup(triangles.emitter, prim) if layout.lit_surfaces else None
     uv, uv_corners = None, None
     if layout.radiance_bitmaps or (scatterer is not None and scatterer.needs_uv):
@@ -115,10 +115,10 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
         material = lookup(triangles.material, prim)
         if front is not None:
             differs = lookup(scene.materials.differs, material)
-            own = (front & differs) | (own & ~differs)
+            in_front = (front & differs) | (in_front & ~differs)
         along = shown_direction(scene, hit, lookup(triangles.along, prim)) if scatterer.kind.oriented else None
         if layout.back_sides:
-            material = material + (~own).to(material.dtype) * scene.materials.count
+            material = material + (~in_front).to(material.dtype) * scene.materials.count
             side = 1.0 - 2.0 * lookup(scene.materials.turned, material).to(cosine.dtype)
             shading, shading_cosine = shading * side, shading_cosine * side
     frame = ShadingFrame(shading, along, side)
@@ -131,7 +131,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
         come, change = torch.where(valid, t, 0.0), along_edges(uv_corners)
         point = point._replace(footprint=footprint(cone, come, cosine, (e1, e2), change))
     wi = LocalVec3(frame, ray.d, backwards=True, z=-shading_cosine)
-    return SurfaceInteraction(valid, prim, material, emitter, p, n, frame, own, wi, point, t, cosine,
+    return SurfaceInteraction(valid, prim, material, emitter, p, n, frame, in_front, wi, point, t, cosine,
                               clearance_at(scene, hit, corners))
 
 

@@ -42,11 +42,11 @@ class Inventory:
         dicts = self.dicts()
         self.sizes, self.names = list(map(len, dicts)), list(chain.from_iterable(dicts))
         self.values = list(chain.from_iterable(map(dict.values, dicts)))
-        found = {id(tensor): (place, tensor) for module in self.modules for place, tensor in tensors_of(module)}
-        self.tensors = [tensor for _, tensor in found.values()]
+        tensors = {id(tensor): (place, tensor) for module in self.modules for place, tensor in tensors_of(module)}
+        self.tensors = [tensor for _, tensor in tensors.values()]
         self.kinds = list(map(KIND, self.tensors))
         self.live = frozenset(id(tensor) for tensor in self.tensors if differentiated(tensor))
-        self.settled = [(place, tensor) for place, tensor in found.values()
+        self.settled = [(place, tensor) for place, tensor in tensors.values()
                         if id(tensor) not in self.live and tensor.layout == torch.strided]
         self.restless = frozenset(id(module) for module in self.modules if is_restless(module))
         self.settled_reach = self.restless.union(id(tensor) for _, tensor in self.settled)  # of all, as of `reach`

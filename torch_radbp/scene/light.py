@@ -107,8 +107,8 @@ def texture_of_light(scene: SceneTensors, element: Tensor, p: Vec3, point: Textu
         texture_values: for each of `Layout.lit` its values there.
     """
     value = scene.layout.radiance.read(scene.radiance, lookup(scene.lights.radiance, element), point)
-    for reader, rows, own in zip(scene.layout.lit, scene.lights.outside, texture_values):
-        value = where(lookup(rows, element) >= 0, own.at(reader.place(p, point.uv)), value)
+    for reader, rows, outside_value in zip(scene.layout.lit, scene.lights.outside, texture_values):
+        value = where(lookup(rows, element) >= 0, outside_value.at(reader.place(p, point.uv)), value)
     return value
 
 
@@ -198,11 +198,11 @@ def light_aims(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, num
         element, pmf = picked.element, picked.pmf
 
     # Let each kind of light that there is decide where to look.
-    found = _cases(scene, element, dict(enumerate(scene.layout.lights)))
+    cases = _cases(scene, element, dict(enumerate(scene.layout.lights)))
     aims = [case.kind.aim(scene.lights.tables[case.number], lights.tables[case.number], reference,
-                          Pick(_rows_of(scene, element, case), pmf, numbers.u, numbers.v)) for case in found]
-    target = _chosen(found, [aim.target for aim in aims])
-    return Aims(element, found, aims, reference if target is None else target)
+                          Pick(_rows_of(scene, element, case), pmf, numbers.u, numbers.v)) for case in cases]
+    target = _chosen(cases, [aim.target for aim in aims])
+    return Aims(element, cases, aims, reference if target is None else target)
 
 
 def sample_places(scene: SceneTensors, aims: Aims) -> tuple[Place, ...]:
@@ -227,21 +227,21 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, n
         texture_values: the values of emitters' textures that are read outside, at the `sample_places`.
     """
     samples = light_aims(scene, proposal, reference, numbers, picked)
-    element, found, aims, target = samples
+    element, cases, aims, target = samples
     d, pdf = samples("d"), samples("pdf")
     weighing = pdf
     if any(aim.weighing is not None for aim in aims):
-        weighing = _chosen(found, [aim.pdf if aim.weighing is None else aim.weighing for aim in aims])
+        weighing = _chosen(cases, [aim.pdf if aim.weighing is None else aim.weighing for aim in aims])
 
     # Look up what is sent from there.
-    delta, distant = (among(found, [getattr(case.kind, name) for case in found], element) for name in ("delta", "distant"))
+    delta, distant = (among(cases, [getattr(case.kind, name) for case in cases], element) for name in ("delta", "distant"))
     findable = 1.0 if delta is None else (~delta).to(pdf.dtype)
     return LightSample(d, sent(scene, samples, texture_values), pdf, weighing, findable, target, distant)
 
 
 def sent(scene: SceneTensors, samples: Aims, texture_values: tuple[TextureValue, ...]) -> Vec3:
     """The radiance of light samples: a texture times its factor, or what the kind of light has computed."""
-    element, found, aims, p = samples
+    element, cases, aims, p = samples
     computed = samples("radiance")
     if all(aim.radiance is not None for aim in aims):
         return computed
@@ -249,10 +249,10 @@ def sent(scene: SceneTensors, samples: Aims, texture_values: tuple[TextureValue,
     point = TexturePoint(uv, dict(zip(scene.layout.radiance.attributes, samples("attributes") or ())))
     radiance = texture_of_light(scene, element, p, point, texture_values)
     if any(aim.strength is not None for aim in aims):
-        radiance = radiance * _chosen(found, [strength(aim) for aim in aims])
+        radiance = radiance * _chosen(cases, [strength(aim) for aim in aims])
     if computed is None:
         return radiance
-    return where(among(found, [aim.radiance is not None for aim in aims], element), computed, radiance)
+    return where(among(cases, [aim.radiance is not None for aim in aims], element), computed, radiance)
 
 
 def strength(aim: Aim) -> Tensor | None:
@@ -260,10 +260,10 @@ def strength(aim: Aim) -> Tensor | None:
     return torch.ones_like(aim.pdf) if aim.strength is None and aim.radiance is None else aim.strength
 
 
-def _chosen(found: list[Case], values: list):
+def _chosen(cases: list[Case], values: list):
     """Merges values computed per kind of light by each lane's kind; None (any value will do) only if all are None."""
     result = None
-    for case, value in zip(found, values):
+    for case, value in zip(cases, values):
         if result is None:
             result = value
         elif value is not None:
@@ -284,11 +284,11 @@ def _in_lanes_of(case: Case, condition: Tensor) -> Tensor:
     return condition if case.mask is None else case.mask & condition
 
 
-def among(found: list[Case], wanted: list[bool], element: Tensor) -> Tensor | None:
+def among(cases: list[Case], wanted: list[bool], element: Tensor) -> Tensor | None:
     """True in the lanes whose kind of light is wanted, (N,) bool; None if no kind is."""
     if all(wanted):
         return torch.ones_like(element, dtype=torch.bool)
-    masks = [case.mask for case, want in zip(found, wanted) if want]
+    masks = [case.mask for case, want in zip(cases, wanted) if want]
     return functools.reduce(torch.logical_or, masks) if masks else None
 
 

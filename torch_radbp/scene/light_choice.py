@@ -116,11 +116,10 @@ def tree_choice(bounds: list[LightBounds | None], repeats: Tensor, sampling_weig
         elements: of each kind, int64.
     """
     owner = torch.arange(len(repeats), device=repeats.device).repeat_interleave(repeats)
-    picked = [(each, own) for each, own in zip(bounds, elements) if each is not None]
-    grouped = bounds_of_groups(_concatenated([each for each, _ in picked]), owner[torch.cat([own for _, own in picked])],
-                               len(repeats))
+    in_tree = owner[torch.cat([element for each, element in zip(bounds, elements) if each is not None])]
+    grouped = bounds_of_groups(_concatenated([each for each in bounds if each is not None]), in_tree, len(repeats))
     local = torch.zeros_like(sampling_weight, dtype=torch.bool)
-    local[owner[torch.cat([own for _, own in picked])]] = True
+    local[in_tree] = True
     intensity = grouped.intensity[local]
     floor = LEAST_INTENSITY * intensity.mean()
     intensity = torch.where(floor > 0, torch.maximum(intensity, floor), 1.0) * sampling_weight[local]

@@ -114,8 +114,8 @@ def pmf_of_surround_beside(emissions: tuple[Emission, ...], choice: TreeChoice) 
     surround = [number for number, emission in enumerate(emissions) if emission.kind.surround]
     if not surround or choice.beside is None:
         return choice.pmf.new_zeros(())
-    own = (choice.beside.emitter == surround[0]).to(choice.pmf)
-    return (own * choice.beside.pmf).sum() * choice.beside.share.to(choice.pmf)
+    is_surround = (choice.beside.emitter == surround[0]).to(choice.pmf)
+    return (is_surround * choice.beside.pmf).sum() * choice.beside.share.to(choice.pmf)
 
 
 def element_columns(kinds: tuple[LightKind, ...], emissions: tuple[Emission, ...],
@@ -128,8 +128,8 @@ def element_columns(kinds: tuple[LightKind, ...], emissions: tuple[Emission, ...
         *zip(*(emission.outside for emission in emissions))))
     row = torch.zeros_like(kind)
     for number in range(len(kinds)):
-        own = (kind == number).nonzero().squeeze(1)
-        row[own] = torch.arange(len(own), **integer)
+        elements_of_kind = (kind == number).nonzero().squeeze(1)
+        row[elements_of_kind] = torch.arange(len(elements_of_kind), **integer)
     return kind, row, texture, tuple(outside)
 
 
@@ -182,8 +182,8 @@ def lamp_table(kind: LightKind, lamps: tuple[Light, ...], like: Tensor) -> Table
 
 def surface_table(kind: SurfaceKind, surfaces: EmittingTriangles, kinds: Tensor, number: int) -> EmittingTriangles:
     """The emitting triangles of one kind of light, `number` in the column `kinds` of all elements."""
-    own = (kinds == number).nonzero().squeeze(1)
-    table = surfaces if len(own) == len(surfaces.inverse_area) else part(surfaces, own)
+    elements_of_kind = (kinds == number).nonzero().squeeze(1)
+    table = surfaces if len(elements_of_kind) == len(surfaces.inverse_area) else part(surfaces, elements_of_kind)
     kind.check(table)
     return table
 
@@ -212,8 +212,8 @@ def weights_of(emissions: tuple[Emission, ...], area: Tensor) -> Tensor:
                              f"{emission.sampling_weight}")
     counts = [emission.triangles for emission in emissions if emission.triangles is not None]
     weights = []
-    for emission, own in zip(emissions, area.split(counts)):
-        share = own / own.sum()
+    for emission, areas in zip(emissions, area.split(counts)):
+        share = areas / areas.sum()
         # Tiny triangles are never picked: the derivative of 1 / area might overflow.
         weights.append(torch.where(share > SMALLEST_SHARE, share, 0.0) * emission.sampling_weight)
     weights.append(area.new_tensor([emission.sampling_weight for emission in emissions[len(counts):]]))

@@ -47,7 +47,7 @@ class Materials(NamedTuple):
 
     @property
     def readers(self) -> tuple[Reader, ...]:
-        return tuple(own.reader for own in self.textures)
+        return tuple(group.reader for group in self.textures)
 
 
 def material_tables(cache: PackCache, scene: Scene, bsdfs: tuple[BSDF, ...], dtype: torch.dtype,
@@ -59,33 +59,34 @@ def material_tables(cache: PackCache, scene: Scene, bsdfs: tuple[BSDF, ...], dty
     for bsdf in {id(bsdf): bsdf for bsdf in sides}.values():
         check_contract(bsdf, *described[id(bsdf)], dtype, device)
     kinds, textures = zip(*(described[id(bsdf)] for bsdf in sides)) if sides else ((), ())
-    looks = [Appearance(kind, tuple(map(reader_of, own))) for kind, own in zip(kinds, textures)]
+    looks = [Appearance(kind, tuple(map(reader_of, each))) for kind, each in zip(kinds, textures)]
     appearances = tuple(dict.fromkeys(looks))
     readers = tuple(dict.fromkeys(reader for look in appearances for reader in look.readers))
     of_reader: dict[Reader, dict[int, Texture]] = {reader: {} for reader in readers}
-    for look, own in zip(looks, textures):
-        for reader, texture in zip(look.readers, own):
+    for look, textures_of_look in zip(looks, textures):
+        for reader, texture in zip(look.readers, textures_of_look):
             of_reader[reader].setdefault(id(texture), texture)
-    row = {reader: {key: number for number, key in enumerate(found)} for reader, found in of_reader.items()}
-    slots = [[row[reader][id(texture)] for reader, texture in zip(look.readers, own)] for look, own in zip(looks, textures)]
+    row = {reader: {key: number for number, key in enumerate(by_id)} for reader, by_id in of_reader.items()}
+    slots = [[row[reader][id(texture)] for reader, texture in zip(look.readers, each)]
+             for look, each in zip(looks, textures)]
     columns = [[appearances.index(look) for look in looks],
-               *([own[k] if k < len(own) else 0 for own in slots] for k in range(max(map(len, slots), default=0)))]
+               *([each[k] if k < len(each) else 0 for each in slots] for k in range(max(map(len, slots), default=0)))]
     differs = tuple(front != back for front, back in zip(looks, looks[len(bsdfs):]))
     appearance, *values = (cache(_column, tuple(each), torch.int32, device) for each in columns)
     table = MaterialTable(appearance, tuple(values), cache(_column, (False,) * len(bsdfs) + two_sided, torch.bool, device),
                           cache(_column, differs, torch.bool, device) if any(differs) else None,
                           cache(_column, len(bsdfs), torch.int32, device))
     inventory = cache.inventory(scene)
-    own = {reader: tuple(found.values()) for reader, found in of_reader.items()}
+    by_reader = {reader: tuple(by_id.values()) for reader, by_id in of_reader.items()}
     read = tuple(MaterialTextures(reader, textures, inventory.reach(textures),
                                   inventory.reach(textures) & inventory.settled_reach)
-                 for reader, textures in own.items())
-    bending, ideally = (any(differentiated(source) for kind, own in zip(kinds, textures) if kind.delta or not ideal
-                            for slot in kind.bending for source in own[slot].sources()) for ideal in (False, True))
+                 for reader, textures in by_reader.items())
+    bending, ideally = (any(differentiated(source) for kind, each in zip(kinds, textures) if kind.delta or not ideal
+                            for slot in kind.bending for source in each[slot].sources()) for ideal in (False, True))
     by_attributes = any(look.readers[slot].attributes for look in appearances if look.kind.delta
                         for slot in look.kind.bending)
-    moves = [[is_differentiated(texture) for texture in own] for own in textures]
-    still = tuple(tuple(not any(column) for column in zip(*(own for own, look in zip(moves, looks) if look == appearance)))
+    moves = [[is_differentiated(texture) for texture in each] for each in textures]
+    still = tuple(tuple(not any(column) for column in zip(*(each for each, look in zip(moves, looks) if look == appearance)))
                   for appearance in appearances)
     return Materials(table, appearances, read, bending, ideally, by_attributes, still, any(two_sided),
                      tuple((bsdf, described[id(bsdf)][0]) for bsdf in {id(bsdf): bsdf for bsdf in sides}.values()))

@@ -48,17 +48,17 @@ def modules_in(root: nn.Module, prefix: str = "", without: Collection[nn.Module]
         prefix: its name.
         without: a set of modules that are left out with all that is in them.
     """
-    found, met, left = [], set(), [(prefix, root)]
+    named, met, left = [], set(), [(prefix, root)]
     while left:
         prefix, module = left.pop()
         if module in met:
             continue
         met.add(module)
-        found.append((prefix, module))
+        named.append((prefix, module))
         dot = prefix and prefix + "."
         left += [(dot + name, child) for name, child in reversed(module._modules.items())
                  if child is not None and child not in without]
-    return found
+    return named
 
 
 def dicts_of(module: nn.Module) -> tuple[dict[str, Any], ...]:
@@ -91,11 +91,11 @@ def parametrized_names(module: nn.Module) -> tuple[str, ...]:
 
 def children_of(module: nn.Module) -> list[tuple[str, nn.Module | None]]:
     """The submodules of a module on which its tables may depend."""
-    found = {**module._modules, **(module.shared if isinstance(module, Plugin) else {})}
+    children = {**module._modules, **(module.shared if isinstance(module, Plugin) else {})}
     if parametrize.is_parametrized(module):
-        del found["parametrizations"]
+        del children["parametrizations"]
     of_no_matter = (BSDF, Emitter) if isinstance(module, Shape) else ()
-    return [(name, child) for name, child in found.items() if not isinstance(child, of_no_matter)]
+    return [(name, child) for name, child in children.items() if not isinstance(child, of_no_matter)]
 
 
 def assembled(cls: type, others: tuple, parameters: tuple, buffers: tuple, children: tuple):

@@ -139,10 +139,10 @@ class NetworkCheck:
         reached = [leaf for leaf in _leaves(nodes) if id(leaf) in lasting]
         strays = [leaf for leaf in reached if id(leaf) not in set(map(id, copies))]
         names = {id(parameter): name for name, parameter in self.module.named_parameters(prefix="module")}
-        own = [names[id(leaf)] for leaf in strays if id(leaf) in names]
-        if own:
-            raise ValueError(f"{self.name}: its module reaches {' and '.join(own)} past its own attributes, by a list, a "
-                             f"closure, a bound method or a compiled function, so that the gradient would be lost: let "
+        named_strays = [names[id(leaf)] for leaf in strays if id(leaf) in names]
+        if named_strays:
+            raise ValueError(f"{self.name}: its module reaches {' and '.join(named_strays)} past its own attributes, by a list, "
+                             f"a closure, a bound method or a compiled function, so that the gradient would be lost: let "
                              f"forward() read it as self.NAME")
         if strays:
             shape = tuple(strays[0].shape)

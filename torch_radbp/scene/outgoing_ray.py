@@ -105,8 +105,8 @@ def glued_direction(there: Corners, o: Vec3, d: Vec3, hit, glued: Tensor, slide:
     moved = attached(d, aim * follow)
     element = dot(cross(e1, e2), aim).abs() / squared
     size = element.detach()
-    known = glued & (size > TINY)  # else the triangle is seen edge-on
-    change = (element - size) / torch.where(known, size, 1.0) * known.to(size.dtype)
+    has_area = glued & (size > TINY)  # else the triangle is seen edge-on
+    change = (element - size) / torch.where(has_area, size, 1.0) * has_area.to(size.dtype)
     if slide is None:
         return moved, 1.0 + change
     fixed = where_the_ray_goes(Ray(o, d), p0, e1, e2, hit, glued)

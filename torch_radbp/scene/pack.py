@@ -79,7 +79,7 @@ def pack(scene: Scene, cache: PackCache | None = None, light_choice: str | None 
     bounding = (bank, lit_banks) if takes_tree(light_choice, emissions) else (None, ())  # what gives lights their bounds
     lights = cache.part("lights", _lights_of, scene, inventory.reach(objects.lamps), objects, triangles, emissions, layout,
                         light_choice, *bounding)
-    textures = tuple(bank_of_textures(cache, number, own, objects) for number, own in enumerate(materials.textures))
+    textures = tuple(bank_of_textures(cache, number, group, objects) for number, group in enumerate(materials.textures))
     check_networks(cache, (*layout.readers, *layout.lit), (*textures, *lit_banks), dtype, device)
     return SceneTensors(triangles, materials.table, textures, lights, bank, lit_banks, layout)
 
@@ -144,7 +144,7 @@ def emissions_of(cache: PackCache, objects: Objects, radiances: Radiances,
         return Emission(emitter.kind(), emitter.type, emitter.sampling_weight, radiances.row[id(emitter)],
                         radiances.lit_rows[id(emitter)], count)
 
-    carriers = [emission(shape.emitter, len(own.faces)) for shape, own in zip(objects.shapes, placed)
+    carriers = [emission(shape.emitter, len(placed_shape.faces)) for shape, placed_shape in zip(objects.shapes, placed)
                 if shape.emitter is not None]
     return (*carriers, *(emission(lamp, None) for lamp in objects.lamps))
 
@@ -156,13 +156,13 @@ def _lights_of(cache: PackCache, objects: Objects, triangles: TriangleTable, emi
     return light_table(cache, triangles, emissions, lamps, layout, bank, lit_banks, light_choice)
 
 
-def bank_of_textures(cache: PackCache, number: int, own: MaterialTextures, objects: Objects) -> Any:
+def bank_of_textures(cache: PackCache, number: int, group: MaterialTextures, objects: Objects) -> Any:
     """Builds the table of material textures of one kind; attached."""
     scene, dtype, device = objects.scene, objects.dtype, objects.device
-    if own.reader.outside:  # a module that is read outside is taken as it is: only it knows what its values depend on
-        return own.reader.bank(list(own.textures), dtype, device)
-    twins = cache.part(("twins", number), twins_of, scene, own.settled, own.textures)
-    return cache.part(("bank", number), bank_of_twins, scene, own.reach, own.reader, twins, dtype, device)
+    if group.reader.outside:  # a module that is read outside is taken as it is: only it knows what its values depend on
+        return group.reader.bank(list(group.textures), dtype, device)
+    twins = cache.part(("twins", number), twins_of, scene, group.settled, group.textures)
+    return cache.part(("bank", number), bank_of_twins, scene, group.reach, group.reader, twins, dtype, device)
 
 
 def twins_of(cache: PackCache, textures: tuple[Texture, ...]) -> tuple[Texture, ...]:
@@ -180,8 +180,8 @@ def plain_shapes(objects: Objects) -> tuple[bool, ...]:
     """For each shape, whether its reflected light is discontinuous only at shadow borders; see `scene.nearby`."""
     if any(emitter.picture_jumps() or emitter.picture_ends() for emitter in objects.emitters):
         return (False,) * len(objects.shapes)
-    known = {id(bsdf): is_plain(bsdf) for bsdf in objects.bsdfs}
-    return tuple(shape.emitter is None and known[id(shape.bsdf)] for shape in objects.shapes)
+    plain = {id(bsdf): is_plain(bsdf) for bsdf in objects.bsdfs}
+    return tuple(shape.emitter is None and plain[id(shape.bsdf)] for shape in objects.shapes)
 
 
 def _numbers_of(objects: Objects) -> tuple[TriangleNumbering, ...]:

@@ -139,16 +139,16 @@ class PackCache(Copies):
                 its numbers.
             arguments: modules, results of `structure`, parts, plain values.
         """
-        inventory, known = self.inventory(root), self.parts.get(place) or self.last_parts.get(place)
-        if known is None or known.inventory is not inventory or not reach.isdisjoint(self.moved) or not all(
-                map(operator.is_, known.arguments, arguments)):
-            own = PackCache(None if known is None else known.cache, around=self)
-            value = make(own, *arguments)
-            fixed = frozenset(own.fixed - self.fixed)
-            known = CachedPart(inventory, arguments, value, own.close(), fixed)
-        self.parts[place] = known
-        self.fixed |= known.fixed
-        return known.value
+        inventory, cached = self.inventory(root), self.parts.get(place) or self.last_parts.get(place)
+        if cached is None or cached.inventory is not inventory or not reach.isdisjoint(self.moved) or not all(
+                map(operator.is_, cached.arguments, arguments)):
+            own_cache = PackCache(None if cached is None else cached.cache, around=self)
+            value = make(own_cache, *arguments)
+            fixed = frozenset(own_cache.fixed - self.fixed)
+            cached = CachedPart(inventory, arguments, value, own_cache.close(), fixed)
+        self.parts[place] = cached
+        self.fixed |= cached.fixed
+        return cached.value
 
     def made(self, place: Hashable) -> Any:
         """A part of the packed scene as this rendering has computed it."""
@@ -174,15 +174,15 @@ class PackCache(Copies):
             return last.made.value
         others = [(name, value) for name, value in vars(thing).items() if name not in OF_EVERY_MODULE and name != "shared"]
         parameters = [(name, getattr(thing, name)) for name in (*thing._parameters, *parametrized_names(thing))]
-        own = others, parameters, list(thing._buffers.items()), children_of(thing)
-        parts = tuple(self.attributes_in_twin(place, part) for part in own)
+        attributes = others, parameters, list(thing._buffers.items()), children_of(thing)
+        parts = tuple(self.attributes_in_twin(place, part) for part in attributes)
         made = self.result(assembled, (parametrize.type_before_parametrizations(thing), *parts))
         if made is None:
             return assembled(parametrize.type_before_parametrizations(thing), *parts)
-        parts = [((place, name), value, found) for of_thing, of_twin in zip(own, parts)
-                 for (name, value), (_, found) in zip(of_thing, of_twin)]
+        parts = [((place, name), value, in_copy) for of_thing, of_twin in zip(attributes, parts)
+                 for (name, value), (_, in_copy) in zip(of_thing, of_twin)]
         tensors, children = (tuple(part for part in parts if isinstance(part[1], kind)) for kind in (Tensor, nn.Module))
-        followed = all(found is value or isinstance(value, (Tensor, nn.Module)) for _, value, found in parts)
+        followed = all(in_copy is value or isinstance(value, (Tensor, nn.Module)) for _, value, in_copy in parts)
         if followed and not parametrized_names(thing):
             self.twins[place] = Twin(attributes_of(thing), tensors, children, made)
         return made.value
@@ -213,7 +213,7 @@ class PackCache(Copies):
 
     def tokens(self, values: Iterable | None) -> tuple | None:
         """Hashable tokens for values in a cache key; None if one may change without notice, or there are no values."""
-        found = []
+        tokens = []
         if values is None:
             return None
         for value in values:
@@ -230,21 +230,21 @@ class PackCache(Copies):
                 token = self.tokens(value if isinstance(value, tuple) else None)
             if token is None:
                 return None
-            found.append((kind, token))
-        return tuple(found)
+            tokens.append((kind, token))
+        return tuple(tokens)
 
     def constant(self, value) -> tuple | None:
         """A hashable token for a frozen dataclass; None if it may change without notice."""
-        known = self.constants.get(id(value)) or self.last_constants.get(id(value))
-        if known is None:
+        cached = self.constants.get(id(value)) or self.last_constants.get(id(value))
+        if cached is None:
             tokens = self.tokens(vars(value).values())
             if tokens is None:
                 return None
-            known = value, tokens
+            cached = value, tokens
             if not is_constant(value):
-                return known[1]
-        self.constants[id(value)] = known
-        return known[1]
+                return cached[1]
+        self.constants[id(value)] = cached
+        return cached[1]
 
     def fix(self, result) -> None:
         """Marks a result and its parts as unchanging."""

@@ -51,10 +51,10 @@ def held_values(scene: Scene) -> dict[str, Held]:
     The result of a parametrisation has the name of the parameter that it replaces. The values of a texture must be in the
     domains of all attributes for which it is used; a texture that computes them is evaluated.
     """
-    found = held_in(scene)
+    values = held_in(scene)
     for name, view in scene.named_sensors.items():
-        found |= held_in(view, name)
-    return found
+        values |= held_in(view, name)
+    return values
 
 
 def held_in(root: nn.Module, prefix: str = "") -> dict[str, Held]:
@@ -63,25 +63,25 @@ def held_in(root: nn.Module, prefix: str = "") -> dict[str, Held]:
     plugins = [(name, module) for name, module in named if isinstance(module, Plugin)]
     names = {id(plugin): name for name, plugin in plugins}
     note_uses(plugins)
-    found: dict[str, Held] = {}
+    values: dict[str, Held] = {}
     for prefix, plugin in plugins:
         for attribute, domain in plugin.domains().items():
             value = getattr(plugin, attribute, None)
             if isinstance(value, Tensor):
-                found[f"{prefix}.{attribute}"] = Held(plugin, attribute, [domain], reach_of_attribute(plugin, value))
+                values[f"{prefix}.{attribute}"] = Held(plugin, attribute, [domain], reach_of_attribute(plugin, value))
     for _, plugin in plugins:
         for attribute, domain in plugin.domains().items():
             texture = getattr(plugin, attribute, None)
             if isinstance(texture, Texture):
-                hold_values(found, names, texture, domain)
-    known = {id(getattr(held.owner, held.attribute)) for held in found.values() if held.attribute is not None}
+                hold_values(values, names, texture, domain)
+    ids = {id(getattr(held.owner, held.attribute)) for held in values.values() if held.attribute is not None}
     for prefix, module in named:
         for attribute, value in module._parameters.items():
-            if value is not None and id(value) not in known and value.numel():
-                known.add(id(value))
+            if value is not None and id(value) not in ids and value.numel():
+                ids.add(id(value))
                 name = f"{prefix}.{attribute}".removeprefix(".")
-                found[name] = Held(module, attribute, [Domain()], frozenset({id(value)}))
-    return found
+                values[name] = Held(module, attribute, [Domain()], frozenset({id(value)}))
+    return values
 
 
 def reach_of_attribute(plugin: Plugin, value: Tensor) -> frozenset[int]:
@@ -90,28 +90,28 @@ def reach_of_attribute(plugin: Plugin, value: Tensor) -> frozenset[int]:
     return frozenset({id(value)}) if held else reach_of([plugin])
 
 
-def hold_values(found: dict[str, Held], names: dict[int, str], texture: Texture, domain: Domain) -> None:
+def hold_values(values: dict[str, Held], names: dict[int, str], texture: Texture, domain: Domain) -> None:
     """Adds a domain for the values of a texture, unless they are checked where they are computed.
 
     Args:
-        found: filled in.
+        values: filled in.
         names: of the plugins, by their ids.
         texture: of an attribute with this domain.
         domain: of the attribute.
     """
     for part in texture.parts():
-        hold_values(found, names, part, domain)
+        hold_values(values, names, part, domain)
     if texture.parts() or not texture.tabulated or reader_of(texture).attributes:
         return
     prefix = names[id(texture)]
     if texture.entries is None:
-        found.setdefault(prefix, Held(texture, None, [], reach_of([texture]))).domains.append(domain)
+        values.setdefault(prefix, Held(texture, None, [], reach_of([texture]))).domains.append(domain)
         return
-    own = f"{prefix}.{texture.entries}"
-    if own not in found:
-        raise AttributeError(f"parameter '{own}' is missing, got {getattr(texture, texture.entries, None)!r}; "
+    parameter = f"{prefix}.{texture.entries}"
+    if parameter not in values:
+        raise AttributeError(f"parameter '{parameter}' is missing, got {getattr(texture, texture.entries, None)!r}; "
                              f"give it a tensor, or load the scene again")
-    found[own].domains.append(domain)
+    values[parameter].domains.append(domain)
 
 
 def note_uses(plugins: list[tuple[str, Plugin]]) -> None:
@@ -144,17 +144,17 @@ def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str], leew
         TypeError: if dtypes or devices are mixed, or the dtype is not supported.
     """
     with torch.no_grad():
-        views, found = scene.named_sensors, {}
+        views, changed = scene.named_sensors, {}
         for root, name in [*((views[name], name) for name in dict.fromkeys(seen)), (scene, "")]:
             held = cache.structure(held_in, root, name)
-            known = cache.is_as_it_was(root)
-            found |= {name: each for name, each in held.items() if not (known and each.reach.isdisjoint(cache.moved))}
-        values = {name: held.value for name, held in found.items()}
-        check_types(scene, found, values)
-        for name, held in found.items():
+            unchanged = cache.is_as_it_was(root)
+            changed |= {name: each for name, each in held.items() if not (unchanged and each.reach.isdisjoint(cache.moved))}
+        values = {name: held.value for name, held in changed.items()}
+        check_types(scene, changed, values)
+        for name, held in changed.items():
             for domain in held.domains:
                 domain.check_shape(f"parameter {name!r}", values[name])
-        for name, held in found.items():
+        for name, held in changed.items():
             value = primal(values[name]) if differentiated(values[name]) else cache.frozen(name, values[name])
             cache(check_values, name, value, tuple(dict.fromkeys(held.domains)), leeway)
 
@@ -183,8 +183,8 @@ def check_names(renderer: nn.Module, cache: PackCache) -> None:
         cache: what is known from the last rendering.
     """
     scene = renderer.scene
-    own = modules_in(renderer, without={scene})
-    strays = [name for prefix, module in own for name in strays_of(prefix, module, renderer)]
+    modules = modules_in(renderer, without={scene})
+    strays = [name for prefix, module in modules for name in strays_of(prefix, module, renderer)]
     strays += cache.structure(strays_in, scene)
     strays += [name for prefix, view in scene.named_sensors.items() for name in strays_in(view, prefix)]
     if strays:
@@ -220,11 +220,11 @@ def registered() -> set[type[Plugin]]:
     return {plugin for plugins in REGISTRY.values() for plugin in plugins.values()}
 
 
-def check_types(scene: Scene, found: dict[str, Held], values: dict[str, Tensor]) -> None:
+def check_types(scene: Scene, held: dict[str, Held], values: dict[str, Tensor]) -> None:
     """Raises TypeError unless all parameters are float32, or all float64, on one device."""
     first, reference = next(iter(scene.named_parameters()))
     for name, value in values.items():
-        if any(domain.is_index for domain in found[name].domains):
+        if any(domain.is_index for domain in held[name].domains):
             continue
         if value.dtype not in DTYPES:
             raise TypeError(f"parameter {name!r} is {value.dtype}; a scene is rendered in torch.float32 or torch.float64: "

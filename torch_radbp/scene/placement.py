@@ -74,12 +74,12 @@ def boxes(vertices: Sequence[Tensor], to_world: Sequence[Tensor]) -> Tensor:
         vertices: (V, 3) of each group.
         to_world: (I, 3, 4) of the instances of each.
     """
-    found = []
-    for own, places in zip(vertices, to_world):
-        low, high = own.amin(0).to(places), own.amax(0).to(places)
+    corners_of_groups = []
+    for vertices_of_group, places in zip(vertices, to_world):
+        low, high = vertices_of_group.amin(0).to(places), vertices_of_group.amax(0).to(places)
         corners = torch.cartesian_prod(*torch.stack([low, high], 1))
-        found.append((places[:, None, :, :3] * corners[None, :, None]).sum(-1) + places[:, None, :, 3])
-    return torch.cat(found)
+        corners_of_groups.append((places[:, None, :, :3] * corners[None, :, None]).sum(-1) + places[:, None, :, 3])
+    return torch.cat(corners_of_groups)
 
 
 def points_in_world(scene, hit, points: tuple[Vec3, ...]) -> tuple[Vec3, ...]:

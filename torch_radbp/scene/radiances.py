@@ -56,8 +56,8 @@ class Radiances(NamedTuple):
 
     def lit_banks(self, dtype: torch.dtype, device: torch.device) -> tuple[Any, ...]:
         """The tables of emitters' textures that are evaluated outside of compiled code."""
-        return tuple(reader.bank([emitter.radiated() for emitter in own], dtype, device)
-                     for reader, own in zip(self.lit, self.lit_banked))
+        return tuple(reader.bank([emitter.radiated() for emitter in emitters], dtype, device)
+                     for reader, emitters in zip(self.lit, self.lit_banked))
 
 
 def radiances_of(cache: PackCache, emitters: tuple[Light, ...]) -> Radiances:
@@ -68,10 +68,10 @@ def radiances_of(cache: PackCache, emitters: tuple[Light, ...]) -> Radiances:
     builder = BankBuilder()
     row = {id(emitter): 0 for emitter in emitters} | {id(emitter): builder.add(texture) for emitter, texture in inside}
     readers = tuple(dict.fromkeys(reader_of(texture) for _, texture in outside))
-    own = [[(emitter, texture) for emitter, texture in outside if reader_of(texture) == reader] for reader in readers]
-    rows = [_numbered(each) for each in own]
-    return Radiances(builder.reader, builder.has_bitmaps, firsts(inside), row, readers, tuple(map(firsts, own)),
-                     {id(emitter): tuple(found.get(id(emitter), -1) for found in rows) for emitter in emitters})
+    by_reader = [[(emitter, texture) for emitter, texture in outside if reader_of(texture) == reader] for reader in readers]
+    rows = [_numbered(each) for each in by_reader]
+    return Radiances(builder.reader, builder.has_bitmaps, firsts(inside), row, readers, tuple(map(firsts, by_reader)),
+                     {id(emitter): tuple(numbers.get(id(emitter), -1) for numbers in rows) for emitter in emitters})
 
 
 def _numbered(pairs: Sequence[tuple[Light, Texture]]) -> dict[int, int]:
@@ -82,10 +82,10 @@ def _numbered(pairs: Sequence[tuple[Light, Texture]]) -> dict[int, int]:
 
 def firsts(pairs: Sequence[tuple[Light, Texture]]) -> tuple[Light, ...]:
     """One emitter for each distinct texture: the first that has it."""
-    found: dict[int, Light] = {}
+    first: dict[int, Light] = {}
     for emitter, texture in pairs:
-        found.setdefault(id(texture), emitter)
-    return tuple(found.values())
+        first.setdefault(id(texture), emitter)
+    return tuple(first.values())
 
 
 def bank_of_radiances(cache: PackCache, radiances: Radiances, dtype: torch.dtype, device: torch.device) -> Any:

@@ -132,17 +132,17 @@ class Scene(nn.Module):
     @property
     def shapes(self) -> list[Surface]:
         """All surfaces: those of the scene, then those of the groups that instances show."""
-        own = [child for child in self._modules.values() if isinstance(child, Surface)]
-        return own + [shape for group in self.groups.values() for shape in group[0].shapegroup.shapes.values()]
+        in_scene = [child for child in self._modules.values() if isinstance(child, Surface)]
+        return in_scene + [shape for group in self.groups.values() for shape in group[0].shapegroup.shapes.values()]
 
     @property
     def groups(self) -> dict[int, list[Instance]]:
         """The instances of each group, by the group's id."""
-        found: dict[int, list[Instance]] = {}
+        instances: dict[int, list[Instance]] = {}
         for child in self._modules.values():
             if isinstance(child, Instance):
-                found.setdefault(id(child.shapegroup), []).append(child)
-        return found
+                instances.setdefault(id(child.shapegroup), []).append(child)
+        return instances
 
     @property
     def shown_by(self) -> list[list[Instance] | None]:
@@ -164,8 +164,8 @@ class Scene(nn.Module):
     @property
     def emitters(self) -> list[Emitter]:
         """All emitters: those of the scene, then those of its shapes."""
-        own = [child for child in self._modules.values() if isinstance(child, Emitter) and not child.kind().on_surface]
-        return own + [shape.emitter for shape in self.shapes if shape.emitter is not None]
+        in_scene = [child for child in self._modules.values() if isinstance(child, Emitter) and not child.kind().on_surface]
+        return in_scene + [shape.emitter for shape in self.shapes if shape.emitter is not None]
 
     @property
     def dtype(self) -> torch.dtype:

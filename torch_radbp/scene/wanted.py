@@ -30,12 +30,12 @@ def wanted_parameters(scene: Scene, seen: Sequence[Sensor], cache: PackCache,
 
 def differentiable_in(root: nn.Module, prefix: str = "") -> list[tuple[str, Tensor]]:
     """The parameters that require a gradient, each once, of one sensor or of a scene without its sensors."""
-    found: dict[int, tuple[str, Tensor]] = {}
+    by_id: dict[int, tuple[str, Tensor]] = {}
     for name, module in modules_in(root, prefix, set(root.named_sensors.values()) if isinstance(root, Scene) else ()):
         for attribute, value in module._parameters.items():
             if value is not None and value.requires_grad:
-                found.setdefault(id(value), (f"{name}.{attribute}".removeprefix("."), value))
-    return list(found.values())
+                by_id.setdefault(id(value), (f"{name}.{attribute}".removeprefix("."), value))
+    return list(by_id.values())
 
 
 def check_recordable(parameters: dict[str, Tensor]) -> None:

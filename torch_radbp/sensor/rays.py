@@ -86,8 +86,8 @@ class RayKind(CameraKind):
         turn = slope * inwards - ahead * dot(along, along)
         nearest = (ahead * inwards - slope * dot(start, start)) / torch.where(turn == 0, 1.0, turn)
         shares = torch.minimum(torch.maximum(nearest, first), last), first, last
-        found = torch.stack([dot(normalize(start + along * share), axis) for share in shares]).amax(0)
-        return (found >= cosine) & ((before >= 0) | (after >= 0))
+        greatest = torch.stack([dot(normalize(start + along * share), axis) for share in shares]).amax(0)
+        return (greatest >= cosine) & ((before >= 0) | (after >= 0))
 
 
 class Rays(Sensor):
@@ -122,8 +122,8 @@ def given_rays(origins: Tensor, directions: Tensor, dtype: torch.dtype, device: 
     """
     for name, value in (("origins", origins), ("directions", directions)):
         if not isinstance(value, Tensor) or not value.is_floating_point():
-            found = value.dtype if isinstance(value, Tensor) else type(value).__name__
-            raise TypeError(f"{name} of rays must be a floating-point tensor (N, 3), got {found}")
+            got = value.dtype if isinstance(value, Tensor) else type(value).__name__
+            raise TypeError(f"{name} of rays must be a floating-point tensor (N, 3), got {got}")
         if value.ndim != 2 or value.shape[1] != 3 or not len(value):
             raise ValueError(f"{name} of rays must have shape (N, 3) with N of at least 1, got {tuple(value.shape)}")
         if value.device != device:

@@ -59,14 +59,14 @@ def _placed(axis: int, along: int, second: int, third: int) -> tuple[int, int, i
 @cache
 def faces() -> list[list[tuple[int, int]]]:
     """The six faces of a cell, each as corners with the edge to the next corner, counter-clockwise from outside."""
-    found = []
+    cycles = []
     for axis in range(3):
         for side in (0, 1):
             places = [(0, 0), (1, 0), (1, 1), (0, 1)] if side else [(0, 0), (0, 1), (1, 1), (1, 0)]
             corners = [sum(bit << k for k, bit in enumerate(_placed(axis, side, *place))) for place in places]
             following = corners[1:] + corners[:1]
-            found.append([(corner, edge_between(corner, after)) for corner, after in zip(corners, following)])
-    return found
+            cycles.append([(corner, edge_between(corner, after)) for corner, after in zip(corners, following)])
+    return cycles
 
 
 def edge_between(one: int, other: int) -> int:
@@ -85,13 +85,13 @@ def loops(case: int) -> list[list[int]]:
             if not inside[number] and inside[(number + 1) % 4]:  # the edge here leads inside; the next that leads outside:
                 leaving = next(number + step for step in range(1, 4) if not inside[(number + step + 1) % 4])
                 following[face[number][1]] = face[leaving % 4][1]
-    found = []
+    polygons = []
     while following:
         loop = [next(iter(following))]
         while (edge := following.pop(loop[-1])) != loop[0]:
             loop.append(edge)
-        found.append(loop)
-    return found
+        polygons.append(loop)
+    return polygons
 
 
 def fan(loop: list[int]) -> list[tuple[int, int, int]]:

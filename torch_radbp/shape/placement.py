@@ -64,8 +64,8 @@ def expanded(vertices: Tensor, faces: Tensor, instances: Instances, most: int | 
         size, length = triangle[group + 1] - triangle[group], vertex[group + 1] - vertex[group]
         step = 1 if most is None else max(1, -(-(instance[group + 1] - instance[group]) * size // max(most, size)))
         chosen = torch.arange(instance[group], instance[group + 1], step, device=device)
-        matrices, own = instances.to_world[chosen].to(vertices.dtype), vertices[vertex[group]:vertex[group + 1]]
-        points.append((matrices[:, None, :, :3] * own[None, :, None]).sum(-1).add_(matrices[:, None, :, 3]).flatten(0, 1))
+        matrices, local = instances.to_world[chosen].to(vertices.dtype), vertices[vertex[group]:vertex[group + 1]]
+        points.append((matrices[:, None, :, :3] * local[None, :, None]).sum(-1).add_(matrices[:, None, :, 3]).flatten(0, 1))
         local = faces[triangle[group]:triangle[group + 1]].to(torch.int32) - vertex[group]
         shift = count + length * torch.arange(len(chosen), dtype=torch.int32, device=device)
         corners.append((local + shift[:, None, None]).flatten(0, 1))

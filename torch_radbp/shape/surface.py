@@ -82,13 +82,14 @@ class Surface(Shape):
         """The shape as triangles in world space; results of `connections` may be passed, or else are computed."""
         raise TypeError(f"{type(self).__name__} does not define its triangles")
 
-    def oriented(self, *found: NamedTuple) -> Triangles:
-        """`triangles()`, turned inside out if `flip_normals` is set; `found`: its `connections`, if it has any."""
-        surface = self.triangles(*found)
+    def oriented(self, *connections: NamedTuple) -> Triangles:
+        """`triangles()`, turned inside out if `flip_normals` is set; `connections`: its own, if it has any."""
+        surface = self.triangles(*connections)
         if not self.flip_normals:
             return surface
         normals = None if surface.normals is None else -surface.normals
-        ball = None if surface.ball is None else surface.ball._replace(turned=tuple(not own for own in surface.ball.turned))
+        ball = surface.ball
+        ball = None if ball is None else ball._replace(turned=tuple(not each for each in ball.turned))
         return surface._replace(faces=turned(surface.faces), normals=normals, ball=ball)
 
 

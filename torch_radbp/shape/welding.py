@@ -27,9 +27,9 @@ def cells_of(vertices: Tensor, size: float) -> tuple[Tensor, Tensor]:
     """
     first = vertices.amin(0).double()
     cells = torch.empty(2, len(vertices), dtype=torch.int64, device=vertices.device)
-    for some, found in zip(vertices.split(AT_ONCE), cells.split(AT_ONCE, 1)):
+    for some, cells_of_some in zip(vertices.split(AT_ONCE), cells.split(AT_ONCE, 1)):
         places = (some.double() - first) / size
-        for shift, cell in zip((0.5, 1.0), found):
+        for shift, cell in zip((0.5, 1.0), cells_of_some):
             x, y, z = torch.floor(places + shift).long().unbind(1)
             cell.copy_((x << 42) | (y << 21) | z)
     return cells[0], cells[1]
@@ -39,13 +39,13 @@ def welded(cells: tuple[Tensor, Tensor]) -> Tensor | None:
     """For each vertex the first vertex at the same position, (V,) int32, by `cells_of`; None: all are distinct."""
     # Most vertices lie apart: only those are sorted that the numbers of their cells do not tell from others at once.
     near = (may_be_shared(cells[0]) | may_be_shared(cells[1])).nonzero().squeeze(1)
-    own = label = torch.arange(len(near), device=near.device)
+    numbers = label = torch.arange(len(near), device=near.device)
     groups = [torch.unique(cell[near], return_inverse=True) for cell in cells]
-    if all(len(found) == len(own) for found, _ in groups):
+    if all(len(cells_of_grid) == len(numbers) for cells_of_grid, _ in groups):
         return None
     for _, group in groups * 2:
-        label = torch.full_like(own, len(own)).scatter_reduce(0, group, label, "amin")[group]
-    if torch.equal(label, own):
+        label = torch.full_like(numbers, len(numbers)).scatter_reduce(0, group, label, "amin")[group]
+    if torch.equal(label, numbers):
         return None
     every = torch.arange(len(cells[0]), dtype=torch.int32, device=near.device)
     return every.index_copy(0, near, near[label].int())

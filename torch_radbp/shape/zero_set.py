@@ -130,13 +130,13 @@ def _between(a: Tensor, b: Tensor, share: Tensor) -> Tensor:
 
 def _refined(corners: list[Tensor], cells: int) -> Tensor:
     """Samples the interpolant in M voxels on a lattice of `cells` per axis, (M, cells + 1, cells + 1, cells + 1)."""
-    found = torch.stack(corners, 1).unflatten(1, (2, 2, 2))
-    share = torch.linspace(0.0, 1.0, cells + 1, dtype=found.dtype, device=found.device)
+    values = torch.stack(corners, 1).unflatten(1, (2, 2, 2))
+    share = torch.linspace(0.0, 1.0, cells + 1, dtype=values.dtype, device=values.device)
     for axis in (1, 2, 3):
-        a, b = found.unbind(axis)
+        a, b = values.unbind(axis)
         along = share.reshape([-1 if other == axis else 1 for other in range(4)])
-        found = _between(a.unsqueeze(axis), b.unsqueeze(axis), along)
-    return found
+        values = _between(a.unsqueeze(axis), b.unsqueeze(axis), along)
+    return values
 
 
 def _cases(inside: Tensor) -> Tensor:
@@ -158,11 +158,11 @@ def vertices(values: Tensor, net: Net) -> tuple[Cell, list[Tensor]]:
     corners = _at_corners(values, voxel)
     start = Vec3.of(net.start.to(values.dtype))
     along = [net.axis == axis for axis in range(3)]
-    ends = [Vec3(*(torch.where(own, end, part) for own, part in zip(along, start))) for end in (0.0, 1.0)]
+    ends = [Vec3(*(torch.where(is_axis, end, part) for is_axis, part in zip(along, start))) for end in (0.0, 1.0)]
     low, high = (interpolant(corners, end) for end in ends)
     level = vanishes(low - high, sum(interpolant(magnitudes(corners), end) for end in ends))
     cut = torch.where(level, 0.5, low / torch.where(level, 1.0, low - high))
-    return Cell(voxel, Vec3(*(torch.where(own, cut, part) for own, part in zip(along, start)))), corners
+    return Cell(voxel, Vec3(*(torch.where(is_axis, cut, part) for is_axis, part in zip(along, start)))), corners
 
 
 def magnitudes(values: list[Tensor]) -> list[Tensor]:
@@ -199,10 +199,10 @@ def voxel_gradient(values: Tensor, cell: Cell, corners: list[Tensor]) -> Vec3:
 
     Where it is zero up to rounding, it is zero, without derivative.
     """
-    found = [face_interpolants(corners, cell.place, axis) for axis in range(3)]
+    faces = [face_interpolants(corners, cell.place, axis) for axis in range(3)]
     sizes = [sum(face_interpolants(magnitudes(corners), cell.place.map(Tensor.detach), axis)) for axis in range(3)]
-    level = [vanishes(high - low, size) for (low, high), size in zip(found, sizes)]
-    slope = Vec3(*((high - low) * (length - 1) for (low, high), length in zip(found, reversed(values.shape))))
+    level = [vanishes(high - low, size) for (low, high), size in zip(faces, sizes)]
+    slope = Vec3(*((high - low) * (length - 1) for (low, high), length in zip(faces, reversed(values.shape))))
     none = level[0] & level[1] & level[2]
     return where(none, slope.map(torch.zeros_like), slope)
 
@@ -218,10 +218,10 @@ def smooth_normal(values: Tensor, cell: Cell, corners: list[Tensor]) -> Vec3:
     """
     slopes, levels, shares = [], [], []
     for axis, length in enumerate(reversed(values.shape)):
-        share, own = cell.place[axis], cell.voxel[axis]
+        share, voxel = cell.place[axis], cell.voxel[axis]
         upper = (share.detach() >= 0.5)
-        there = torch.where(upper, own < length - 2, own > 0)
-        beyond = torch.where(upper, own + 2, own - 1).clamp(0, length - 1)
+        there = torch.where(upper, voxel < length - 2, voxel > 0)
+        beyond = torch.where(upper, voxel + 2, voxel - 1).clamp(0, length - 1)
         others = [_at(values, tuple(beyond if other == axis else cell.voxel[other] + (k >> other & 1) for other in range(3)))
                   for k in range(CORNERS) if not k >> axis & 1]
         low, high = face_interpolants(corners, cell.place, axis)
@@ -252,5 +252,5 @@ def _direction(a: Vec3, none: Tensor) -> Vec3:
 def unit_vector(a: Vec3, least: float = 0.0) -> Vec3:
     """The unit vector along `a`; (1, 0, 0), without derivative, if no component exceeds `least`."""
     none = max_component(Vec3(*magnitudes(list(a)))) <= least
-    found = _direction(a, none)
-    return found._replace(x=torch.where(none, 1.0, found.x))
+    direction = _direction(a, none)
+    return direction._replace(x=torch.where(none, 1.0, direction.x))

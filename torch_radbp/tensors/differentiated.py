@@ -42,10 +42,10 @@ def detached(tensors):
     if not isinstance(tensors, NESTED):
         return tensors
     parts = list(tensors.values()) if isinstance(tensors, dict) else tensors
-    found = [detached(part) for part in parts]
-    if all(map(operator.is_, found, parts)):
+    detached_parts = [detached(part) for part in parts]
+    if all(map(operator.is_, detached_parts, parts)):
         return tensors
-    return with_parts(tensors, found)
+    return with_parts(tensors, detached_parts)
 
 
 def with_derivative_of(value: Tensor, attached: Tensor) -> Tensor:

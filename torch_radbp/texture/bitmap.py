@@ -45,8 +45,8 @@ def linear_image(kind: str, filename: str | None, arrays: dict[str, Tensor | Non
     """
     given = {name: array for name, array in arrays.items() if array is not None}
     if len(given) + (filename is not None) != 1:
-        own, other = arrays
-        raise ValueError(f"{kind} needs either filename or {own}, and not both; {other} is another name for {own}")
+        name, other = arrays
+        raise ValueError(f"{kind} needs either filename or {name}, and not both; {other} is another name for {name}")
     if not given:
         given = {"filename": read_image(filename, raw=raw)}
     (name, data), = given.items()
@@ -115,9 +115,9 @@ def pyramid_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.
     """Builds the mipmaps of images, attached."""
     levels = [[Level(image, texture.to_uv, texture.wrap_mode) for image in
                pyramid(texture.texels().to(dtype=dtype, device=device))] for texture in textures]
-    counts = [len(own) for own in levels]
+    counts = [len(image) for image in levels]
     first, count = (torch.tensor(column, dtype=torch.int32, device=device) for column in (starts(counts), counts))
-    return PyramidBank(texture_bank([level for own in levels for level in own], dtype, device), first, count)
+    return PyramidBank(texture_bank([level for image in levels for level in image], dtype, device), first, count)
 
 
 def texture_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> TextureBank:
@@ -187,10 +187,10 @@ class Bitmap(Texture):
                  filter_type: str = "bilinear", wrap_mode: str = "repeat", raw: bool = False, to_uv: Matrix4 | None = None,
                  format: str = "auto", accel: bool = True):
         super().__init__()
-        for name, value, known in (("filter_type", filter_type, FILTERS), ("wrap_mode", wrap_mode, WRAP_MODES),
-                                   ("format", format, FORMATS)):
-            if value not in known:
-                raise ValueError(f"{name} {value!r} is not known; {nearest(value, known)}")
+        for name, value, supported in (("filter_type", filter_type, FILTERS), ("wrap_mode", wrap_mode, WRAP_MODES),
+                                       ("format", format, FORMATS)):
+            if value not in supported:
+                raise ValueError(f"{name} {value!r} is not known; {nearest(value, supported)}")
         self.filename, self.filter_type, self.wrap_mode, self.raw = filename, filter_type, wrap_mode, raw
         self.format, self.accel = format, accel
         image = linear_image("a bitmap", filename, {"data": data, "bitmap": bitmap}, raw)

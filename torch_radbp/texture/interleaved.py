@@ -58,10 +58,10 @@ class _Columns(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx, *adjoints: Tensor | None) -> Tensor:
-        found = next(adjoint for adjoint in adjoints if adjoint is not None)
+        first = next(adjoint for adjoint in adjoints if adjoint is not None)
         if not torch.is_grad_enabled() and are_columns(adjoints, ctx.shape):
-            return found.as_strided(ctx.shape, (ctx.shape[1], 1), found.storage_offset())
-        return torch.stack([torch.zeros_like(found) if adjoint is None else adjoint for adjoint in adjoints], 1)
+            return first.as_strided(ctx.shape, (ctx.shape[1], 1), first.storage_offset())
+        return torch.stack([torch.zeros_like(first) if adjoint is None else adjoint for adjoint in adjoints], 1)
 
 
 def are_columns(tables: Sequence[Tensor | None], shape: torch.Size) -> bool:
@@ -87,7 +87,7 @@ def columns(tables: Sequence[Tensor]) -> list[Tensor]:
         return [table.contiguous() for table in tables]
     width = count if count <= AT_ONCE else -(-count // AT_ONCE) * AT_ONCE
     rows = torch.empty(entries, width, dtype=torch.float32, device=tables[0].device)
-    found = [rows[:, place].view(table.dtype) for place, table in enumerate(tables)]
-    for table, column in zip(tables, found):
+    views = [rows[:, place].view(table.dtype) for place, table in enumerate(tables)]
+    for table, column in zip(tables, views):
         column.copy_(table.detach())
-    return [_MovedTable.apply(table, column) if differentiated(table) else column for table, column in zip(tables, found)]
+    return [_MovedTable.apply(table, column) if differentiated(table) else column for table, column in zip(tables, views)]

@@ -48,7 +48,7 @@ class MixedReader(TableReader):
     def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> MixedBank:
         which = [self.readers.index(reader_of(texture)) for texture in textures]
         rows = [which[:number].count(reader) for number, reader in enumerate(which)]
-        banks = tuple(reader.bank([texture for texture, own in zip(textures, which) if own == number], dtype, device)
+        banks = tuple(reader.bank([texture for texture, read_by in zip(textures, which) if read_by == number], dtype, device)
                       for number, reader in enumerate(self.readers))
         return MixedBank(*(torch.tensor(column, dtype=torch.int32, device=device) for column in (which, rows)), banks)
 
@@ -56,18 +56,18 @@ class MixedReader(TableReader):
         which, rows = lookup(bank.reader, row), lookup(bank.row, row)
         value = None
         for number, reader in enumerate(self.readers):
-            own = which == number
-            found = reader.read(bank.banks[number], torch.where(own, rows, 0), point)
-            value = found if value is None else where(own, found, value)
+            is_read = which == number
+            texels = reader.read(bank.banks[number], torch.where(is_read, rows, 0), point)
+            value = texels if value is None else where(is_read, texels, value)
         return value
 
     def rise(self, bank: MixedBank, row: Tensor, point: TexturePoint) -> Vec2:
         which, rows = lookup(bank.reader, row), lookup(bank.row, row)
         rise = None
         for number, reader in enumerate(self.readers):
-            own = which == number
-            found = reader.rise(bank.banks[number], torch.where(own, rows, 0), point)
-            rise = found if rise is None else Vec2(*(torch.where(own, new, old) for new, old in zip(found, rise)))
+            is_read = which == number
+            change = reader.rise(bank.banks[number], torch.where(is_read, rows, 0), point)
+            rise = change if rise is None else Vec2(*(torch.where(is_read, new, old) for new, old in zip(change, rise)))
         return rise
 
 

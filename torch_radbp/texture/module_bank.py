@@ -44,12 +44,12 @@ class Sorted(NamedTuple):
             return torch.stack([channel[here] for channel in channels], 1)
         return torch.stack(rows(tuple(channels), self.order[here]), 1)
 
-    def back(self, found: Tensor) -> Tensor:
+    def back(self, columns: Tensor) -> Tensor:
         """Permutes columns, (..., N), from the sorted order back to the original order."""
         if self.order is None:
-            return found
+            return columns
         order = self.order.long()
-        return found.index_select(-1, torch.empty_like(order).scatter_(0, order, torch.arange(len(order)).to(order)))
+        return columns.index_select(-1, torch.empty_like(order).scatter_(0, order, torch.arange(len(order)).to(order)))
 
 
 class ModuleCopies:
@@ -90,14 +90,14 @@ class ModuleBank(NamedTuple):
         def of_batch(module: int, place: Tensor) -> Tensor:
             return functions.of(module)(place)
 
-        return Vec3(*self.found(row, at, of_batch, (3,)))
+        return Vec3(*self.per_batch(row, at, of_batch, (3,)))
 
     def values_and_slopes(self, row: Tensor, at: Vec2 | Vec3) -> tuple[Vec3, ...]:
         """(N,) values, and their derivatives by each coordinate of the points; detached. Args as for `values`.
 
         Each value must depend on its own place only.
         """
-        functions = ModuleCopies(self.functions, [[parameter.detach() for parameter in own] for own in self.parameters])
+        functions = ModuleCopies(self.functions, [[parameter.detach() for parameter in each] for each in self.parameters])
 
         def of_batch(module: int, place: Tensor) -> Tensor:
             place = place.detach().requires_grad_()
@@ -105,7 +105,7 @@ class ModuleBank(NamedTuple):
                 values = functions.of(module)(place)
             return torch.stack([values.detach(), *_slopes(values, place)], 1)
 
-        return tuple(Vec3(*part) for part in self.found(row, at, of_batch, (1 + len(at), 3)))
+        return tuple(Vec3(*part) for part in self.per_batch(row, at, of_batch, (1 + len(at), 3)))
 
     def gradients(self, wanted: Sequence[Sequence[bool]], row: Tensor, at: Vec2 | Vec3,
                   adjoint: Vec3) -> Iterator[tuple[int, int, Tensor]]:
@@ -117,29 +117,29 @@ class ModuleBank(NamedTuple):
             adjoint: (N,) of the values; modules run where it is not 0.
         """
         row = torch.where((adjoint.x != 0) | (adjoint.y != 0) | (adjoint.z != 0), row, -1)
-        own = [[parameter.detach().requires_grad_(want) for parameter, want in zip(*pair)]
-               for pair in zip(self.parameters, wanted)]
-        leaves = [[parameter for parameter in parameters if parameter.requires_grad] for parameters in own]
-        lanes, functions = self.sorted(row, PARAMETERS), ModuleCopies(self.functions, own)
+        leaves_of_modules = [[parameter.detach().requires_grad_(want) for parameter, want in zip(*pair)]
+                             for pair in zip(self.parameters, wanted)]
+        leaves = [[parameter for parameter in parameters if parameter.requires_grad] for parameters in leaves_of_modules]
+        lanes, functions = self.sorted(row, PARAMETERS), ModuleCopies(self.functions, leaves_of_modules)
 
         def of_batch(batch: ModuleBatch) -> Sequence[Tensor | None]:
             with torch.enable_grad():
-                values = functions.of(batch.module)(lanes.part(at, batch), known=True)
+                values = functions.of(batch.module)(lanes.part(at, batch), checked=True)
             if not values.requires_grad:
                 return [None for _ in leaves[batch.module]]
             return torch.autograd.grad(values, leaves[batch.module], lanes.part(adjoint, batch), allow_unused=True)
 
         batches = [batch for batch in lanes.batches if leaves[batch.module]]
-        found = each(of_batch, batches, threads_for(row))
+        gradients_of_batches = each(of_batch, batches, threads_for(row))
         for module, wants in enumerate(wanted):
             numbers = [number for number, want in enumerate(wants) if want]
-            of_batches = [gradients for batch, gradients in zip(batches, found) if batch.module == module]
+            of_batches = [gradients for batch, gradients in zip(batches, gradients_of_batches) if batch.module == module]
             for number, parts in zip(numbers, zip(*of_batches)):
                 parts = [part for part in parts if part is not None]
                 if parts:
                     yield module, number, torch.stack(parts).sum(0, dtype=torch.float64)
 
-    def found(self, row: Tensor, at: Vec2 | Vec3, of_batch: Callable[[int, Tensor], Tensor],
+    def per_batch(self, row: Tensor, at: Vec2 | Vec3, of_batch: Callable[[int, Tensor], Tensor],
               shape: tuple[int, ...]) -> Tensor:
         """(*shape, N) what is found for each lane, batch by batch; 0 for lanes of no module.
 
@@ -207,7 +207,7 @@ def _slopes(values: Tensor, place: Tensor) -> list[Tensor]:
     """
     if not values.requires_grad:
         return [torch.zeros_like(values) for _ in range(place.shape[1])]
-    found = [torch.autograd.grad(values, place, channel.expand_as(values), retain_graph=True, allow_unused=True)[0]
-             for channel in torch.eye(values.shape[1]).to(values)]
-    of_channel = [torch.zeros_like(place) if slope is None else slope for slope in found]
+    slopes = [torch.autograd.grad(values, place, channel.expand_as(values), retain_graph=True, allow_unused=True)[0]
+              for channel in torch.eye(values.shape[1]).to(values)]
+    of_channel = [torch.zeros_like(place) if slope is None else slope for slope in slopes]
     return list(torch.stack(of_channel, 2).unbind(1))

@@ -25,8 +25,8 @@ def uv_rows(matrices: Sequence[Tensor | None], dtype: torch.dtype, device: torch
         one, zero = ones_and_zeros(len(matrices), dtype, device)
         # Tables that share memory are one table to what is compiled, and would be so in some scenes only.
         return Vec3(one.clone(), zero.clone(), zero.clone()), Vec3(zero.clone(), one.clone(), zero.clone())
-    same = torch.eye(4, dtype=dtype, device=device)
-    stacked = torch.stack([same if matrix is None else matrix.to(dtype=dtype, device=device) for matrix in matrices])
+    identity = torch.eye(4, dtype=dtype, device=device)
+    stacked = torch.stack([identity if matrix is None else matrix.to(dtype=dtype, device=device) for matrix in matrices])
     return tuple(Vec3(*(stacked[:, row, column].contiguous() for column in (0, 1, 3))) for row in (0, 1))
 
 

@@ -34,12 +34,12 @@ class Buffers:
 
     def __init__(self, document: Document, binary: bytes | None, folder: Path, allow_outside: bool = False):
         self.document, self.binary, self.folder, self.allow_outside = document, binary, folder, allow_outside
-        self.known: dict[int, bytes] = {}
+        self.cached: dict[int, bytes] = {}
         self.numbers = self.zeros = 0  # claimed so far
 
     def buffer(self, index: int, user: DocumentPart) -> bytes:
         """Reads a buffer: from the GLB file, a data URI or a file beside it."""
-        if index not in self.known:
+        if index not in self.cached:
             part = self.document.of("buffers", index, user, "buffer")
             length, uri = part.integer("byteLength"), part.text("uri", None)
             if uri is not None:
@@ -50,8 +50,8 @@ class Buffers:
                 raise part.fail("it has no uri, and the file has no binary chunk that it could stand for")
             if len(content) < length:
                 raise part.fail(f"byteLength is {length}, but there are {len(content)} bytes; is the file cut short?")
-            self.known[index] = content[:length]
-        return self.known[index]
+            self.cached[index] = content[:length]
+        return self.cached[index]
 
     def resource(self, uri: str, user: DocumentPart, length: int = -1) -> bytes:
         """Reads the first `length` bytes behind a URI, a data URI or a relative file name; -1: all."""
@@ -126,18 +126,18 @@ class Buffers:
         count, width = part.integer("count"), TYPES[kind]
         self.claim(part, count * width)
         if count == 0:
-            found = np.zeros((0, width), dtype)
+            elements = np.zeros((0, width), dtype)
         elif part.has("bufferView"):
-            found = self.elements(part, part.integer("bufferView"), count, width, dtype)
+            elements = self.elements(part, part.integer("bufferView"), count, width, dtype)
         else:
-            found = self.blank(part, count, width, dtype)
+            elements = self.blank(part, count, width, dtype)
         if part.has("sparse"):
-            found = self.substituted(found.copy(), part.part("sparse"))
+            elements = self.substituted(elements.copy(), part.part("sparse"))
         if dtype.kind == "f":
-            return found.astype(np.float64)
+            return elements.astype(np.float64)
         if not part.flag("normalized"):
-            return found.astype(np.int64)
-        return np.maximum(found / np.float64(np.iinfo(dtype).max), -1.0)
+            return elements.astype(np.int64)
+        return np.maximum(elements / np.float64(np.iinfo(dtype).max), -1.0)
 
     def claim(self, part: DocumentPart, numbers: int) -> None:
         """Counts numbers that are read for a part of the document, and limits their sum.
@@ -170,13 +170,13 @@ class Buffers:
             raise part.fail(f"its {count} elements end at byte {end} of bufferViews[{view}], which has {len(content)}")
         return np.ndarray((count, width), dtype, content, start, (stride, dtype.itemsize))
 
-    def substituted(self, found: np.ndarray, sparse: DocumentPart) -> np.ndarray:
-        """`found` with the elements replaced that a sparse accessor lists."""
-        count = sparse.integer("count", low=1, high=len(found))
+    def substituted(self, elements: np.ndarray, sparse: DocumentPart) -> np.ndarray:
+        """`elements` with those replaced that a sparse accessor lists."""
+        count = sparse.integer("count", low=1, high=len(elements))
         where, what = sparse.part("indices"), sparse.part("values")
         dtype = np.dtype(where.choice("componentType", {key: COMPONENTS[key] for key in (5121, 5123, 5125)}))
         rows = self.elements(where, where.integer("bufferView"), count, 1, dtype)[:, 0].astype(np.int64)
-        if (np.diff(rows) <= 0).any() or rows[-1] >= len(found):
-            raise where.fail(f"indices must increase and be less than {len(found)}")
-        found[rows] = self.elements(what, what.integer("bufferView"), count, found.shape[1], found.dtype)
-        return found
+        if (np.diff(rows) <= 0).any() or rows[-1] >= len(elements):
+            raise where.fail(f"indices must increase and be less than {len(elements)}")
+        elements[rows] = self.elements(what, what.integer("bufferView"), count, elements.shape[1], elements.dtype)
+        return elements

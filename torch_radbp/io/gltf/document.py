@@ -103,13 +103,13 @@ class DocumentPart:
             raise self.fail(f"{name} must be a string, got {value_text(value)}")
         return value
 
-    def choice(self, name: str, known: dict[Any, Any], default: Any = REQUIRED) -> Any:
-        """Looks the entry up in the dict `known`."""
+    def choice(self, name: str, choices: dict[Any, Any], default: Any = REQUIRED) -> Any:
+        """Looks the entry up in the dict `choices`."""
         value = self.entry(name, default)
         try:
-            return known[value]
+            return choices[value]
         except (KeyError, TypeError):
-            raise self.fail(f"{name} {value_text(value)} is not known; {nearest(str(value), map(str, known))}") from None
+            raise self.fail(f"{name} {value_text(value)} is not known; {nearest(str(value), map(str, choices))}") from None
 
     def flag(self, name: str, default: bool = False) -> bool:
         """Reads a boolean."""

@@ -167,7 +167,7 @@ def joined_slots(slots: dict[str, Slot], name: str, losses: Losses) -> tuple[dic
         return None
     reading = next(iter(images.values())).reading
     height, width = (max(each.values.shape[axis] for each in images.values()) for axis in (0, 1))
-    found = {}
+    arrays = {}
     for key, each in slots.items():
         values = each.values
         if not each.is_constant and each.reading != reading:
@@ -179,5 +179,5 @@ def joined_slots(slots: dict[str, Slot], name: str, losses: Losses) -> tuple[dic
             mode = "nearest" if reading.nearest else "bilinear"
             planes = torch.from_numpy(values).permute(2, 0, 1)[None]
             values = torch.nn.functional.interpolate(planes, (height, width), mode=mode)[0].permute(1, 2, 0).numpy()
-        found[key] = values
-    return found, reading
+        arrays[key] = values
+    return arrays, reading

@@ -33,9 +33,9 @@ def _rigid(pose: np.ndarray) -> np.ndarray:
     ahead, up = pose[:3, 2] / np.linalg.norm(pose[:3, 2]), pose[:3, 1]
     left = np.cross(up, ahead)
     left /= np.linalg.norm(left)
-    found = np.eye(4)
-    found[:3] = np.stack([left, np.cross(ahead, left), ahead, pose[:3, 3]], axis=1)
-    return found @ HALF_TURN
+    matrix = np.eye(4)
+    matrix[:3] = np.stack([left, np.cross(ahead, left), ahead, pose[:3, 3]], axis=1)
+    return matrix @ HALF_TURN
 
 
 def _brightness(colour: Texture) -> dict[str, Any]:

@@ -43,7 +43,7 @@ class GltfMaterials:
     def __init__(self, document: Document, textures: GltfTextures, losses: Losses, names: Names,
                  children: dict[str, Plugin]):
         self.document, self.textures, self.losses, self.names, self.children = document, textures, losses, names, children
-        self.known: dict[tuple[int | None, str | None, bool], Look] = {}
+        self.cached: dict[tuple[int | None, str | None, bool], Look] = {}
 
     def material(self, primitive: DocumentPart) -> DocumentPart:
         """The material of a primitive, in the document."""
@@ -60,10 +60,10 @@ class GltfMaterials:
         """
         number, part = primitive.integer("material", None), self.material(primitive)
         key = number, colours, mirrored
-        if key not in self.known:
+        if key not in self.cached:
             name = "default" if number is None else part.text("name", "") or f"material_{number}"
-            self.known[key] = self.made(part, name, colours, mirrored)
-        return self.known[key]
+            self.cached[key] = self.made(part, name, colours, mirrored)
+        return self.cached[key]
 
     def made(self, part: DocumentPart, name: str, colours: str | None, mirrored: bool) -> Look:
         """Makes a new look, and adds its plugins to the scene."""
@@ -79,12 +79,12 @@ class GltfMaterials:
             self.losses.add(part.place, "occlusionTexture is not read: light finds its way by itself")
         by_attribute = colours is not None and image is None
         base = MeshAttribute(name=colours) if by_attribute else tinted(image, factor)
-        own = self.names.free(name)
-        bsdf = self.children[own] = self.principled(part, rough, base, sets)
-        bsdf = self.turned(part, bsdf, own, sets, mirrored)
+        unique = self.names.free(name)
+        bsdf = self.children[unique] = self.principled(part, rough, base, sets)
+        bsdf = self.turned(part, bsdf, unique, sets, mirrored)
         if part.flag("doubleSided") and not bsdf.kind().transmits:
-            bsdf = self.add(f"{own}_twosided", TwoSided(brdf=[bsdf]))
-        bsdf = self.masked(part, bsdf, own, alpha, image)
+            bsdf = self.add(f"{unique}_twosided", TwoSided(brdf=[bsdf]))
+        bsdf = self.masked(part, bsdf, unique, alpha, image)
         radiance = self.radiance(part, sets)
         return Look(bsdf, radiance, sets[0] if sets else None, tuple(factor) if by_attribute else (1.0, 1.0, 1.0))
 
@@ -98,21 +98,22 @@ class GltfMaterials:
         numbers = {name: rough.number(f"{name}Factor", 1.0, low=0.0, high=1.0) for name in ("roughness", "metallic")}
         if extension.is_diffuse(part, numbers["metallic"]):
             return Diffuse(reflectance=base)
-        found: dict[str, Any] = {"roughness": _scaled(image, 1, numbers["roughness"]),
-                                 "metallic": _scaled(image, 2, numbers["metallic"])}
-        found |= extension.reflection(part, self.losses) | extension.sheen(part, self.losses)
-        found |= extension.anisotropy(part, numbers["roughness"] if image is None else None, self.losses)
+        arguments: dict[str, Any] = {"roughness": _scaled(image, 1, numbers["roughness"]),
+                                     "metallic": _scaled(image, 2, numbers["metallic"])}
+        arguments |= extension.reflection(part, self.losses) | extension.sheen(part, self.losses)
+        arguments |= extension.anisotropy(part, numbers["roughness"] if image is None else None, self.losses)
         passes, coat = extension.transmission(part, self.losses), extension.clearcoat(part, self.losses)
         if passes is not None:
             image = self.textures.image(part, passes, "transmissionTexture", sets)
-            found["spec_trans"] = _scaled(image, 0, passes.number("transmissionFactor"))
-            if "specular" not in found:
-                found.setdefault("eta", 1.5)
+            arguments["spec_trans"] = _scaled(image, 0, passes.number("transmissionFactor"))
+            if "specular" not in arguments:
+                arguments.setdefault("eta", 1.5)
         if coat is not None:
             image = self.textures.image(part, coat, "clearcoatTexture", sets)
-            found["clearcoat"] = _scaled(image, 0, coat.number("clearcoatFactor"))
-            found["clearcoat_gloss"] = extension.gloss_of(coat.number("clearcoatRoughnessFactor", 0.0, low=0.0, high=1.0))
-        return Principled(base_color=base, **found)
+            arguments["clearcoat"] = _scaled(image, 0, coat.number("clearcoatFactor"))
+            coat_roughness = coat.number("clearcoatRoughnessFactor", 0.0, low=0.0, high=1.0)
+            arguments["clearcoat_gloss"] = extension.gloss_of(coat_roughness)
+        return Principled(base_color=base, **arguments)
 
     def turned(self, part: DocumentPart, bsdf: BSDF, name: str, sets: list[int], mirrored: bool) -> BSDF:
         """Wraps the material in a normal map for its normalTexture, converted from glTF's y axis."""

@@ -22,18 +22,18 @@ class Pictures:
 
     def __init__(self, document: Document, buffers: Buffers):
         self.document, self.buffers = document, buffers
-        self.known: dict[int, np.ndarray] = {}
+        self.cached: dict[int, np.ndarray] = {}
         self.texels = 0  # so far
 
     def pixels(self, index: int, user: DocumentPart) -> np.ndarray:
         """(H, W, 4) bytes of an image as they are coded, alpha last; row 0 is at the top."""
-        if index not in self.known:
+        if index not in self.cached:
             part = self.document.of("images", index, user, "source")
             uri = part.text("uri", None)
             content = (self.buffers.resource(uri, part) if uri is not None
                        else bytes(self.buffers.view(part.integer("bufferView"), part)[0]))
-            self.known[index] = self.decoded(content, part)
-        return self.known[index]
+            self.cached[index] = self.decoded(content, part)
+        return self.cached[index]
 
     def decoded(self, content: bytes, part: DocumentPart) -> np.ndarray:
         """Decodes a PNG or JPEG to (H, W, 4) bytes, the high ones of 16 bits."""

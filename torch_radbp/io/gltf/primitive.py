@@ -26,11 +26,11 @@ class Primitive(NamedTuple):
     normals: np.ndarray | None  # (V, 3)
     uv: tuple[np.ndarray | None, ...]  # (V, 2) of each set
     colour: np.ndarray | None  # (V, 3) linear RGB
-    own: dict[str, np.ndarray]  # (V, 1 or 3) custom attributes, by their lower-case names without the leading underscore
+    custom: dict[str, np.ndarray]  # (V, 1 or 3) custom attributes, by their lower-case names without the leading underscore
 
     def numbers(self) -> int:
         """The number of scalars in all its arrays."""
-        arrays = (self.positions, self.faces, self.normals, self.colour, *self.uv, *self.own.values())
+        arrays = (self.positions, self.faces, self.normals, self.colour, *self.uv, *self.custom.values())
         return sum(array.size for array in arrays if array is not None)
 
 
@@ -39,7 +39,7 @@ class Primitives:
 
     def __init__(self, buffers: Buffers, losses: Losses):
         self.buffers, self.losses = buffers, losses
-        self.known: dict[str, Primitive | None] = {}
+        self.cached: dict[str, Primitive | None] = {}
 
     def of(self, part: DocumentPart) -> Primitive | None:
         """Reads the triangles of a primitive; None for points and lines.
@@ -47,11 +47,11 @@ class Primitives:
         Raises:
             SceneError: if it is damaged, or the scene has too many numbers with it.
         """
-        if part.place not in self.known:
-            self.known[part.place] = read_primitive(part, self.buffers, self.losses)
-        elif self.known[part.place] is not None:
-            self.buffers.claim(part, self.known[part.place].numbers())
-        return self.known[part.place]
+        if part.place not in self.cached:
+            self.cached[part.place] = read_primitive(part, self.buffers, self.losses)
+        elif self.cached[part.place] is not None:
+            self.buffers.claim(part, self.cached[part.place].numbers())
+        return self.cached[part.place]
 
 
 def read_primitive(part: DocumentPart, buffers: Buffers, losses: Losses) -> Primitive | None:
@@ -66,10 +66,10 @@ def read_primitive(part: DocumentPart, buffers: Buffers, losses: Losses) -> Prim
         return None
 
     def array(name: str, *types: str) -> np.ndarray | None:
-        found = buffers.array(attributes.integer(name), attributes, name, types) if attributes.has(name) else None
-        if found is not None and len(found) != len(positions):
-            raise attributes.fail(f"{name} has {len(found)} elements, POSITION has {len(positions)}")
-        return found
+        elements = buffers.array(attributes.integer(name), attributes, name, types) if attributes.has(name) else None
+        if elements is not None and len(elements) != len(positions):
+            raise attributes.fail(f"{name} has {len(elements)} elements, POSITION has {len(positions)}")
+        return elements
 
     positions = buffers.array(attributes.integer("POSITION"), attributes, "POSITION", ("VEC3",)).astype(np.float64)
     corners = np.arange(len(positions))
@@ -94,8 +94,8 @@ def read_primitive(part: DocumentPart, buffers: Buffers, losses: Losses) -> Prim
         colour = colour.clip(0, 1)
         if colour.shape[1] == 4 and (colour[:, 3] != 1).any():
             losses.add(part.place, "the opacity of vertices (alpha of COLOR_0) is not read")
-    own = {name[1:].lower(): array(name, "SCALAR", "VEC3").astype(np.float64) for name in attributes.value
-           if name.startswith("_") and is_own(name)}
+    custom = {name[1:].lower(): array(name, "SCALAR", "VEC3").astype(np.float64) for name in attributes.value
+              if name.startswith("_") and is_own(name)}
     for name in attributes.value:
         if name.startswith(("JOINTS_", "COLOR_")) and name != "COLOR_0" or name in ("TEXCOORD_2", "TEXCOORD_3"):
             losses.add(part.place, f"{name} is not read")
@@ -103,7 +103,7 @@ def read_primitive(part: DocumentPart, buffers: Buffers, losses: Losses) -> Prim
         losses.add(part.place, "morph targets are not read: the mesh has its basic form")
     uv = tuple(finite_uv(array(f"TEXCOORD_{number}", "VEC2"), part, losses) for number in range(SETS))
     return Primitive(positions, faces, usable(array("NORMAL", "VEC3"), positions, faces, part, losses), uv,
-                     None if colour is None else colour[:, :3], own)
+                     None if colour is None else colour[:, :3], custom)
 
 
 def is_own(name: str) -> bool:

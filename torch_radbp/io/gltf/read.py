@@ -202,7 +202,7 @@ class _Reader:
             vertex_normals=None if primitive.normals is None else torch.from_numpy(primitive.normals),
             vertex_texcoords=None if uv is None else torch.from_numpy(np.asarray(uv, dtype=np.float64)),
             to_world=torch.from_numpy(to_world) if moved else None, bsdf=bsdf)
-        for name, values in primitive.own.items():
+        for name, values in primitive.custom.items():
             shape.add_attribute(f"vertex_{name}", torch.from_numpy(values))
         return shape
 
@@ -240,10 +240,10 @@ class _Reader:
             return
         if lights is None:
             raise place.node.fail("it refers to a light, but the document has no KHR_lights_punctual")
-        number, known = reference.integer("light"), lights.items("lights")
-        if number >= len(known):
-            raise reference.fail(f"light {number} does not exist; there are {len(known)}")
-        part = DocumentPart(self.file, f"{lights.inside('lights')}[{number}]", known[number])
+        number, entries = reference.integer("light"), lights.items("lights")
+        if number >= len(entries):
+            raise reference.fail(f"light {number} does not exist; there are {len(entries)}")
+        part = DocumentPart(self.file, f"{lights.inside('lights')}[{number}]", entries[number])
         name = self.name(place.node, part, f"light_{number}")
         self.children[name] = self.checked(part, emitter_of_light, place.to_world, self.options.lumens_per_watt, self.losses)
 
@@ -290,14 +290,14 @@ def complete(children: dict[str, Plugin], names: Names, corners: tuple[np.ndarra
         corners: (3,) least and (3,) greatest coordinates of the scene.
         options: whether and how.
     """
-    found, added = {child.category for child in children.values()}, []
-    emits = "emitter" in found or any(getattr(child, "emitter", None) is not None for child in children.values())
+    categories, added = {child.category for child in children.values()}, []
+    emits = "emitter" in categories or any(getattr(child, "emitter", None) is not None for child in children.values())
     if options.light is not None or not emits:
         radiance = 1.0 if options.light is None else options.light
         children[names.free("sky")] = Constant(radiance=radiance)
         if options.light is None:
             added.append(f"it has no light: a constant light of radiance {radiance:g} is added (option light)")
-    if "sensor" not in found:
+    if "sensor" not in categories:
         name = names.free("camera")
         children[name] = overview(*corners, options.resolution, options.spp)
         if options.camera:

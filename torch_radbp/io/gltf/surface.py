@@ -73,10 +73,10 @@ class SurfaceTextures:
 
     def mean(self, attribute: str) -> float:
         """The mean of a scalar texture that glTF wants to be constant."""
-        found = self.number(attribute)
-        if not found.is_constant:
+        scalar = self.number(attribute)
+        if not scalar.is_constant:
             self.losses.add(f"{self.name}.{attribute}", "is written as its mean")
-        return found.number()
+        return scalar.number()
 
     def lose(self, what: str) -> None:
         self.losses.add(self.name, what)

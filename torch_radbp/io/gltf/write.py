@@ -71,9 +71,9 @@ class _Writer:
             if not isinstance(child, Plugin) or not child.type:
                 raise SceneError(f"{name}: a {type(child).__name__} cannot be written as glTF, only Mitsuba's plugins can")
             if isinstance(child, Instance):
-                for own, shape in child.shapegroup.shapes.items():
-                    self.losses.add(f"{name}.{own}", "is written as a copy: instances are not shared")
-                    self.add_shape(f"{name}_{own}", shape, child)
+                for leaf, shape in child.shapegroup.shapes.items():
+                    self.losses.add(f"{name}.{leaf}", "is written as a copy: instances are not shared")
+                    self.add_shape(f"{name}_{leaf}", shape, child)
             elif child.category == "shape" and not isinstance(child, ShapeGroup):
                 self.add_shape(name, child)
             elif child.category == "emitter":
@@ -104,35 +104,35 @@ class _Writer:
         """Writes positions, normals and texture coordinates of a mesh."""
         inverse = np.linalg.inv(pose)
         positions = checked_values(surface.vertices, f"{name}.vertex_positions") @ inverse[:3, :3].T + inverse[:3, 3]
-        found = {"POSITION": self.out.vertices(positions, bounds=True)}
+        accessors = {"POSITION": self.out.vertices(positions, bounds=True)}
         if surface.normals is not None:
             normals = checked_values(surface.normals, f"{name}.vertex_normals") @ pose[:3, :3]
             length = np.linalg.norm(normals, axis=1, keepdims=True)
-            found["NORMAL"] = self.out.vertices(normals / np.where(length > 0, length, 1.0))
+            accessors["NORMAL"] = self.out.vertices(normals / np.where(length > 0, length, 1.0))
         if surface.uv is not None:
-            found["TEXCOORD_0"] = self.out.vertices(checked_values(surface.uv, f"{name}.vertex_texcoords"))
-        return found
+            accessors["TEXCOORD_0"] = self.out.vertices(checked_values(surface.uv, f"{name}.vertex_texcoords"))
+        return accessors
 
     def attributes(self, name: str, surface: Triangles, colours: tuple[str, float] | None) -> dict[str, int]:
         """Writes mesh attributes: the base colour, and others under custom names."""
-        found: dict[str, int] = {}
+        accessors: dict[str, int] = {}
         for attribute, tensor in surface.attributes:
             values = checked_values(tensor, f"{name}.{attribute}")
-            own = attribute.removeprefix("vertex_")
+            short = attribute.removeprefix("vertex_")
             if colours is not None and attribute == colours[0]:
                 if attribute.startswith("face_"):
                     self.losses.add(f"{name}.{attribute}", "is written as means around vertices: glTF has none of faces")
                     values = means_around(values, surface)
                 linear = np.broadcast_to(values * colours[1], (len(values), 3))
                 self.appearances.lose_beyond(f"{name}.{attribute}", linear)
-                found["COLOR_0"] = self.out.vertices(linear.clip(0.0, 1.0))
-            elif attribute.startswith("vertex_") and own == own.lower() and own != "color" and own.isidentifier():
-                found[f"_{own.upper()}"] = self.out.vertices(values)
+                accessors["COLOR_0"] = self.out.vertices(linear.clip(0.0, 1.0))
+            elif attribute.startswith("vertex_") and short == short.lower() and short != "color" and short.isidentifier():
+                accessors[f"_{short.upper()}"] = self.out.vertices(values)
             else:
                 self.losses.add(f"{name}.{attribute}", "is not written: glTF has attributes of vertices, in capital letters")
-        if colours is not None and "COLOR_0" not in found:
+        if colours is not None and "COLOR_0" not in accessors:
             raise SceneError(f"{name}: it has no attribute {colours[0]!r}, which its material reads")
-        return found
+        return accessors
 
     def add_light(self, name: str, emitter: Plugin) -> None:
         """Adds a node with a light, or with the file name of an environment map."""

@@ -19,7 +19,7 @@ class Written:
 
     def __init__(self) -> None:
         self.lists: dict[str, list[dict[str, Any]]] = {}
-        self.known: dict[tuple[Any, ...], int] = {}
+        self.cached: dict[tuple[Any, ...], int] = {}
         self.extensions: set[str] = set()
         self.lights: list[dict[str, Any]] = []
         self.binary = bytearray()
@@ -32,9 +32,9 @@ class Written:
     def once(self, kind: str, entries: dict[str, Any]) -> int:
         """Returns the index of an object with these entries, which is appended if there is none."""
         key = kind, repr(entries)
-        if key not in self.known:
-            self.known[key] = self.add(kind, entries)
-        return self.known[key]
+        if key not in self.cached:
+            self.cached[key] = self.add(kind, entries)
+        return self.cached[key]
 
     def extension(self, name: str, entries: dict[str, Any]) -> dict[str, Any]:
         """An entry for `extensions`, whose name is noted among those used."""
@@ -67,10 +67,10 @@ class Written:
         file = io.BytesIO()
         Image.fromarray(pixels).save(file, "PNG", optimize=True)
         key = "image", file.getvalue()
-        if key not in self.known:
+        if key not in self.cached:
             view = self.view(file.getvalue())
-            self.known[key] = self.add("images", {"name": name, "mimeType": "image/png", "bufferView": view})
-        return self.known[key]
+            self.cached[key] = self.add("images", {"name": name, "mimeType": "image/png", "bufferView": view})
+        return self.cached[key]
 
     def light(self, entries: dict[str, Any]) -> dict[str, Any]:
         """Adds a light and returns the entry for `extensions` of its node."""
@@ -79,13 +79,13 @@ class Written:
 
     def document(self, uri: str | None) -> dict[str, Any]:
         """The finished document; `uri` names the file of the buffer, None if it is part of the same file."""
-        found: dict[str, Any] = {"asset": {"version": "2.0", "generator": "torch_radbp"}, "scene": 0}
-        found["scenes"] = [{"nodes": list(range(len(self.lists.get("nodes", []))))}]
-        found |= self.lists
+        document: dict[str, Any] = {"asset": {"version": "2.0", "generator": "torch_radbp"}, "scene": 0}
+        document["scenes"] = [{"nodes": list(range(len(self.lists.get("nodes", []))))}]
+        document |= self.lists
         if self.binary:
-            found["buffers"] = [{"byteLength": len(self.binary), **({} if uri is None else {"uri": uri})}]
+            document["buffers"] = [{"byteLength": len(self.binary), **({} if uri is None else {"uri": uri})}]
         if self.lights:
-            found["extensions"] = {"KHR_lights_punctual": {"lights": self.lights}}
+            document["extensions"] = {"KHR_lights_punctual": {"lights": self.lights}}
         if self.extensions:
-            found["extensionsUsed"] = sorted(self.extensions)
-        return found
+            document["extensionsUsed"] = sorted(self.extensions)
+        return document
