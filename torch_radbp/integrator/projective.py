@@ -36,7 +36,8 @@ def checked_sampling(name: str, plain: str, given: ProjectiveSampling) -> dict[s
     for key, value, supported in (("guiding", given.guiding, GUIDING), ("project_seed", given.project_seed, SEEDS)):
         if value not in supported:
             raise ValueError(f"{key} {value!r} is not known; {nearest(str(value), supported)}")
-    counts: dict[str, Any] = {key: value if value is None else integer(key, value, 0) for key, value in zip(given._fields, given[:3])}
+    counts: dict[str, Any] = {
+        key: value if value is None else integer(key, value, 0) for key, value in zip(given._fields, given[:3])}
     settings = given._replace(**counts, guiding_proj=boolean("guiding_proj", given.guiding_proj),
                               guiding_rounds=integer("guiding_rounds", given.guiding_rounds, 1))._asdict()
     warnings.warn(f"{name} is rendered as {plain}: derivatives have the interior, the edges in view and the borders of "
