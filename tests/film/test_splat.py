@@ -16,7 +16,7 @@ from torch_radbp.film.gaussian import Gaussian
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.film.lanczos import Lanczos
 from torch_radbp.film.mitchell import Mitchell
-from torch_radbp.film.splat import Block, Deposited, asked_of_sums, deposited, sums_of
+from torch_radbp.film.splat import Block, Deposited, deposited, gathered_from_sums, sums_of
 from torch_radbp.film.tent import Tent
 from torch_radbp.jit.stages import compiled
 from torch_radbp.tensors.stage import EAGER
@@ -119,7 +119,7 @@ def test_what_lanes_are_asked_for_is_the_transpose(name):
     expected, _ = written_out(FILTERS[name], places, values)
     product = float((wanted[0, 0] * torch.from_numpy(expected[0])).sum())
     assert abs(product) > 1e-3
-    assert float((asked[0] * torch.from_numpy(values[:, 0])).sum()) == pytest.approx(product, rel=1e-9)
+    assert float((adjoint[0] * torch.from_numpy(values[:, 0])).sum()) == pytest.approx(product, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", ["tent", "lanczos"])
@@ -138,8 +138,8 @@ def test_compiled_and_eager_sums_are_the_same_but_for_rounding():
     found = [sums_of(stages(deposited), kernel, (value,), Block(Vec2(u, v), 11, 11)) for stages in (EAGER, compiled())]
     assert found[0].shape == (5, 5, 2, 7) and found[0].abs().max() > 1
     torch.testing.assert_close(found[1], found[0], rtol=0, atol=1e-14)
-    asked, = asked_of_sums(kernel, Block(Vec2(u, v), 11, 11), found[0][:, :, 1:])
-    assert float((asked * value).sum()) == pytest.approx(float((found[0][:, :, 1] ** 2).sum()), rel=1e-12)
+    adjoint, = gathered_from_sums(kernel, Block(Vec2(u, v), 11, 11), found[0][:, :, 1:])
+    assert float((adjoint * value).sum()) == pytest.approx(float((found[0][:, :, 1] ** 2).sum()), rel=1e-12)
 
 
 def test_the_integrals_of_a_filter_inside_a_window():

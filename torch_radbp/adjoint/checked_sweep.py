@@ -1,4 +1,4 @@
-"""The backward sweep once more, with a look at the derivatives of each bounce: when a gradient is NaN or infinite."""
+"""The backward sweep with a check of each bounce, to explain a gradient that is not finite."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from torch_radbp.tensors.stage import PlainStages
 
 
 class CheckedSweep(Sweep):
-    """A sweep that notes the first bounce, from the deepest up, whose derivatives are not finite. Eager."""
+    """A sweep that records the first bounce, from the deepest up, whose derivatives are not finite. Eager."""
 
     def __init__(self, finding: FirstNonFinite, *arguments):
         super().__init__(*arguments)
         self.finding = finding
 
     def adjoint(self, state: PathState, depth: int) -> None:
-        """Differentiates one bounce, as `Sweep` does."""
+        """Differentiates one bounce, as `Sweep` does, and checks the result."""
 
         def checked(scene: SceneTensors, wanted: tuple[bool, ...], still: tuple[bool, ...], arrival: Arrival, lanes: Tensor,
                     *arguments):

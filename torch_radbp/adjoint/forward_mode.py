@@ -31,7 +31,7 @@ def has_tangents(record) -> bool:
 
 
 def render_tangents(call: RenderCall) -> Tensor:
-    """The dual images of a scene with dual leaves, (B, 3, H, W), by all workers.
+    """Renders a scene with dual leaves: dual images, (B, 3, H, W), in several threads.
 
     Raises:
         RuntimeError: if a leaf also requires a gradient, which would be missing.
@@ -50,7 +50,7 @@ def inside_transforms() -> bool:
 
 
 def render_outside_transforms(render: Callable, parameters: dict[str, Tensor]):
-    """`render(parameters)` inside `torch.func.jvp`, images in tuples and dicts, computed outside of it on dual tensors.
+    """Computes `render(parameters)` for `torch.func.jvp`: outside of the transform, on dual tensors.
 
     Raises:
         RuntimeError: in any other transform, or in several.
@@ -73,5 +73,5 @@ def render_outside_transforms(render: Callable, parameters: dict[str, Tensor]):
 
 
 def rewrapped(image: tuple[Tensor, Tensor | None]) -> Tensor:
-    """The dual tensor of an image and its tangent, if it has one."""
+    """Makes a dual tensor of an image and its tangent, if it has one."""
     return image[0] if image[1] is None else forward_ad.make_dual(*image)

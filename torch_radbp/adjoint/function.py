@@ -39,7 +39,7 @@ SAVED = object()  # stands for a tensor that autograd keeps
 
 
 def first_derivatives_only(backward: Callable) -> Callable:
-    """A backward pass that refuses to be recorded, instead of giving gradients whose own derivative would be zero."""
+    """Makes a backward pass raise under double differentiation, instead of returning zeros."""
     @wraps(backward)
     def refusing(ctx, *gradients: Tensor):
         if torch.is_grad_enabled():
@@ -136,7 +136,7 @@ class RenderFunction(torch.autograd.Function):
 
 
 def without_tensor(tensors: list[Tensor], leaf):
-    """What stands for a leaf of a record whose tensors autograd keeps; these are added to a list."""
+    """Replaces a tensor in a record by a placeholder, and appends it to `tensors`, which autograd saves."""
     if not isinstance(leaf, Tensor):
         return leaf
     tensors.append(leaf)
@@ -144,7 +144,7 @@ def without_tensor(tensors: list[Tensor], leaf):
 
 
 def saved_tensors(ctx) -> tuple[Tensor, ...]:
-    """What autograd has kept; raises RuntimeError in our words if a parameter has been changed in place since."""
+    """The tensors that autograd has saved; raises RuntimeError if a parameter was changed in place since."""
     try:
         return ctx.saved_tensors
     except RuntimeError as error:
@@ -155,7 +155,7 @@ def saved_tensors(ctx) -> tuple[Tensor, ...]:
 
 
 def check_shapes(parameters: dict[str, Tensor], shapes: dict[str, tuple[int, ...]]) -> None:
-    """Raises RuntimeError naming a parameter whose shape is not that which it had in the forward pass."""
+    """Raises RuntimeError naming a parameter whose shape has changed since the forward pass."""
     for name, parameter in parameters.items():
         if tuple(parameter.shape) != shapes[name]:
             raise RuntimeError(f"the parameter {name!r} has been resized between a rendering and its backward pass, from "
@@ -164,12 +164,12 @@ def check_shapes(parameters: dict[str, Tensor], shapes: dict[str, tuple[int, ...
 
 
 def asks_for_gradient(record) -> list[bool]:
-    """Of each leaf of a record, as `leaves_of` counts, whether it is a tensor that requires a gradient."""
+    """For each leaf of a record, whether it is a tensor that requires a gradient."""
     return [isinstance(leaf, Tensor) and leaf.requires_grad for leaf in leaves_of(record)]
 
 
 def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
-    """The leaves that a gradient is asked for, of those that were handed over."""
+    """The leaves of the forward pass that require a gradient."""
     return [source for source, need in zip(sources, ctx.needs_input_grad[1:]) if need]
 
 

@@ -49,7 +49,7 @@ def _check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> Non
 
 
 def render_detached(call: RenderCall) -> Tensor:
-    """The images without derivatives, with the quantities of the call."""
+    """Renders images and AOVs without derivatives."""
     call = call.still()
     with torch.no_grad():
         return render_images(call, call.integrand, record=False).values

@@ -1,4 +1,4 @@
-"""Traces wavefronts, and keeps of their paths what the backward pass will need."""
+"""Traces wavefronts, and records what the backward pass needs."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
 
 
 def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> tuple[list[Tensor], PathRecord]:
-    """What `trace_wavefront` gives for the samples of the image and `record_wavefront` for those of the derivative."""
+    """Traces the samples of the image and, together with them, those of its derivative."""
     recorder = Recorder(call.adjoint, integrand.max_depth)
     integrand = integrand_of_wavefront(call, integrand, wavefront)
     apart = wavefront.lanes >= MANY and call.quantities is None and goes_whole(integrand, wavefront.lanes)
@@ -67,8 +67,7 @@ def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> 
 
 def traced_apart(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
                  recorder: Recorder) -> tuple[CameraSample, CameraSample, None, Vec3]:
-    """What `traced_as_one` gives but for hits: the image without its bounces, and at the same time the derivative's paths
-    without light, so that a thread is at its lanes while the other is at its Python."""
+    """Traces the image's samples and the derivative's paths in two threads; results as of `traced_as_one`, without hits."""
     def image() -> tuple[CameraSample, Vec3]:
         samples = camera_samples(call, wavefront, 0)
         return samples, trace(integrand, started(call, samples))
@@ -84,7 +83,7 @@ def traced_apart(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
 
 def traced_as_one(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
                   recorder: Recorder) -> tuple[CameraSample, CameraSample, Hit | None, Vec3]:
-    """The camera rays of the image and those of the derivative, what the former meet, and their radiance."""
+    """Traces both kinds of samples as one wavefront: camera rays of both, hits and radiance of the image's."""
     image, derivative = (samples_of_chunks(call, wavefront, which) for which in (0, 1))
     lanes = wavefront.lanes
     both = joined([samples._replace(weight=None, place=None) for samples in (*derivative, *image)])
@@ -98,7 +97,7 @@ def traced_as_one(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
 
 
 def _shown(call: RenderCall, integrand: Integrand, samples: CameraSample, hit: Hit | None, L: Vec3) -> list[Tensor]:
-    """What the lanes of an image count in pixels: their radiance, and the quantities beside it.
+    """Splats the radiance of an image's lanes, and AOVs beside it.
 
     Args:
         samples: their camera rays.
@@ -114,7 +113,7 @@ def _shown(call: RenderCall, integrand: Integrand, samples: CameraSample, hit: H
 
 
 def record_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> PathRecord:
-    """What the backward pass needs of a wavefront's paths, without their radiance unless the strategy asks for it."""
+    """Records a wavefront's paths for the backward pass, without radiance unless the strategy needs it."""
     if call.adjoint.keep_radiance:
         return trace_wavefront(call, integrand, wavefront, 1, record=True)[1]
     samples, recorder = camera_samples(call, wavefront, 1), Recorder(call.adjoint, integrand.max_depth)
@@ -123,7 +122,7 @@ def record_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefron
 
 
 class Recorder:
-    """Keeps what camera rays meet, and what a strategy asks for of the bounces that it is shown, until there are `most`.
+    """Records camera hits, and bounces as the strategy asks, up to `most`.
 
     Args:
         keeping: False: of all bounces nothing is asked for.
@@ -153,13 +152,13 @@ class Recorder:
 
 
 class Allowance:
-    """The bytes of records that are still to be kept, of wavefronts that are traced side by side."""
+    """The remaining bytes for path records, shared by wavefronts that are traced in parallel."""
 
     def __init__(self, count: float):
         self.left, self.lock = count, Lock()
 
     def covers(self, record: PathRecord) -> bool:
-        """True if a record is to be kept, which is then counted."""
+        """True if a path record still fits the memory limit; its bytes are then counted."""
         size = sum(item.nbytes for item in leaves_of(record) if isinstance(item, Tensor))
         with self.lock:
             self.left -= size

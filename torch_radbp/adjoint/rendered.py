@@ -1,4 +1,4 @@
-"""The images of a call with the derivatives that are asked for, in either mode."""
+"""Renders the images of a call with interior derivatives, in either mode."""
 
 from __future__ import annotations
 

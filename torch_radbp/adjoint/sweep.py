@@ -35,19 +35,19 @@ from torch_radbp.tensors.vec import Vec2, Vec3
 
 
 class PathRecord(NamedTuple):
-    """The record of a chunk's forward pass that its backward pass needs."""
+    """The record of a chunk's forward pass for its backward pass."""
 
     start: Callable[[], PathState]  # makes the camera paths again
     radiance: Vec3 | None  # L_1 of each lane, kept for path replay only
     states: dict[int, PathState]  # by depth, where the schedule keeps them; depth 0 is `start`
     steps: dict[int, Step]  # by depth, empty with keep_hits=False
     bounces: int
-    weight: Tensor | None = None  # what counts of each lane's radiance; None: all of it
-    place: Vec2 | None = None  # of each lane in its pixel
+    weight: Tensor | None = None  # camera weight of each lane's radiance; None: 1
+    place: Vec2 | None = None  # position of each lane in its pixel
 
 
 def numbered_leaves(scene: SceneTensors, wanted: tuple[bool, ...]) -> SceneTensors:
-    """The record with the numbers of the leaves that are to be differentiated, as `Gradients` counts them; None elsewhere.
+    """A record with the gradient index of each differentiated leaf; None elsewhere.
 
     Args:
         scene: any.
@@ -86,7 +86,7 @@ class Sweep:
         return survivors(self.integrand, vertex.next, step)
 
     def remember(self, L: Vec3) -> None:
-        """Puts incident radiance into the memo."""
+        """Puts incident radiance L_{k+1} into the memo."""
         self.memo = self.memo._replace(L=L.map(torch.clone))
 
     def adjoint(self, state: PathState, depth: int) -> None:
@@ -117,5 +117,5 @@ class Sweep:
         return adj_modules
 
     def finish(self) -> None:
-        """Adds what is still missing to the gradients."""
+        """Adds the gradients of modules that are still pending."""
         self.modules.add_held()

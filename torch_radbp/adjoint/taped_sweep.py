@@ -82,14 +82,14 @@ class TapedSweep(Sweep):
         return super().differentiate(state, step, memo, adj_L, depth) if played is None else played.results
 
     def events(self, depth: int) -> list[Event]:
-        """What may happen at a bounce."""
+        """The events that are possible at a bounce."""
         layout = self.integrand.proposal.layout
         if self.integrand.is_last(depth):
             return [Ends.LAST_BOUNCE]
         return [*map(Scatters, range(len(layout.appearances))), *([] if layout.surround is None else [Ends.SURROUNDINGS])]
 
     def known_values(self, step: Step, events: list[Event]) -> tuple[TextureValues, ...]:
-        """The values of textures that were read outside, for each of the events; None: not known, or not asked for."""
+        """The values of network textures for each event, from the forward pass; None: not kept, or not needed."""
         integrand = self.integrand
         if self.moving or not integrand.scene.layout.reads_outside:
             return (None,) * len(events)
@@ -107,7 +107,7 @@ class TapedSweep(Sweep):
 
 
 def in_queues(step: Step, reserve: Reserve) -> Step:
-    """What was decided at a bounce with what belongs to its queues, without contents."""
+    """The decisions of a bounce as a record with shapes but no contents, to be recorded."""
     scattered = [0, *(queue.last for queue in step.queues if queue.event.scatters)][-1]
     values = tuple([without_contents(values, reserve, queue.last - queue.first)
                     for queue, values in zip(step.queues, step.texture_values)])
@@ -117,8 +117,7 @@ def in_queues(step: Step, reserve: Reserve) -> Step:
 
 @contextmanager
 def sweep_of(integrand: Integrand, *arguments) -> Iterator[Sweep]:
-    """The `Sweep` with these arguments, whose bounces are differentiated by machine code where that is possible; all
-    gradients are complete afterwards."""
+    """A sweep that uses machine code where possible; on exit all gradients are complete."""
     if not recordable(integrand):
         yield (sweep := Sweep(integrand, *arguments))
         sweep.finish()

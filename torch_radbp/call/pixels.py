@@ -1,4 +1,4 @@
-"""What the lanes of a call count in its pixels, and what its pixels ask of the lanes."""
+"""Splats the lanes of a call to its pixels, and gathers the lanes' adjoints from the pixels' adjoints."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Films(Sink):
 
 
 def deposit(call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor], place: Vec2) -> list[Tensor]:
-    """What the lanes of a wavefront count in the pixels around them, for each of its chunks; `developed` takes it.
+    """Splats the values of a wavefront's lanes: for each of its chunks the filter-weighted sums that `developed` takes.
 
     Args:
         values: C of (N,), of the lanes.
@@ -58,7 +58,7 @@ def deposit(call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor], pl
 
 
 def deposit_of_chunk(call: RenderCall, chunk: Chunk, values: Sequence[Tensor], place: Vec2) -> Tensor:
-    """As `deposit`, of one chunk and its lanes."""
+    """Splats the values of one chunk's lanes; args as for `deposit`."""
     grid, block, stage = call.views[chunk.sensor].grid, Block(place, chunk.samples, call.spp), call.stages(deposited)
     if chunk.samples == call.spp:
         return row_sums(stage, grid, tuple(values), block)
@@ -85,7 +85,7 @@ def developed(call: RenderCall, work: Work) -> Gathered:
 
 
 def put_together(grid: Grid, band: range, parts: list[tuple[Chunk, Tensor]]) -> Tensor:
-    """(R, 1 + C, n, columns) of the n rows of a band, from what its chunks count."""
+    """Joins the sums of a band's chunks to (R, 1 + C, n, columns) for its n rows."""
     total = None
     for part, own in groupby(parts, lambda part: part[0].rows):
         found = [sums for _, sums in own]
@@ -125,9 +125,9 @@ def adjoint_of_chunk(call: RenderCall, chunk: Chunk, place: Vec2, pixels: Vec3) 
         # Read once for all samples of a pixel; of a single one `flatten` alone would repeat the same place in memory.
         return rows(pixels, entry).map(lambda each: each[:, None].expand(-1, chunk.samples).flatten().contiguous())
     block = Block(place, chunk.samples, call.spp)
-    return Vec3(*asked_of(call.stages(asked), grid.kernel, tuple(pixels), block, entry, width, 1))
+    return Vec3(*gathered_by(call.stages(gathered_from_pixels), grid.kernel, tuple(pixels), block, entry, width, 1))
 
 
 def weighted(L: Vec3, weight: Tensor | None) -> Vec3:
-    """What counts of the lanes' radiance, or of its adjoint."""
+    """Radiance, or its adjoint, times the lanes' camera weights, if there are any."""
     return L if weight is None else L * weight

@@ -1,4 +1,4 @@
-"""One call of a renderer: all that is needed to trace its paths, and the camera paths of its chunks."""
+"""One call of a renderer: all that is needed to trace its paths, and the camera rays of its chunks."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class RenderCall(NamedTuple):
     """All that one rendering needs beside the scene's leaves."""
 
     scene: SceneTensors
-    caster: RayCaster | None  # of its triangles; as the next one, None where the integrand is made
+    caster: RayCaster | None  # of its triangles; None, as the next field, while the integrand is made
     make_integrand: Callable[[SceneTensors], Integrand] | None
     integrand: Integrand | None  # of the detached scene, made once for all that is traced
     stages: Stages
@@ -42,14 +42,14 @@ class RenderCall(NamedTuple):
     sink: Sink  # where their radiance goes
     wavefronts: list[Wavefront]
     spp: int
-    shares_samples: bool  # the backward pass differentiates the very samples of the image
-    record_bytes: float  # of these that are kept for it at most; it traces the others again
-    together: bool  # samples of its own are traced beside those of the image, which takes half as many calls
-    workers: int  # wavefronts that are traced side by side
+    shares_samples: bool  # the backward pass differentiates the samples of the image itself
+    record_bytes: float  # bytes of path records that are kept for it at most; other paths are traced again
+    together: bool  # the derivative's own samples are traced together with those of the image, in half as many calls
+    workers: int  # number of threads that trace wavefronts
     memory: ZeroedMemory  # for the totals of gradients
     following: bool = False  # see `Settings.following`
-    module: Scene | None = None  # whose tensors these are; gives names to errors
-    parameters: dict[str, Tensor] = {}  # by name, those that derivatives are wanted of
+    module: Scene | None = None  # the scene's module; gives names to errors
+    parameters: dict[str, Tensor] = {}  # parameters that require a gradient, by name
     # What of camera paths is shown beside the image, C of (N,), detached: of the integrand, the paths, what their rays meet
     # (None: not known), and their radiance.
     quantities: Callable[[Integrand, PathState, Hit | None, Vec3], Sequence[Tensor]] | None = None
@@ -69,7 +69,7 @@ class RenderCall(NamedTuple):
 
     @property
     def still_scene(self) -> SceneTensors:
-        """The scene without derivatives."""
+        """The detached scene."""
         return detached(self.scene) if self.integrand is None else self.integrand.scene
 
     def of_derivative(self) -> RenderCall:
@@ -98,7 +98,7 @@ def samples_of_chunks(call: RenderCall, wavefront: Wavefront, which: int) -> lis
 
 
 def pilot_paths(call: RenderCall, lanes: int) -> PathState:
-    """Some camera paths of the first sensor, spread over its image."""
+    """Camera paths spread over the image of the first sensor, for measurements."""
     view, grid, device = call.views[0], call.views[0].grid, call.scene.device
     pixel = torch.linspace(0, grid.columns * grid.rows - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
     sample = torch.arange(lanes, dtype=torch.int32, device=device)
@@ -108,7 +108,7 @@ def pilot_paths(call: RenderCall, lanes: int) -> PathState:
 
 
 def integrand_of(call: RenderCall, integrand: Integrand, number: int) -> Integrand:
-    """The integrand as the camera of a view, of this number, sees it."""
+    """The integrand with the camera of the view of this number."""
     view = call.views[number]
     return integrand._replace(clipping=view.camera if view.clips else None)
 
@@ -119,6 +119,6 @@ def integrand_of_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wa
 
 
 def of_wavefronts(call: RenderCall, wavefronts: list[Wavefront], work: Callable[[Wavefront], Result]) -> list[Result]:
-    """`work` on some wavefronts, side by side; the results in their order."""
+    """Runs `work` on wavefronts in several threads; results in order."""
     shares = in_turns(len(wavefronts), call.workers, lambda share: [work(wavefronts[index]) for index in share])
     return [shares[index % len(shares)][index // len(shares)] for index in range(len(wavefronts))]

@@ -1,4 +1,4 @@
-"""The processor as a target: a loop over blocks of vectors, on as many threads as torch has.
+"""The CPU as a target: a loop over blocks of vectors, on as many threads as torch has.
 
     void lanes(i64 first, i64 last, ptr inputs, ptr outputs)
 
@@ -29,7 +29,7 @@ COPIES, SMALL = 4, 1 << 12  # copies of the totals of `scatter.py`, for tables w
 
 
 class Cpu:
-    """The processor that this runs on.
+    """The CPU of this machine as a target.
 
     Args:
         width: lanes in a block; None: those of a float32 vector of the processor, of which float64 takes two. A search
@@ -40,25 +40,25 @@ class Cpu:
         self.width = width
 
     def text(self, program: Program) -> str:
-        """The module of a program."""
+        """The LLVM IR of a program."""
         width = self.width or host_width() * vectors(program)
         return loop_module(emit(program, width, window_of(host_features())), width)
 
     @property
     def platform(self) -> str:
-        """See `Target`."""
+        """The processor with its instruction sets; see `Target`."""
         return f"{host()}, {self.width or host_width()} lanes"
 
     def code(self, program: Program) -> bytes:
-        """See `Target`."""
+        """The machine code of a program; see `Target`."""
         return object_code(self.text(program))
 
     def loop(self, code: bytes, searched: Sequence[int] = ()) -> CpuLoop:
-        """See `Target`."""
+        """Loads machine code as a loop; see `Target`."""
         return CpuLoop(code)
 
     def compile(self, program: Program) -> CpuLoop:
-        """See `Target`."""
+        """Compiles and loads a program; see `Target`."""
         return self.loop(self.code(program))
 
     chosen = staticmethod(cpu_order.chosen_on_cpu)
@@ -70,12 +70,12 @@ class Cpu:
     scatter_add = staticmethod(cpu_scatter.scatter_add_on_cpu)
 
     def copies(self, entries: int) -> int:
-        """See `Target`."""
+        """Several copies of a small table's sums, one copy of a large table's; see `Target`."""
         return COPIES if entries <= SMALL else 1
 
 
 class CpuLoop:
-    """A program as machine code of the processor; see `target.Loop`.
+    """A program as machine code of the CPU; see `target.Loop`.
 
     Args:
         code: from `machine.object_code`.
@@ -86,7 +86,7 @@ class CpuLoop:
 
     @property
     def address(self) -> int:
-        """Of the loop's body; see `team.LaneLoop`."""
+        """The address of the loop's body; see `team.LaneLoop`."""
         return self.code.address
 
     def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
@@ -95,7 +95,7 @@ class CpuLoop:
 
 
 def loop_module(body: Body, width: int) -> str:
-    """The module that runs `body` for blocks of `width` lanes."""
+    """The LLVM IR of a loop that runs `body` for blocks of `width` lanes."""
     outputs = [value for value in body.program.outputs if value is not None]
     hints = prefetches(body.program, body.names, width) if width > 1 else ()
     sizes = ([alignment(value.dtype) if value.kind == LANES else 0 for value in body.program.inputs],
@@ -113,13 +113,13 @@ def loop_module(body: Body, width: int) -> str:
 
 
 def vectors(program: Program) -> int:
-    """The float32 vectors in a block; see `Cpu`."""
+    """The number of float32 vectors per block; see `Cpu`."""
     in_double = any(value is not None and value.dtype == torch.float64 for value in program.outputs)
     return 2 if program.searched and not in_double else 1
 
 
 def pointers(program: Program, outputs: int) -> Iterator[str]:
-    """Instructions that load what the arrays `%inputs` and `%outputs` hold."""
+    """Instructions that load the pointers in the arrays `%inputs` and `%outputs`."""
     inputs = len(program.inputs)
     for number in range(inputs):
         yield from (f"%place{number} = getelementptr ptr, ptr %inputs, i64 {number}",

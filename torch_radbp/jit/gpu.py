@@ -1,4 +1,4 @@
-"""A GPU of NVIDIA's as a target: the kernels of `nvptx.py` and `nvptx_lanes.py`, launched by the driver of the device.
+"""An NVIDIA GPU as a target: launches the kernels of `nvptx.py` and `nvptx_lanes.py`.
 
 Lanes are chosen and partitioned by torch's own operations.
 """
@@ -25,15 +25,15 @@ from torch_radbp.jit.nvptx_lanes import COPIES, SMALL, put_text, scatter_text
 
 
 class Launcher(Protocol):
-    """What runs kernels: the driver of a device (`driver.py`), or whatever stands in for it."""
+    """Loads and launches kernels: the driver of a device (`driver.py`), or a stand-in for tests."""
 
     architecture: str
 
     def load(self, text: str, name: str) -> Any:
-        """The kernel `name` of a module in LLVM's text, ready to be launched."""
+        """Loads the kernel `name` of a module in LLVM IR."""
 
     def launch(self, kernel: Any, blocks: int, threads: int, parameters: array) -> None:
-        """Starts a kernel.
+        """Launches a kernel.
 
         Args:
             kernel: from `load`.
@@ -43,7 +43,7 @@ class Launcher(Protocol):
 
 
 class LoadedKernel:
-    """A kernel, loaded.
+    """A kernel that was loaded on a device.
 
     Args:
         launcher: of the device.
@@ -55,7 +55,7 @@ class LoadedKernel:
         self.launcher, self.kernel = launcher, launcher.load(text, name)
 
     def __call__(self, lanes: int, words: Sequence[int]) -> None:
-        """Starts it for all lanes, at least 1, and does not wait for it; `words`: its other parameters."""
+        """Launches the kernel for all lanes, at least 1, without waiting; `words`: its other parameters."""
         self.launcher.launch(self.kernel, -(-lanes // BLOCK), BLOCK, array("q", [lanes, *words]))
 
 
@@ -66,12 +66,12 @@ class KernelLoop:
         self.kernel, self.searched = kernel, searched
 
     def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
-        """Starts the kernel for all lanes, and does not wait for it."""
+        """Launches the kernel for all lanes, without waiting."""
         self.kernel(lanes, [*inputs, *[lengths[number] for number in self.searched], *outputs])
 
 
 class Gpu(AnyDevice):
-    """A GPU of NVIDIA's; see `target.Target`.
+    """An NVIDIA GPU as a target; see `target.Target`.
 
     Args:
         launcher: of the device.
@@ -84,24 +84,24 @@ class Gpu(AnyDevice):
         self.loading = Lock()
 
     def text(self, program: Program) -> str:
-        """The module of a program, LLVM's text."""
+        """The LLVM IR of a program's kernel."""
         return kernel_module(emit(without_library(program), width=1))
 
     @property
     def platform(self) -> str:
-        """The text is the same for all; machine code of it is kept by the driver."""
+        """The same for all GPUs: code is LLVM IR, whose machine code the driver caches."""
         return "NVIDIA"
 
     def code(self, program: Program) -> bytes:
-        """The text of a program's module."""
+        """The LLVM IR of a program's kernel, as bytes."""
         return self.text(program).encode()
 
     def loop(self, code: bytes, searched: Sequence[int]) -> KernelLoop:
-        """The kernel of a module."""
+        """Loads a kernel as a loop."""
         return KernelLoop(LoadedKernel(self.launcher, code.decode(), "lanes"), searched)
 
     def compile(self, program: Program) -> KernelLoop:
-        """The kernel of a program."""
+        """Compiles and loads the kernel of a program."""
         return self.loop(self.code(program), program.searched)
 
     def kernel(self, name: str, case: tuple, text: Callable[[tuple], str]) -> LoadedKernel:
@@ -123,7 +123,7 @@ class Gpu(AnyDevice):
         return COPIES if entries <= SMALL else 1
 
     def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
-        """By atomic additions of float64, or, if torch is told to be deterministic, by its sums of what it has sorted."""
+        """Scatter-adds by float64 atomics, or, if torch shall be deterministic, by torch's sums after sorting."""
         if torch.are_deterministic_algorithms_enabled():
             return super().scatter_add(additions, lanes)
         words: list[int] = []
@@ -137,7 +137,7 @@ class Gpu(AnyDevice):
 
 @made_once
 def gpu_of(device: torch.device) -> AnyDevice:
-    """The target of a CUDA device; without NVIDIA's driver one that compiles nothing, and tells why if it is to."""
+    """The target of a CUDA device; without a driver one that compiles nothing, and says why when it should."""
     try:
         return Gpu(driver_of(device))
     except NoDriver as reason:

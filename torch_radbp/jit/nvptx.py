@@ -1,4 +1,4 @@
-"""PTX, the code of NVIDIA's GPUs, from the instructions of a block of lanes: a lane for each thread.
+"""PTX for NVIDIA GPUs, from the instructions of a block of lanes: one lane per thread.
 
     .entry lanes(i64 lanes, ptr in0, ptr in1, ..., i64 length3, ..., ptr out0, ...)
 
@@ -60,7 +60,7 @@ FUSIBLE = re.compile(r"(?<=\s)(add|sub|mul)(?=\.f(?:32|64)\b)")  # by NVIDIA's a
 
 
 def kernel(name: str, parameters: Sequence[str], body: Sequence[str], functions: Sequence[str] = ()) -> str:
-    """The module of a kernel that runs `body` for each lane `%i`.
+    """The LLVM IR of a kernel that runs `body` for each lane `%i`.
 
     Args:
         name: of the kernel.
@@ -73,7 +73,7 @@ def kernel(name: str, parameters: Sequence[str], body: Sequence[str], functions:
 
 
 def kernel_module(body: Body) -> str:
-    """The kernel of a program."""
+    """The LLVM IR of a program's kernel."""
     program = body.program
     parameters = [*(f"ptr noalias readonly %in{number}" for number in range(len(program.inputs))),
                   *(f"i64 %length{number}" for number in program.searched),
@@ -83,7 +83,7 @@ def kernel_module(body: Body) -> str:
 
 @made_once
 def _initialized() -> llvm.Target:
-    """LLVM's target for NVIDIA's GPUs, ready for use.
+    """LLVM's target for NVIDIA GPUs, initialised.
 
     Raises:
         RuntimeError: if llvmlite was built without it.
@@ -94,12 +94,12 @@ def _initialized() -> llvm.Target:
 
 
 def features(architecture: str) -> str:
-    """PTX ISA 8.1 (CUDA 12.1), by which parameters of a kernel may take 32 KB instead of 4; younger GPUs have it anyway."""
+    """The LLVM features for PTX ISA 8.1 (CUDA 12.1), by which a kernel may take 32 KB of parameters instead of 4."""
     return "+ptx81" if int(architecture.removeprefix("sm_")) < 100 else ""
 
 
 def ptx(text: str, architecture: str) -> str:
-    """The PTX of a module.
+    """Compiles LLVM IR to PTX.
 
     Args:
         text: LLVM's, from `kernel`.

@@ -1,4 +1,4 @@
-"""Kernels for GPUs that move lanes: entries put into their places, and numbers added to tables. One lane a thread.
+"""GPU kernels that move lanes: scatter entries, and add numbers to tables. One lane per thread.
 
 All tensors of a call are served by one kernel, which is made for their dtypes. Numbers are added to totals by atomic
 operations of float64, in any order. Where a table is small, thousands of lanes would wait for each other; so it has many
@@ -43,7 +43,7 @@ ADD = """\
 
 
 def put_text(dtypes: Sequence[torch.dtype]) -> str:
-    """The kernel that puts entries of tensors of these dtypes into places.
+    """The LLVM IR of the kernel that scatters entries of tensors of these dtypes.
 
     Its parameters: the places, then of each tensor where its entries come from and go to.
     """
@@ -56,7 +56,7 @@ def put_text(dtypes: Sequence[torch.dtype]) -> str:
 
 
 def scatter_text(additions: Sequence[tuple[torch.dtype, int]]) -> str:
-    """The kernel for additions of which these are the dtype of the numbers and the number of tables.
+    """The LLVM IR of the scatter-add kernel, for dtypes of numbers and numbers of tables.
 
     Its parameters, of each addition: index, pages, the distance from entry to entry, the number of copies less 1, then of
     each table the numbers and the totals. Totals of several additions may be the same.
@@ -72,7 +72,7 @@ def scatter_text(additions: Sequence[tuple[torch.dtype, int]]) -> str:
 
 
 def added(k: int, t: int, dtype: torch.dtype) -> Iterator[str]:
-    """The instructions that add to a table."""
+    """Instructions that add to one table."""
     number = f"%found{k}.{t}"
     widened = f"fpext float {number} to double" if dtype == torch.float32 else f"fadd double {number}, -0.0"
     yield from ADD.format(k=k, t=t, type=SCALARS[dtype], size=dtype.itemsize, widened=widened).splitlines()

@@ -1,4 +1,4 @@
-"""Lanes in queues, and entries put into their places: what moves data and computes nothing.
+"""Operations that only move data: lanes into queues, entries to indices.
 
 How it is done is the target's: `cpu_order.py` for the processor, `nvptx_lanes.py` for GPUs, torch elsewhere.
 """
@@ -14,22 +14,22 @@ from torch_radbp.jit.target import target_of
 
 
 def chosen(flags: Tensor) -> Tensor:
-    """The lanes, (M,) int32, of which `flags`, (N,) bool, are true."""
+    """The lanes, (M,) int32, whose flag in `flags`, (N,) bool, is set."""
     return target_of(flags.device).chosen(flags)
 
 
 def inverted(flags: Tensor) -> Tensor:
-    """(N,) bool, true where `flags`, (N,) bool, are not; of flags that carry no derivative, as none does."""
+    """Inverts flags, (N,) bool."""
     return target_of(flags.device).inverted(flags)
 
 
 def nothing(flags: Tensor) -> Tensor:
-    """As many flags, all false."""
+    """Flags of the same number that are all false."""
     return target_of(flags.device).nothing(flags)
 
 
 def partition(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
-    """Lanes queue by queue.
+    """Sorts lanes into queues.
 
     Args:
         number: (N,) bool or integers from 0 to `queues` - 1, which is not checked: the queue of each lane.
@@ -41,7 +41,7 @@ def partition(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
 
 
 def in_order(major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Lanes in the order of one number, those of which it is equal in that of another one, the rest as they are.
+    """Sorts lanes by one number and, where that is equal, by another; stable.
 
     Args:
         major, minor: (N,) int32 from 0 to `queues` - 1, which is not checked; `queues` is at least 1.
@@ -53,7 +53,7 @@ def in_order(major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor,
 
 
 def put(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
-    """Overwrites entries of some tensors.
+    """Scatters entries into tensors, overwriting.
 
     Args:
         targets: (K,) each, contiguous, written into.

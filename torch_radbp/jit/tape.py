@@ -1,4 +1,4 @@
-"""A tape: what a step does with lanes is recorded once for arguments of one kind, and done again as machine code.
+"""A tape: operations of a step are recorded once for arguments of one kind, and replayed as machine code.
 
     tape = Tape(board, tables, kind)
     played = tape.play(key, step, arguments, count)     # the first call of a kind records, later ones only play
@@ -33,35 +33,35 @@ UNKNOWN = object()
 
 
 class Played(NamedTuple):
-    """What a step returns, whether it is recorded or played."""
+    """The results of a step, recorded or replayed."""
 
     results: Any  # tensors in nested tuples; dual ones of dual arguments
-    counts: Sequence[int] = ()  # numbers of lanes, or where among lanes something begins
-    constant: Any = None  # what is the same whenever this recording is played
+    counts: Sequence[int] = ()  # numbers of lanes, or offsets among lanes
+    constant: Any = None  # the same at every replay
 
 
 Step = Callable[..., Played]  # of the arguments
 
 
 class Taped(NamedTuple):
-    """A step that was recorded."""
+    """A recorded step."""
 
     recorded: Recorded
-    counts: tuple[int, ...]  # the numbers of `Played.counts` among those of the recording
+    counts: tuple[int, ...]  # indices of `Played.counts` among the recording's counts
     constant: Any
-    dual: bool  # the results are values and, by themselves, tangents
+    dual: bool  # results are values and, separately, tangents
 
 
 class Link(NamedTuple):
-    """A step that was recorded to hand its results to the next one."""
+    """A recorded step that passes its results on to the next one."""
 
     recorded: Recorded
     handed: Handed
-    results: tuple[Any, Any]  # without contents, values and tangents: dual tensors do not outlive a call
+    results: tuple[Any, Any]  # values and tangents without contents: dual tensors do not outlive a call
 
 
 class Recordings:
-    """What was recorded, by all that it depends on; None: such things cannot be."""
+    """Recordings by a key of all that they depend on; None for what cannot be recorded."""
 
     def __init__(self) -> None:
         self.known: dict[tuple, Any] = {}
@@ -69,11 +69,11 @@ class Recordings:
         self.making, self.numbers = Lock(), itertools.count()
 
     def kind(self, *parts) -> int:
-        """A number that stands for these parts of a key, which take their time to compare; they are kept alive."""
+        """A number for parts of a key that are slow to compare; they are kept alive."""
         return self.kinds.setdefault(parts, next(self.numbers))
 
     def of(self, key: tuple, make: Callable[[], Any]) -> Any:
-        """What a key stands for, recorded now if it is not known."""
+        """The recording of a key, made now if it is missing."""
         made = self.known.get(key, UNKNOWN)
         if made is UNKNOWN:
             with self.making:
@@ -89,12 +89,12 @@ RECORDINGS = Recordings()
 
 
 def blank(arguments: Any, reserve: Reserve) -> Any:
-    """The arguments of a step as a recording has them: what has an entry for each lane is without contents."""
+    """Arguments of a step for recording: tensors with an entry per lane have no contents."""
     return without_contents(arguments, reserve)
 
 
 class Tape:
-    """Plays steps that read the same tables.
+    """Records and replays steps that read the same tables.
 
     Args:
         tables: tensors, and addresses, that steps read beside their arguments; scenes may have others of the same kind.
@@ -113,7 +113,7 @@ class Tape:
 
     def play(self, key: tuple, step: Step, arguments: tuple, count: int, blank: Callable = blank, name: Hashable = None,
              counts: Sequence[int] = ()) -> Played | None:
-        """What a step returns of its arguments; None if it cannot be recorded, and is to be called.
+        """Runs a step on its arguments, by its recording; None if it cannot be recorded.
 
         Args:
             key: hashable; what the step does depends on nothing else but the tape and the structure of the arguments.
@@ -136,7 +136,7 @@ class Tape:
         return Played(dual(*results) if taped.dual else results, [numbers[place] for place in taped.counts], taped.constant)
 
     def link(self, key: tuple, step: Step, arguments: tuple, blank: Callable) -> tuple[Link | None, RecordedInputs]:
-        """A step whose results are handed to the next one, tile by tile, as the first of its arguments; and its tensors.
+        """Records a step whose results are the first argument of the next one, tile by tile; None if it cannot be recorded.
 
         Args are as for `play`; None: it cannot be recorded.
         """
@@ -146,11 +146,11 @@ class Tape:
 
     @staticmethod
     def varying(arguments: tuple) -> RecordedInputs:
-        """The tensors of arguments, one argument after the other."""
+        """The tensors of all arguments, in order."""
         return RecordedInputs([tensor for argument in arguments for tensor in tangents_and_tensors(argument)])
 
     def kept(self, key: tuple, arguments: tuple, varying: RecordedInputs, name: Hashable, make: Callable[[], Any]) -> Any:
-        """What `make` makes of arguments of this kind; None if it cannot be made."""
+        """The cached result of `make` for arguments of this kind; None if it cannot be made."""
         if not all([tensor.is_contiguous() for tensor in varying.items]):
             return None
         kind = self.kinds.get(name)
@@ -161,7 +161,7 @@ class Tape:
         return RECORDINGS.of((kind, varying.pattern, *key), make)
 
     def record(self, step: Step, arguments: tuple, blank: Callable, counts: int) -> Taped | None:
-        """Records such a step."""
+        """Records a step for `play`."""
         reserve = Reserve()
         borders = Recording([]).borders(counts + 1, ALL)[1:-1] if counts else []
         arguments = blank(arguments, reserve, borders) if counts else blank(arguments, reserve)
@@ -174,7 +174,7 @@ class Tape:
             return None
 
     def record_link(self, step: Step, arguments: tuple, blank: Callable) -> Link | None:
-        """Records such a step."""
+        """Records a step for `link`."""
         reserve = Reserve()
         try:
             listener, given, played = self.listened(step, blank(arguments, reserve), reserve)
@@ -185,7 +185,7 @@ class Tape:
 
     def listened(self, step: Step, arguments: tuple, reserve: Reserve,
                  borders: Sequence[int] = ()) -> tuple[Recording, list[Tensor | int], Played]:
-        """What a step does with arguments without contents, what it is given, and what it returns."""
+        """Runs a step on arguments without contents: the recording, its inputs, and the step's results."""
         given = [*self.varying(arguments).items, *self.tables.items]
         listener = Recording(given, borders, reserve, self.contexts)
         with torch.no_grad(), listening(listener):
@@ -193,7 +193,7 @@ class Tape:
 
 
 def without_contents(record: Any, reserve: Reserve, lanes: int = ALL) -> Any:
-    """A record of lanes like another one, as recordings have them; what is the same there is so here, numbers are kept."""
+    """A copy of a record whose tensors have no contents; equal tensors stay equal, numbers are kept."""
     made: dict[int, Tensor] = {}
 
     def like(leaf):
@@ -205,14 +205,14 @@ def without_contents(record: Any, reserve: Reserve, lanes: int = ALL) -> Any:
 
 
 def structure_of(record: Any) -> list:
-    """What is there and what is not, tangents among it; equal of what one recording serves."""
+    """The structure of a record, with tangents; equal where one recording serves."""
     structure: list = []
     flatten(values_and_tangents(record) if inside_dual_level() else record, [], structure)
     return structure
 
 
 def lying(tables: Sequence[Tensor]) -> tuple:
-    """How tables lie in memory, as far as code depends on that."""
+    """The memory layout of tables, as far as code depends on it."""
     blocks: dict[tuple, int] = {}  # of rows that several are columns of
     found = []
     for table in tables:

@@ -1,4 +1,4 @@
-"""Bounces as machine code: what a bounce does with lanes is recorded once for scenes of one kind, and then played."""
+"""Bounces as machine code: a bounce is recorded once for scenes of one kind, and then replayed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BounceOf = Callable[[Onward, int, Vec3 | None], tuple[PathState, Step, Onward]] 
 
 @contextmanager
 def bounces_taken(integrand: Integrand, dtype: torch.dtype, bounce: Bounce = bounced) -> Iterator[BounceOf]:
-    """What takes one bounce after the other, of rays of a dtype: `bounce`, or machine code that does the same."""
+    """A function that takes one bounce after the other: `bounce`, or machine code that does the same."""
     if not recordable(integrand):
         yield partial(bounce, integrand)
         return
@@ -36,8 +36,7 @@ def bounces_taken(integrand: Integrand, dtype: torch.dtype, bounce: Bounce = bou
 
 
 def recordable(integrand: Integrand) -> bool:
-    """True if bounces may be recorded: those of compiled stages, on the CPU, which autograd does not record. Who is asked
-    outside is told no tangents."""
+    """True if bounces may be recorded: compiled stages, on the CPU, without autograd."""
     return (integrand.stages.is_compiled and not (integrand.attached and torch.is_grad_enabled())
             and not (integrand.proposal.layout.reads_outside and inside_dual_level())
             and (integrand.caster is None or hasattr(integrand.caster, "reads"))
@@ -46,7 +45,7 @@ def recordable(integrand: Integrand) -> bool:
 
 def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None, more: tuple = (),
             kind: tuple = ()) -> Tape:
-    """The tape of what steps through a scene.
+    """The tape on which bounces through a scene are recorded.
 
     Args:
         integrand: the scene and how to step.
@@ -67,7 +66,7 @@ def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None
 
 def played(bounce: Bounce, integrand: Integrand, tape: Tape, onward: Onward, depth: int,
            L: Vec3 | None) -> tuple[PathState, Step, Onward]:
-    """As `bounced`, by machine code where that is possible."""
+    """Takes a bounce by machine code, or by `bounced` where that is not possible; args as there."""
     if depth == 0 and onward.hit is None and integrand.rejects_hits:
         tape.board.close()
         onward = with_first_hit(integrand, onward)  # who knows how many rays it casts
@@ -84,7 +83,7 @@ def played(bounce: Bounce, integrand: Integrand, tape: Tape, onward: Onward, dep
 
 
 def recipe(bounce: Bounce, integrand: Integrand, depth: int) -> tuple[tuple, Callable]:
-    """The key of a bounce on a tape, and what is recorded of it."""
+    """The key of a bounce on a tape, and the function that records it."""
     def step(onward: Onward, L: Vec3 | None, at: Position) -> Played:
         state, step, onward = bounce(integrand, onward, depth, L)
         counts = [border for queue in step.queues for border in (queue.first, queue.last)]
@@ -94,7 +93,7 @@ def recipe(bounce: Bounce, integrand: Integrand, depth: int) -> tuple[tuple, Cal
 
 
 def blank_lanes(arguments: tuple, reserve: Reserve) -> tuple:
-    """The arguments of a bounce without contents."""
+    """Arguments of a bounce with shapes but no contents."""
     onward, L, at = arguments
     paths = without_contents(onward.paths, reserve, ALL if onward.alive is None else ALL + 1)  # of which some end
     alive, hit, L = without_contents((onward.alive, onward.hit, L), reserve)
@@ -102,11 +101,11 @@ def blank_lanes(arguments: tuple, reserve: Reserve) -> tuple:
 
 
 def with_first_hit(integrand: Integrand, onward: Onward) -> Onward:
-    """Camera paths with what their rays meet."""
+    """Camera paths with the surfaces that their rays hit."""
     return onward._replace(hit=first_hit(integrand, detached(onward.packed(integrand).ray), 0))
 
 
 def moving_leaves(integrand: Integrand) -> tuple[int, ...]:
-    """Which leaves of the scene have tangents."""
+    """The indices of the scene's leaves that have tangents."""
     tangents = leaves_of(values_and_tangents(integrand.scene)[1]) if integrand.attached else ()
     return tuple([place for place, tangent in enumerate(tangents) if tangent is not None])

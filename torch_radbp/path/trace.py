@@ -1,4 +1,4 @@
-"""The radiance along camera rays: the sum over bounces, forwards."""
+"""The radiance along camera rays: the forward sum over bounces."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def trace(integrand: Integrand, start: PathState, visit: Visit | None = None, hi
 
 def walk(integrand: Integrand, onward: Onward, visit: Visit | None, L: Vec3 | None = None, depth: int = 0,
          bounce: Bounce = bounced) -> None:
-    """Shows `visit` what `trace` does, bounce by bounce.
+    """Calls `visit` for each bounce, as `trace` does, and adds to `L`.
 
     Args:
         integrand, visit, depth, bounce: as there.

@@ -1,4 +1,4 @@
-"""Whole paths as machine code: where nobody asks for what happens on the way, tiles of lanes take all bounces at once.
+"""Whole paths as machine code, for radiance alone: small blocks ("tiles") of lanes take all bounces at once.
 
 Each bounce is recorded as in `taped_bounces.py`, but for its results: all that is left of it is who goes on.
 """
@@ -20,14 +20,13 @@ MOST_BOUNCES = 64
 
 
 def goes_whole(integrand: Integrand, lanes: int, depth: int = 0) -> bool:
-    """True if so many paths from a depth on may be traced whole: there are enough to make a tile's memory worth it, and what
-    they meet asks nobody outside."""
+    """True if paths can be traced whole: many enough, and without network textures."""
     return (lanes >= TILE and recordable(integrand) and integrand.max_depth - depth <= MOST_BOUNCES
             and not integrand.proposal.layout.reads_outside)
 
 
 def traced_whole(integrand: Integrand, onward: Onward, depth: int = 0, bounce: Bounce = bounced) -> Vec3 | None:
-    """What `trace.trace` returns, (N,), for paths that nobody visits; None if they cannot be traced so.
+    """The radiance of whole paths by machine code, as `trace.trace` returns it, (N,); None if that is not possible.
 
     Args:
         integrand, depth, bounce: as there.
@@ -53,7 +52,7 @@ def traced_whole(integrand: Integrand, onward: Onward, depth: int = 0, bounce: B
 
 
 def step_of(bounce: Bounce, integrand: Integrand, depth: int) -> Callable[[Onward, Vec3, Position], Played]:
-    """A bounce of which only those are asked for that go on."""
+    """A bounce that returns only the paths that go on."""
     def step(onward: Onward, L: Vec3, at: Position) -> Played:
         _, _, onward = bounce(integrand, onward, depth, L)
         return Played(() if integrand.is_last(depth) else onward)

@@ -1,4 +1,4 @@
-"""Casters that know triangles only: each instance has its own, which is for tiny scenes."""
+"""Instances for casters that know only triangles, by copying the triangles of each instance: for tiny scenes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torch_radbp.shape.placement import Instances, expanded
 
 
 class ExpandedCaster:
-    """A `RayCaster` over the triangles of a scene and of every instance in it, by a caster that knows no instances.
+    """A `RayCaster` that copies the triangles of every instance and casts rays by a caster that knows no instances.
 
     Args:
         make: makes that caster, of vertices and faces.
@@ -27,7 +27,7 @@ class ExpandedCaster:
 
     @property
     def rays_cast(self) -> int:
-        """Lanes handed over so far."""
+        """The number of rays cast so far."""
         return self.caster.rays_cast
 
     def intersect(self, ray: Ray) -> Hit:

@@ -83,7 +83,7 @@ class Warp:
         return hidden
 
     def _launch(self, kernel: wp.Kernel, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
-        """Runs a kernel over all lanes, on torch's current stream; it does not wait for it."""
+        """Launches a kernel over all lanes, on torch's current stream, without waiting for it."""
         lanes = columns[0].numel()
         if lanes:
             columns = [column.detach().to(torch.float32).reshape(-1) for column in columns]
@@ -94,7 +94,7 @@ class Warp:
             self.rays_cast += lanes
 
     def _stream(self):
-        """torch's current stream, as Warp's; None on the CPU."""
+        """torch's current CUDA stream as Warp's object; None on the CPU."""
         if self._device.is_cpu:
             return None
         current = torch.cuda.current_stream(self.vertices.device)
@@ -107,12 +107,13 @@ class Warp:
 
 
 def lanes_of(column: Tensor):
-    """Warp's descriptor of a tensor, of any stride; the tensor must outlive the launch."""
+    """Warp's array descriptor of a tensor, of any stride; the tensor must outlive the launch."""
     return wp.from_torch(column, return_ctype=True, requires_grad=False)
 
 
 def in_units(vertices: Tensor, faces: Tensor) -> tuple[Tensor, float]:
-    """The corners of triangles, (F, 3, 3) float32, in units of about the mesh's extent, and by what they were multiplied.
+    """The corners of triangles, (F, 3, 3) float32, scaled to about unit extent, and the power of two that they were scaled
+    by.
 
     That is a power of two, which rounds nothing. Triangles without area are points, of which Warp is sure.
     """
@@ -127,7 +128,7 @@ def in_units(vertices: Tensor, faces: Tensor) -> tuple[Tensor, float]:
 
 
 def widened(corners: Tensor) -> Tensor:
-    """Corners of triangles whose boxes are `WIDER` on every side than those of triangles of extent 1.
+    """Moves the corners of triangles outwards so that their bounding boxes grow by `WIDER` on every side.
 
     Args:
         corners: (F, 3, 3).
@@ -150,19 +151,19 @@ def widened(corners: Tensor) -> Tensor:
 
 @made_once
 def _started(device: torch.device):
-    """Warp's device for one of torch's, with the kernels loaded: compiled the first time, and kept on disk by Warp."""
+    """Warp's device for a torch device, with the kernels loaded: compiled the first time, and kept on disk by Warp."""
     level, wp.config.log_level = wp.config.log_level, max(wp.config.log_level, wp.LOG_ERROR)
     try:  # without a word on what Warp finds and compiles
         wp.init()
-        found = wp.device_from_torch(device)
-        wp.load_module(__name__, device=found)
+        warp_device = wp.device_from_torch(device)
+        wp.load_module(__name__, device=warp_device)
     finally:
         wp.config.log_level = level
-    return found
+    return warp_device
 
 
 def release(mesh: wp.Mesh, streams: set[torch.cuda.Stream]) -> None:
-    """Waits for queries that are under way on streams that do not wait for Warp's memory to be freed, as the mesh is now."""
+    """Waits until queries on other streams no longer read the mesh, so that its memory may be freed."""
     for stream in streams:
         stream.synchronize()
 
@@ -172,17 +173,17 @@ def release(mesh: wp.Mesh, streams: set[torch.cuda.Stream]) -> None:
 
 @wp.struct
 class Query:
-    """A ray in the units of the tree."""
+    """A ray scaled to the units of the tree."""
 
     valid: wp.bool
     o: wp.vec3
-    d: wp.vec3  # times a number that keeps divisions in range
-    per_t: float  # t in the tree of one t of the ray
+    d: wp.vec3  # scaled so that divisions stay in range
+    per_t: float  # t in the tree per t of the ray
 
 
 @wp.func
 def query_of(unit: float, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> Query:
-    """A ray of the scene for a tree in which everything is `unit` times as large."""
+    """Scales a ray of the scene by `unit` to the units of the tree."""
     query = Query()
     query.o = wp.vec3(ox * unit, oy * unit, oz * unit)
     d = wp.vec3(dx, dy, dz)
@@ -199,7 +200,7 @@ def closest_hit(mesh: wp.uint64, unit: float,
                 ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
                 dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float),
                 prim: wp.array(dtype=int), u: wp.array(dtype=float), v: wp.array(dtype=float), t: wp.array(dtype=float)):
-    """`RayCaster.intersect`, a ray a thread."""
+    """The kernel of `RayCaster.intersect`, one thread per ray."""
     lane = wp.tid()
     prim[lane] = -1
     u[lane] = 0.0
@@ -208,12 +209,12 @@ def closest_hit(mesh: wp.uint64, unit: float,
     query = query_of(unit, ox[lane], oy[lane], oz[lane], dx[lane], dy[lane], dz[lane])
     if not query.valid:
         return
-    found = wp.mesh_query_ray(mesh, query.o, query.d, FARTHEST)
-    if found.result:
-        prim[lane] = found.face
-        u[lane] = found.v  # Warp's u and v are the weights of the first and the second vertex
-        v[lane] = wp.max(1.0 - found.u - found.v, 0.0)
-        t[lane] = found.t / query.per_t
+    hit = wp.mesh_query_ray(mesh, query.o, query.d, FARTHEST)
+    if hit.result:
+        prim[lane] = hit.face
+        u[lane] = hit.v  # Warp's u and v are the weights of the first and the second vertex
+        v[lane] = wp.max(1.0 - hit.u - hit.v, 0.0)
+        t[lane] = hit.t / query.per_t
 
 
 @wp.kernel(enable_backward=False)
@@ -221,7 +222,7 @@ def any_hit(mesh: wp.uint64, unit: float,
             ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
             dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float), tmax: wp.array(dtype=float),
             hidden: wp.array(dtype=wp.bool)):
-    """`RayCaster.occluded`, a ray a thread."""
+    """The kernel of `RayCaster.occluded`, one thread per ray."""
     lane = wp.tid()
     hidden[lane] = False
     query = query_of(unit, ox[lane], oy[lane], oz[lane], dx[lane], dy[lane], dz[lane])

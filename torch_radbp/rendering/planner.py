@@ -1,4 +1,4 @@
-"""Predicts how much memory a rendering needs, and divides it so that it fits a budget."""
+"""Predicts the memory of calls, and divides these to fit a budget."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ IMAGE_COPIES = 5  # the sums of its rows, the image, its gradient, that by sums 
 
 
 class MemoryPlanner:
-    """Plans the calls of one renderer, and keeps what it has measured of them."""
+    """Plans the calls of one renderer, and caches what it measures."""
 
     def __init__(self):
         self.measured: dict[tuple, BounceMemory] = {}  # by kind of call
 
     def plan(self, call: RenderCall, budget: str | int | None, adjoint_is_chosen: bool,
              terms: Collection[str]) -> MemoryPlan:
-        """The chunk and the strategy of a call, with its predicted memory, by a pilot of its paths.
+        """Plans chunk size and strategy of a call, with its predicted memory, by pilot paths.
 
         Args:
             call: with the chunks and the strategy that it would have without a budget.
@@ -51,7 +51,7 @@ class MemoryPlanner:
         return plan_memory(budget, work, chunk, call.adjoint if adjoint_is_chosen else None, call.shares_samples)
 
     def workload(self, call: RenderCall) -> Workload:
-        """What a call has to compute, and what each bounce of it needs."""
+        """Measures the work of a call: path lengths, and the memory of a bounce."""
         scene = detached(call.scene)
         integrand = call.integrand.with_stages(EAGER)
         lanes = call.spp * sum(view.grid.columns * view.grid.rows for view in call.views)
@@ -68,7 +68,7 @@ class MemoryPlanner:
                         columns * min(call.spp, TOGETHER), columns * call.spp)
 
     def bounce_memory_of(self, call: RenderCall, integrand: Integrand, triangles: bool) -> BounceMemory:
-        """The working memory of a bounce of a call; measured once for each kind of call.
+        """The memory of a bounce of a call; measured once for each kind of call.
 
         Args:
             call: whose scene, with what is differentiated in it, and whose strategy tell its kind.
