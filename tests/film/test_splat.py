@@ -114,8 +114,8 @@ def test_what_lanes_are_asked_for_is_the_transpose(name):
     wanted = cotangent(torch.zeros(1, 3, 7, 9, dtype=torch.float64))
     filters = filters_of(call, 0)
     pixels = call.sink.asked(call, wanted, filters)
-    asked = torch.cat([torch.stack(call.sink.adjoint(call, wavefront, film_places(call, wavefront, 0), pixels))
-                       for wavefront in call.wavefronts], 1)
+    adjoint = torch.cat([torch.stack(call.sink.adjoint(call, wavefront, film_places(call, wavefront, 0), pixels))
+                         for wavefront in call.wavefronts], 1)
     expected, _ = written_out(FILTERS[name], places, values)
     product = float((wanted[0, 0] * torch.from_numpy(expected[0])).sum())
     assert abs(product) > 1e-3

@@ -13,7 +13,7 @@ from torch_radbp.call.render_call import RenderCall, of_wavefronts
 from torch_radbp.call.sink import Gathered, Sink, Work
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.film.develop import Development, Grid, across, row_sums
-from torch_radbp.film.splat import Block, asked, asked_of, deposited, offset_sums, sums_in_pairs
+from torch_radbp.film.splat import Block, deposited, gathered_by, gathered_from_pixels, offset_sums, sums_in_pairs
 from torch_radbp.path.bounce import CameraSample
 from torch_radbp.tensors.record import joined, rows_between
 from torch_radbp.tensors.vec import Vec2, Vec3, rows

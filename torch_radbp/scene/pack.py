@@ -167,7 +167,7 @@ def tables_of_media(cache: PackCache, objects: Objects) -> tuple[Table, ...]:
     return tuple(stacked([cache.twin(number, medium).row()], like) for number, medium in enumerate(objects.media))
 
 
-def bank_of_textures(cache: PackCache, number: int, own: MaterialTextures, objects: Objects) -> Any:
+def bank_of_textures(cache: PackCache, number: int, group: MaterialTextures, objects: Objects) -> Any:
     """The bank, of this number, of those textures of materials that one reader reads; attached."""
     scene, dtype, device = objects.scene, objects.dtype, objects.device
     if group.reader.outside:  # a module that is read outside is taken as it is: only it knows what its values depend on
