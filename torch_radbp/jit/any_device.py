@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torch_radbp.jit.addition import Addition
 from torch_radbp.jit.graph import Program
+from torch_radbp.jit.recording import NotRecordable
 
 
 class AnyDevice:
@@ -36,6 +38,9 @@ class AnyDevice:
 
     def compile(self, program: Program):
         raise RuntimeError(self.reason)
+
+    def recorded(self, recording, given: Sequence[Tensor | int], results: Any):
+        raise NotRecordable(self.reason)
 
     def chosen(self, flags: Tensor) -> Tensor:
         """Waits for the device, which has to tell how many there are."""

@@ -50,15 +50,18 @@ class NotRecordable(Exception):
 
 
 class Reserve:
-    """Addresses for tensors without contents, which take no memory as nothing is written there."""
+    """Addresses for tensors without contents; on the CPU they take no memory, as nothing is written there."""
 
-    def __init__(self) -> None:
-        self.left: memoryview = memoryview(b"")
+    def __init__(self, device: torch.device = torch.device("cpu")) -> None:
+        self.device, self.left, self.made = device, memoryview(b""), []
 
     def tensor(self, dtype: torch.dtype, entries: int) -> Tensor:
         """(entries,) that nothing else has the address of."""
         if not entries:
-            return torch.empty(0, dtype=dtype, device="cpu")
+            return torch.empty(0, dtype=dtype, device=self.device)
+        if self.device.type != "cpu":
+            self.made.append(torch.empty(entries, dtype=dtype, device=self.device))
+            return self.made[-1]
         size = -(-entries * dtype.itemsize // 64) * 64
         if size > len(self.left):
             self.left = memoryview(mmap.mmap(-1, max(BLOCK, size)))
@@ -107,7 +110,7 @@ class Recording:
         """Where a tensor lies, or what is at an address."""
         known = self.given.get(address_of(item))
         if known is not None:
-            return MemoryPlace(False, known)
+            return MemoryPlace(False, known, size=item.element_size() if isinstance(item, Tensor) else 8)
         if not isinstance(item, Tensor):
             raise NotRecordable("a loop reads what is not given")
         return self.place_made(item)
@@ -135,7 +138,7 @@ class Recording:
     # -- What is done ---------------------------------------------------------------------------------------------------
 
     def loop(self, body: int | LoopBody, lanes: int, part: int, inputs: Sequence[Tensor | int], outputs: Sequence[Tensor],
-             first: int = 0, lengths: bool = False) -> None:
+             first: int = 0, lengths: bool = False, of_lanes: Sequence[bool] = ()) -> None:
         """A loop of `team.run_lanes`.
 
         Args:
@@ -143,11 +146,12 @@ class Recording:
             inputs: tensors, or addresses of what lies at the same place in every call.
             outputs: written into from the entry `first` on.
             lengths: whether the lengths of the inputs are read, too.
+            of_lanes: of each input whether it has an entry for each lane of the loop; (): nobody asks.
         """
         places = tuple(map(self.place, inputs))
         spans = tuple(self.span(item.numel()) if place.made else LaneSpan(0, 0) for item, place in zip(inputs, places))
         self.operations.append(RecordedLoop(body, self.span(lanes), part, places, spans if lengths else None,
-                                            tuple(self.written(output, first) for output in outputs)))
+                                            tuple(self.written(output, first) for output in outputs), tuple(of_lanes)))
 
     def cast(self, *loop) -> None:
         """A loop, as of `loop`, that casts a ray for each lane."""
@@ -215,13 +219,13 @@ class Recording:
         return result
 
     def scatter_add(self, groups: Sequence[Sequence[Addition]], lanes: int,
-                    loops: Mapping[tuple[torch.dtype, int], int]) -> None:
+                    loops: Mapping[tuple[torch.dtype, int], Any]) -> None:
         """As `scatter.scatter_add`.
 
         Args:
             groups: of additions that may run side by side.
             lanes: of all.
-            loops: the functions on the processor, by dtype and number of tables.
+            loops: the target's functions, by dtype and number of tables.
         """
         def added(addition: Addition) -> Added:
             index, numbers, sums = addition

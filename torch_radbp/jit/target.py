@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -18,6 +18,9 @@ from torch_radbp.jit.any_device import AnyDevice
 from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.gpu import gpu_of
 from torch_radbp.jit.graph import Program
+from torch_radbp.jit.launches import RecordedLaunches
+from torch_radbp.jit.recorded import Recorded
+from torch_radbp.jit.recording import Recording
 
 COMPILED = ("cpu", "cuda")  # kinds of devices that functions are compiled for
 
@@ -57,6 +60,13 @@ class Target(Protocol):
 
     def compile(self, program: Program) -> Loop:
         """The program, ready to run."""
+
+    def recorded(self, recording: Recording, given: Sequence[Tensor | int], results: Any) -> Recorded | RecordedLaunches:
+        """A recording, to be done again; args as for `RecordedResults`.
+
+        Raises:
+            NotRecordable: if it cannot be, the message says why.
+        """
 
     def chosen(self, flags: Tensor) -> Tensor:
         """See `order.chosen`."""
