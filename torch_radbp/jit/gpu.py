@@ -47,7 +47,7 @@ class Launcher(Protocol):
         """
 
     def together(self) -> AbstractContextManager[Callable[[Any, int, int, int, int], None]]:
-        """What starts several kernels, one after the other: as `launch`, but for the address of the words and their number."""
+        """What starts several kernels, one after the other: as `launch`, but of an address and a number of words."""
 
 
 class LoadedKernel:

@@ -22,7 +22,6 @@ from torch_radbp.jit.lane_operations import (
     Inverted,
     LaneSpan,
     MemoryPlace,
-    Operation,
     Outside,
     Partition,
     Put,
@@ -32,11 +31,11 @@ from torch_radbp.jit.lane_operations import (
 from torch_radbp.jit.nvptx import BLOCK
 from torch_radbp.jit.nvptx_lanes import counts_text, move_text, put_text, scatter_text
 from torch_radbp.jit.nvptx_order import GROUP, MOST_QUEUES, RUN, count_text, place_text, sum_text
-from torch_radbp.jit.recorded import EMPTY, GIVEN, WHOLE, RecordedInputs, RecordedResults, ResultPlace
+from torch_radbp.jit.recorded import WHOLE, RecordedInputs, RecordedResults, ResultPlace
 from torch_radbp.jit.recording import NotRecordable, Recording
 
 OF_SIZE = {1: torch.uint8, 4: torch.int32, 8: torch.int64}  # entries that are moved, by their bytes
-BLOCKS = "nothing", "counts", "scratch", "room"  # whose addresses words begin with, before those of results and what is given
+BLOCKS = "nothing", "counts", "scratch", "room"  # of memory, that words may point into; behind these come results
 
 
 class Query(NamedTuple):
@@ -154,7 +153,8 @@ class Launches:
     def over(self, kernel: Any, lanes: LaneSpan, words: Sequence[Word]) -> None:
         """Adds the launch of a kernel over some lanes."""
         if lanes.first != lanes.last:
-            self.add(kernel, self.lanes, [self.literal(self.lanes), self.counts(lanes.first), self.counts(lanes.last), *words])
+            borders = self.counts(lanes.first), self.counts(lanes.last)
+            self.add(kernel, self.lanes, [self.literal(self.lanes), *borders, *words])
 
     def of_threads(self, name: str, case: tuple, text, threads: int, words: Sequence[Word]) -> None:
         """Adds the launch of a kernel for so many threads."""
@@ -167,7 +167,8 @@ class Launches:
             if lanes.first:
                 raise NotRecordable("rays are cast for a part of the lanes")
             inputs = [self.of_span(place, lanes) for place in operation.inputs]
-            self.add(body, self.lanes, [self.counts(lanes.last), *inputs, *outputs])
+            if lanes.last:
+                self.add(body, self.lanes, [self.counts(lanes.last), *inputs, *outputs])
             return
         if isinstance(body, int):
             raise NotRecordable("a loop is for the processor")
@@ -187,7 +188,8 @@ class Launches:
     def chosen(self, operation: Chosen) -> None:
         self.ordered(operation.flags, operation.lanes, 1, True, operation.order, operation.count)
 
-    def ordered(self, number: MemoryPlace, lanes: LaneSpan, queues: int, flags: bool, order: MemoryPlace, count: int) -> None:
+    def ordered(self, number: MemoryPlace, lanes: LaneSpan, queues: int, flags: bool, order: MemoryPlace,
+                count: int) -> None:
         """Adds what puts lanes into queues, of which `count` is the first number that is found."""
         if queues > MOST_QUEUES:
             raise NotRecordable(f"{queues} queues are too many")
@@ -204,7 +206,8 @@ class Launches:
         read, total = self.of_span(number, lanes), self.counts(lanes.last)
         self.of_threads("count", (queues, flags), count_text, runs, [read, total, sums[0], self.literal(runs)])
         for level in range(levels):
-            self.of_threads("sum", (), sum_text, sizes[level + 1], [sums[level], self.literal(sizes[level]), sums[level + 1]])
+            self.of_threads("sum", (), sum_text, sizes[level + 1], [
+                sums[level], self.literal(sizes[level]), sums[level + 1]])
         self.of_threads("place", (queues, flags, levels), place_text, runs, [
             read, total, self.of_span(order, lanes), self.literal(runs), self.counts(count), *sums])
 
@@ -264,8 +267,9 @@ class RecordedLaunches(RecordedResults):
             raise NotRecordable("a result begins where only the device knows")
         return super().where(place, lanes, dtype)
 
-    def __call__(self, given: RecordedInputs, others: RecordedInputs, lanes: int | LaneCount, known: Sequence[int | LaneCount],
-                 caster: Caster | None, waits: bool) -> tuple[Any, Sequence[int | LaneCount]]:
+    def __call__(self, given: RecordedInputs, others: RecordedInputs, lanes: int | LaneCount,
+                 known: Sequence[int | LaneCount], caster: Caster | None,
+                 waits: bool) -> tuple[Any, Sequence[int | LaneCount]]:
         """The results, and all counts.
 
         Args:
@@ -284,7 +288,7 @@ class RecordedLaunches(RecordedResults):
                 for group in self.layout.groups]
         counts, scratch, room = (self.bytes(max(1, size)) for size in (
             8 * self.counts, launches.scratch, self.layout.bytes * launches.row))
-        bases = array("q", [0, counts.data_ptr(), scratch.data_ptr(), room.data_ptr(), *[block.data_ptr() for block in kept]])
+        bases = array("q", [0, *[block.data_ptr() for block in (counts, scratch, room, *kept)]])
         bases += given.addresses + others.addresses + given.lengths + others.lengths
         for count in (lanes, *known):
             bases.extend((count.address, 0) if isinstance(count, LaneCount) else (0, count))

@@ -44,14 +44,14 @@ entry:
   %before = mul i64 %wide_block, {block}
   %number = add i64 %before, %wide_thread
   %all = icmp eq ptr %last, null
-  br i1 %all, label %begin, label %count
-count:
+  br i1 %all, label %range, label %ask
+ask:
   %first.found = load i64, ptr %first, align 8
   %last.found = load i64, ptr %last, align 8
-  br label %begin
-begin:
-  %from = phi i64 [ 0, %entry ], [ %first.found, %count ]
-  %to = phi i64 [ %lanes, %entry ], [ %last.found, %count ]
+  br label %range
+range:
+  %from = phi i64 [ 0, %entry ], [ %first.found, %ask ]
+  %to = phi i64 [ %lanes, %entry ], [ %last.found, %ask ]
   %i = add i64 %from, %number
   %inside = icmp slt i64 %i, %to
   br i1 %inside, label %lane, label %done

@@ -43,11 +43,11 @@ ADD = """\
 %before{k}.{t} = atomicrmw fadd ptr %to{k}.{t}, double %wide{k}.{t} syncscope("device") monotonic, align 8"""
 
 # What becomes of an entry, by the name of the kernel.
-MOVED = {"copy": "%moved = add {type} %entry, 0", "invert": "%moved = xor {type} %entry, 1", "clear": "%moved = add {type} 0, 0"}
+MOVED = {"copy": "add {type} %found, 0", "invert": "xor {type} %found, 1", "clear": "add {type} 0, 0"}
 MOVE = """\
 %from.at = getelementptr {type}, ptr %source, i64 %i
-%entry = load {type}, ptr %from.at, align {size}
-{moved}
+%found = load {type}, ptr %from.at, align {size}
+%moved = {moved}
 %to.at = getelementptr {type}, ptr %target, i64 %i
 store {type} %moved, ptr %to.at, align {size}"""
 # A count: what stands at an address, or, if that is null, a number.

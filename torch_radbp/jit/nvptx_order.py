@@ -121,8 +121,8 @@ def place_text(case: tuple[int, bool, int]) -> str:
     """The kernel that puts lanes into their places; a lane of it is a run.
 
     Its parameters: numbers or flags; where the number of lanes stands; the lanes, which are written; how many runs there
-    are; where the numbers of lanes before each queue but the first go, or how many flags are set; then the running sums, level
-    by level.
+    are; where it goes in how many lanes each queue but the first begins, or how many flags are set; then the running sums,
+    level by level.
 
     Args:
         case: how many queues are counted, whether lanes have flags, and the number of levels.

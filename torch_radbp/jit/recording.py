@@ -39,6 +39,7 @@ from torch_radbp.tensors.torch_internals import TorchDispatchMode
 
 ALL = 262_147  # stands for all lanes
 TRIES = 100_000
+CPU = torch.device("cpu")
 BLOCK = 1 << 26  # bytes of addresses that are reserved at a time
 MAKES = ("empty", "new_empty", "empty_like", "empty_strided", "new_empty_strided")
 OF_DUALS = ("is_same_size", "_has_same_storage_numel")  # asked of a tensor and its tangent when a dual tensor is made
@@ -52,7 +53,7 @@ class NotRecordable(Exception):
 class Reserve:
     """Addresses for tensors without contents; on the CPU they take no memory, as nothing is written there."""
 
-    def __init__(self, device: torch.device = torch.device("cpu")) -> None:
+    def __init__(self, device: torch.device = CPU) -> None:
         self.device, self.left, self.made = device, memoryview(b""), []
 
     def tensor(self, dtype: torch.dtype, entries: int) -> Tensor:

@@ -180,8 +180,8 @@ class Tape:
         try:
             listener, given, played = self.listened(step, arguments, reserve, borders)
             results = values_and_tangents(played.results) if inside_dual_level() else played.results
-            return Taped(self.target.recorded(listener, given, results), tuple([listener.points[count] for count in played.counts]),
-                         played.constant, inside_dual_level())
+            counts = tuple([listener.points[count] for count in played.counts])
+            return Taped(self.target.recorded(listener, given, results), counts, played.constant, inside_dual_level())
         except NotRecordable:
             return None
 
