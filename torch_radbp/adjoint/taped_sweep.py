@@ -45,16 +45,16 @@ class TapedSweep(Sweep):
         self.tape = tape_of(integrand, adj_L.x.dtype, board, tuple(sums), ("sweep", wanted, sizes))
 
     def advance(self, state: PathState, depth: int) -> PathState:
-        self.tape.board.close()
+        self.tape.rest()
         return super().advance(state, depth)
 
     def finish(self) -> None:
-        self.tape.board.close()
+        self.tape.rest()
         super().finish()
 
     def adjoint(self, state: PathState, depth: int) -> None:
         if depth not in self.record.steps:
-            self.tape.board.close()
+            self.tape.rest()
         super().adjoint(state, depth)
 
     def differentiate(self, state: PathState, step: Step, memo: Memo, adj_L: Vec3, depth: int) -> tuple[ModuleAdjoint, ...]:
@@ -76,9 +76,10 @@ class TapedSweep(Sweep):
             return Played(super(TapedSweep, self).differentiate(state, step, memo, adj_L, depth))
 
         key = integrand.settings_at(depth), integrand.is_last(depth), depth == 0
-        arguments = state, memo, adj_L, step._replace(queues=(), texture_values=values), integrand.at(depth)
+        arguments = (state._replace(number=None), memo, adj_L, step._replace(queues=(), texture_values=values),
+                     integrand.at(depth))
         name = step.front is None, *[of_queue is None for of_queue in values]
-        played = self.tape.play(key, differentiated, arguments, len(state.lane), blank, name, borders)
+        played = self.tape.play(key, differentiated, arguments, state.count, blank, name, borders)
         return super().differentiate(state, step, memo, adj_L, depth) if played is None else played.results
 
     def events(self, depth: int) -> list[Event]:

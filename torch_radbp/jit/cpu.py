@@ -40,6 +40,8 @@ class Cpu:
             waits for one entry after the other, and two vectors wait together: float32 takes two too where it searches.
     """
 
+    in_tiles = True
+
     def __init__(self, width: int | None = None):
         self.width = width
 

@@ -19,7 +19,7 @@ from torch_radbp.jit.any_device import AnyDevice
 from torch_radbp.jit.driver import NoDriver, driver_of
 from torch_radbp.jit.emit import emit
 from torch_radbp.jit.graph import Program
-from torch_radbp.jit.launches import Caster, Launch, Query, RecordedLaunches
+from torch_radbp.jit.launches import Caster, Launch, RayQuery, RecordedLaunches
 from torch_radbp.jit.lowered import without_library
 from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.nvptx import BLOCK, kernel_module
@@ -137,7 +137,7 @@ class Gpu(AnyDevice):
         address = words.data_ptr()
         with self.launcher.together() as launch:
             for kernel, blocks, first, last in launches:
-                if isinstance(kernel, Query):
+                if isinstance(kernel, RayQuery):
                     caster.launch(kernel.kernel, lanes, *words[first:last].tolist())
                 else:
                     launch(kernel.kernel, blocks, BLOCK, address + 8 * first, last - first)

@@ -38,7 +38,7 @@ OF_SIZE = {1: torch.uint8, 4: torch.int32, 8: torch.int64}  # entries that are m
 BLOCKS = "nothing", "counts", "scratch", "room"  # of memory, that words may point into; behind these come results
 
 
-class Query(NamedTuple):
+class RayQuery(NamedTuple):
     """Rays that a caster of the device casts: `caster.launch(kernel, ...)`, see `Launches.launch`."""
 
     kernel: Any
@@ -72,7 +72,7 @@ class Word(NamedTuple):
 class Launch(NamedTuple):
     """A kernel that is launched."""
 
-    kernel: Any  # a `LoadedKernel`, or a `Query`
+    kernel: Any  # a `LoadedKernel`, or a `RayQuery`
     blocks: int
     first: int  # of its words
     last: int
@@ -163,7 +163,7 @@ class Launches:
     def loop(self, operation: RecordedLoop) -> None:
         body, lanes = operation.body, operation.lanes
         outputs = [self.of_span(place, lanes) for place in operation.outputs]
-        if isinstance(body, Query):
+        if isinstance(body, RayQuery):
             if lanes.first:
                 raise NotRecordable("rays are cast for a part of the lanes")
             inputs = [self.of_span(place, lanes) for place in operation.inputs]

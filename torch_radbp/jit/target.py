@@ -39,7 +39,13 @@ class Loop(Protocol):
 
 
 class Target(Protocol):
-    """What lanes are compiled for."""
+    """What lanes are compiled for.
+
+    Attributes:
+        in_tiles: recordings may be run one after the other tile by tile, see `tiles.py`.
+    """
+
+    in_tiles: bool
 
     def text(self, program: Program) -> str:
         """The module of a program, LLVM's text."""

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.target import Target
 from torch_radbp.path.bounce import places
 from torch_radbp.path.event import Ends, Event
 from torch_radbp.path.queues import ImageLanes
@@ -61,6 +62,11 @@ class Integrand(NamedTuple):
     def with_stages(self, stages: Stages) -> Integrand:
         """The same integrand, run otherwise."""
         return self._replace(stages=stages, parts={})
+
+    @property
+    def target(self) -> Target:
+        """What stages are compiled for."""
+        return self.stages.target_on(self.proposal.lights.choice.pmf.device)
 
     @property
     def attached(self) -> bool:

@@ -48,8 +48,8 @@ def walk(integrand: Integrand, onward: Onward, visit: Visit | None, L: Vec3 | No
         onward: all paths.
         L: (N,) the sum, which is added to; None: it is not wanted.
     """
-    with bounces_taken(integrand, onward.paths.pdf.dtype, bounce) as take:
-        while depth < integrand.max_depth and onward.count:
+    with bounces_taken(integrand, onward.paths.pdf.dtype, bounce, waits=False) as take:
+        while depth < integrand.max_depth and onward.some_left(depth):
             state, step, onward = take(onward, depth, L)
             if visit is not None:
                 visit(depth, state, step)

@@ -14,12 +14,13 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.dual import dual, tangents_and_tensors
+from torch_radbp.jit.lane_count import LaneCount, waited_for
 from torch_radbp.jit.order import chosen, inverted, nothing, put
 from torch_radbp.jit.team import loops_together
 from torch_radbp.path.bounce import Vertex, chance_of_light, emitter_met, gathered, pick_light
 from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.queues import ImageLanes, Queue, appearance_met, one_queue, queues_by, shines, side_met
+from torch_radbp.path.queues import EMPTY, ImageLanes, Queue, appearance_met, one_queue, queues_by, shines, side_met
 from torch_radbp.path.state import Arrival, PathState
 from torch_radbp.path.texture_networks import values_of_queues
 from torch_radbp.raycast.protocol import Hit
@@ -35,6 +36,7 @@ from torch_radbp.texture.reader import TextureValue
 # Appearances of a scene up to which the lanes of the derivative alone have functions of their own, without light: steps are
 # quicker by up to a tenth, but each is compiled twice, which a scene of many would wait for.
 FEW = 4
+ASKED = 16  # bounces after which a device is asked whether paths are left, where it alone knows
 
 
 class Step(NamedTuple):
@@ -74,6 +76,7 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
         The vertices of the lanes that meet an appearance, the light that those meet that end (None: none do), and the
         decisions.
     """
+    state, step = settled(state, step)
     if step is None:
         hit = first_hit(integrand, state.ray, depth) if hit is None else hit
         undecided = hit.prim.new_empty(0, dtype=torch.bool)
@@ -88,6 +91,20 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
             nothing(vertex.survives))
         return vertex, light, step._replace(visible=visible, survives=vertex.survives)
     return *bounce_queues(integrand, state, depth, step, with_light), step
+
+
+def settled(state: PathState, step: Step | None) -> tuple[PathState, Step | None]:
+    """A state and what was decided there, of as many lanes as there are; waits for the device if it alone knows."""
+    state = state.settled()
+    if step is None or not isinstance(step.queues[-1].last, LaneCount):
+        return state, step
+    counts = step.queues[-1].last.counts.tolist()
+    found = [(queue._replace(first=counts[queue.first.number], last=counts[queue.last.number]), values)
+             for queue, values in zip(step.queues, step.texture_values)]
+    queues, values = zip(*([each for each in found if each[0].first < each[0].last] or [(EMPTY, ())]))
+    hit, front, picked = rows_between((step.hit, step.front, step.picked), 0, len(state.lane))
+    step = Step(hit, front, step.order[:queues[-1].last], queues, step.visible, step.survives, picked, values)
+    return state, step._replace(visible=step.visible[:step.scattered], survives=step.survives[:step.scattered])
 
 
 def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step,
@@ -253,11 +270,20 @@ class Onward(NamedTuple):
     paths: PathState  # (K,) of the vertices, those that end there among them
     alive: Tensor | None  # (M,) int32, the places of those that go on; None: all do
     hit: Hit | None = None  # (M,) of their rays, if it is known
+    number: LaneCount | None = None  # M, if only the device knows it; of `alive` the first are meant
 
     @property
-    def count(self) -> int:
+    def count(self) -> int | LaneCount:
         """M."""
-        return len(self.paths.lane if self.alive is None else self.alive)
+        return len(self.paths.lane if self.alive is None else self.alive) if self.number is None else self.number
+
+    def some_left(self, depth: int) -> bool:
+        """False if no path takes the bounce at `depth`. Where only the device knows, it is asked now and then."""
+        return self.count > 0 if self.number is None else depth % ASKED > 0 or waited_for(self.number) > 0
+
+    def settled(self) -> Onward:
+        """The same of as many paths as there are; waits for the device if it alone knows."""
+        return self if self.number is None else self._replace(alive=self.alive[:waited_for(self.number)], number=None)
 
     def packed(self, integrand: Integrand) -> PathState:
         """(M,) those that go on, packed together."""

@@ -22,8 +22,8 @@ MOST_BOUNCES = 64
 def goes_whole(integrand: Integrand, lanes: int, depth: int = 0) -> bool:
     """True if so many paths from a depth on may be traced whole: there are enough to make a tile's memory worth it, and what
     they meet asks nobody outside."""
-    return (lanes >= TILE and recordable(integrand) and integrand.max_depth - depth <= MOST_BOUNCES
-            and not integrand.proposal.layout.reads_outside)
+    return (lanes >= TILE and recordable(integrand) and integrand.target.in_tiles
+            and integrand.max_depth - depth <= MOST_BOUNCES and not integrand.proposal.layout.reads_outside)
 
 
 def traced_whole(integrand: Integrand, onward: Onward, depth: int = 0, bounce: Bounce = bounced) -> Vec3 | None:

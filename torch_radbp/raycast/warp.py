@@ -16,7 +16,7 @@ from threading import Lock
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.launches import Query
+from torch_radbp.jit.launches import RayQuery
 from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.recording import recording
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices
@@ -90,12 +90,16 @@ class Warp:
         lanes = columns[0].numel()
         columns = [column.detach().to(torch.float32).reshape(-1) for column in columns]
         if (listener := recording()) is not None:
-            listener.cast(Query(kernel), lanes, lanes, columns, list(answers))
+            listener.cast(RayQuery(kernel), lanes, lanes, columns, list(answers))
             return
         if lanes:
             self._start(kernel, lanes, None, [*map(lanes_of, columns), *(lanes_of(answer.view(-1)) for answer in answers)])
+        self.count(lanes)
+
+    def count(self, rays: int) -> None:
+        """Counts rays that are cast."""
         with self._counting:
-            self._rays += lanes
+            self._rays += rays
 
     def launch(self, kernel: wp.Kernel, lanes: int, last: int, *addresses: int) -> None:
         """See `jit.launches.Caster`."""
