@@ -75,11 +75,11 @@ class TapedSweep(Sweep):
         def differentiated(state: PathState, memo: Memo, adj_L: Vec3, step: Step, at: Position) -> Played:
             return Played(super(TapedSweep, self).differentiate(state, step, memo, adj_L, depth))
 
-        key = integrand.settings_at(depth), integrand.is_last(depth), depth == 0
         arguments = (state._replace(number=None), memo, adj_L, step._replace(queues=(), texture_values=values),
                      integrand.at(depth))
         name = step.front is None, *[of_queue is None for of_queue in values]
-        played = self.tape.play(key, differentiated, arguments, state.count, blank, name, borders)
+        played = self.tape.play(integrand.kind_at(depth), differentiated, arguments, state.count, blank, name, borders,
+                                waits=False)
         return super().differentiate(state, step, memo, adj_L, depth) if played is None else played.results
 
     def events(self, depth: int) -> list[Event]:

@@ -40,7 +40,7 @@ class Cpu:
             waits for one entry after the other, and two vectors wait together: float32 takes two too where it searches.
     """
 
-    in_tiles = True
+    counts_stay = False
 
     def __init__(self, width: int | None = None):
         self.width = width

@@ -5,6 +5,7 @@ Lanes are chosen and partitioned by torch's own operations, unless it is recorde
 
 from __future__ import annotations
 
+import ctypes
 from array import array
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -85,6 +86,8 @@ class Gpu(AnyDevice):
         launcher: of the device.
     """
 
+    counts_stay = True
+
     def __init__(self, launcher: Launcher):
         super().__init__()
         self.launcher = launcher
@@ -138,7 +141,7 @@ class Gpu(AnyDevice):
         with self.launcher.together() as launch:
             for kernel, blocks, first, last in launches:
                 if isinstance(kernel, RayQuery):
-                    caster.launch(kernel.kernel, lanes, *words[first:last].tolist())
+                    caster.launch(kernel.kernel, lanes, *(ctypes.c_int64 * (last - first)).from_address(address + 8 * first))
                 else:
                     launch(kernel.kernel, blocks, BLOCK, address + 8 * first, last - first)
 

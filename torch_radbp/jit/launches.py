@@ -34,7 +34,7 @@ from torch_radbp.jit.nvptx_order import GROUP, MOST_QUEUES, RUN, count_text, pla
 from torch_radbp.jit.recorded import WHOLE, RecordedInputs, RecordedResults, ResultPlace
 from torch_radbp.jit.recording import NotRecordable, Recording
 
-OF_SIZE = {1: torch.uint8, 4: torch.int32, 8: torch.int64}  # entries that are moved, by their bytes
+OF_SIZE = {1: torch.bool, 4: torch.int32, 8: torch.int64}  # entries that are moved, by their bytes
 BLOCKS = "nothing", "counts", "scratch", "room"  # of memory, that words may point into; behind these come results
 
 
@@ -249,11 +249,11 @@ class RecordedLaunches(RecordedResults):
     """
 
     def __init__(self, gpu, recording: Recording, given: Sequence[Tensor | int], results: Any):
-        super().__init__(recording, given, results)
         self.gpu, self.device = gpu, recording.reserve.device
         self.operations, self.made = recording.operations, recording.made
         if any(isinstance(operation, Outside) for operation in self.operations):
-            raise NotRecordable("what is done outside is done between launches")
+            raise NotRecordable("what is done outside is done by the host between launches")
+        super().__init__(recording, given, results)
         self.known = 1 + recording.given_counts
         # The addresses that words begin with: blocks of memory, results, what is given, its lengths, counts that are known.
         self.first_given = len(BLOCKS) + len(self.layout.groups)

@@ -42,10 +42,11 @@ class Target(Protocol):
     """What lanes are compiled for.
 
     Attributes:
-        in_tiles: recordings may be run one after the other tile by tile, see `tiles.py`.
+        counts_stay: numbers of lanes that a recording finds stay on the device, which runs it as launches for all lanes;
+            else recordings may be run one after the other tile by tile, see `tiles.py`.
     """
 
-    in_tiles: bool
+    counts_stay: bool
 
     def text(self, program: Program) -> str:
         """The module of a program, LLVM's text."""

@@ -126,6 +126,10 @@ class Integrand(NamedTuple):
         """True if paths end at this bounce: nothing is scattered any more."""
         return depth + 1 >= self.max_depth
 
+    def kind_at(self, depth: int) -> tuple[Settings, bool, bool]:
+        """All that what is done at a depth depends on, beside the position and what is the same at every depth."""
+        return self.settings_at(depth), self.is_last(depth), depth == 0
+
     def scatterer(self, event: Event) -> Appearance | None:
         """What light is scattered by; None: the path ends."""
         return event.scatterer(self.scene.layout)

@@ -49,6 +49,11 @@ def recordable(integrand: Integrand) -> bool:
             and (integrand.caster is None or hasattr(integrand.caster, "reads")))
 
 
+def keeps_all_lanes(integrand: Integrand) -> bool:
+    """True if what is kept of a bounce has room for all lanes, since only the device knows how many reach it."""
+    return recordable(integrand) and integrand.target.counts_stay
+
+
 def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None, more: tuple = (),
             kind: tuple = ()) -> Tape:
     """The tape of what steps through a scene.
@@ -100,7 +105,7 @@ def recipe(bounce: Bounce, integrand: Integrand, depth: int) -> tuple[tuple, Cal
         counts = [border for queue in step.queues for border in (queue.first, queue.last)]
         return Played((state, step._replace(queues=()), onward), [*counts, len(onward.alive)], step.queues)
 
-    return (bounce, integrand.settings_at(depth), integrand.is_last(depth), depth == 0), step
+    return (bounce, *integrand.kind_at(depth)), step
 
 
 def blank_lanes(arguments: tuple, reserve: Reserve) -> tuple:

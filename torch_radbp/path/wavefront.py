@@ -20,6 +20,7 @@ from torch_radbp.jit.team import loops_together
 from torch_radbp.path.bounce import Vertex, chance_of_light, emitter_met, gathered, pick_light
 from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.lane_room import ASKED, power_of_2
 from torch_radbp.path.queues import EMPTY, ImageLanes, Queue, appearance_met, one_queue, queues_by, shines, side_met
 from torch_radbp.path.state import Arrival, PathState
 from torch_radbp.path.texture_networks import values_of_queues
@@ -36,7 +37,6 @@ from torch_radbp.texture.reader import TextureValue
 # Appearances of a scene up to which the lanes of the derivative alone have functions of their own, without light: steps are
 # quicker by up to a tenth, but each is compiled twice, which a scene of many would wait for.
 FEW = 4
-ASKED = 16  # bounces after which a device is asked whether paths are left, where it alone knows
 
 
 class Step(NamedTuple):
@@ -277,9 +277,13 @@ class Onward(NamedTuple):
         """M."""
         return len(self.paths.lane if self.alive is None else self.alive) if self.number is None else self.number
 
-    def some_left(self, depth: int) -> bool:
-        """False if no path takes the bounce at `depth`. Where only the device knows, it is asked now and then."""
-        return self.count > 0 if self.number is None else depth % ASKED > 0 or waited_for(self.number) > 0
+    def asked(self, depth: int) -> Onward:
+        """The same at `depth`; if only the device knows the number, it is asked now and then, so that there is room for
+        fewer from there on."""
+        if self.number is None or depth % ASKED:
+            return self
+        most = min(power_of_2(waited_for(self.number)), self.number.most)
+        return self._replace(alive=self.alive[:most], number=self.number._replace(most=most))
 
     def settled(self) -> Onward:
         """The same of as many paths as there are; waits for the device if it alone knows."""
