@@ -50,7 +50,10 @@ def walk(integrand: Integrand, onward: Onward, visit: Visit | None, L: Vec3 | No
         L: (N,) the sum, which is added to; None: it is not wanted.
     """
     with bounces_taken(integrand, onward.paths.pdf.dtype, bounce, waits=False) as take:
-        while depth < integrand.max_depth and most_of((onward := onward.asked(depth)).count):
+        while depth < integrand.max_depth:
+            onward = onward.asked(depth)
+            if not most_of(onward.count):
+                break
             state, step, onward = take(onward, depth, L)
             if visit is not None:
                 visit(depth, state, step)
