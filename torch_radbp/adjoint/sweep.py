@@ -30,7 +30,7 @@ from torch_radbp.path.event import Ends, Event
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.texture_networks import values_of_queues
-from torch_radbp.path.wavefront import Step, put_rows, settled, survivors, take_step
+from torch_radbp.path.wavefront import Step, cut_to_count, put_rows, survivors, take_step
 from torch_radbp.scene.interaction import corner_rows
 from torch_radbp.scene.part import leaves_of_part
 from torch_radbp.scene.tensors import SceneTensors
@@ -134,7 +134,7 @@ class Sweep:
 
     def differentiate(self, state: PathState, step: Step, memo: Memo, adj_L: Vec3, depth: int) -> tuple[ModuleAdjoint, ...]:
         """As `adjoint`, of a bounce whose decisions are known, but for the gradients of modules: returns the adjoints."""
-        state, step = settled(state, step)
+        state, step = cut_to_count(state, step)
         integrand, arrival = self.integrand, step.arrival(state)
         same = integrand.stages(bounce_adjoint).taken(
             arrival=arrival, adj_L=adj_L, memo=memo, at=integrand.at(depth), settings=integrand.settings_at(depth))

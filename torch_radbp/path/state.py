@@ -55,7 +55,7 @@ class PathState(NamedTuple):
         """The number of lanes."""
         return len(self.lane) if self.number is None else self.number
 
-    def settled(self) -> PathState:
+    def cut_to_count(self) -> PathState:
         """The same state of as many lanes as there are; waits for the device if it alone knows their number."""
         return self if self.number is None else rows_between(self._replace(number=None), 0, waited_for(self.number))
 

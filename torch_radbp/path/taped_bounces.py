@@ -86,7 +86,7 @@ def played(bounce: Bounce, integrand: Integrand, tape: Tape, waits: bool, onward
     found = tape.play(*recipe(bounce, integrand, depth), (onward._replace(number=None), L, integrand.at(depth)), count,
                       blank_lanes, "later" if later else None, waits=waits)
     if found is None:
-        return bounce(integrand, onward.settled(), depth, L)
+        return bounce(integrand, onward.cut_to_count(), depth, L)
     (state, step, onward), (*borders, going_on), queues = found
     places = zip(queues, borders[::2], borders[1::2], step.texture_values)
     there = [(queue._replace(first=first, last=last), values) for queue, first, last, values in places

@@ -76,7 +76,7 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
         The vertices of the lanes that meet an appearance, the light that those meet that end (None: none do), and the
         decisions.
     """
-    state, step = settled(state, step)
+    state, step = cut_to_count(state, step)
     if step is None:
         hit = first_hit(integrand, state.ray, depth) if hit is None else hit
         undecided = hit.prim.new_empty(0, dtype=torch.bool)
@@ -93,9 +93,9 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
     return *bounce_queues(integrand, state, depth, step, with_light), step
 
 
-def settled(state: PathState, step: Step | None) -> tuple[PathState, Step | None]:
+def cut_to_count(state: PathState, step: Step | None) -> tuple[PathState, Step | None]:
     """A state and what was decided there, of as many lanes as there are; waits for the device if it alone knows."""
-    state = state.settled()
+    state = state.cut_to_count()
     if step is None or not isinstance(step.queues[-1].last, LaneCount):
         return state, step
     counts = step.queues[-1].last.counts.tolist()
@@ -285,7 +285,7 @@ class Onward(NamedTuple):
         most = min(power_of_2(waited_for(self.number)), self.number.most)
         return self._replace(alive=self.alive[:most], number=self.number._replace(most=most))
 
-    def settled(self) -> Onward:
+    def cut_to_count(self) -> Onward:
         """The same of as many paths as there are; waits for the device if it alone knows."""
         return self if self.number is None else self._replace(alive=self.alive[:waited_for(self.number)], number=None)
 
