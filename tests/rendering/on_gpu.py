@@ -8,7 +8,9 @@ import pytest
 
 from tests.rendering.taped import singly
 from torch_radbp.jit.gpu import Gpu
+from torch_radbp.jit.run import LaneFunction
 from torch_radbp.jit.stages import CompiledStages
+from torch_radbp.raycast import expanded
 
 
 def render_on(device: Gpu, monkeypatch: pytest.MonkeyPatch, taped: bool = False) -> None:
@@ -23,3 +25,4 @@ def render_on(device: Gpu, monkeypatch: pytest.MonkeyPatch, taped: bool = False)
     monkeypatch.setattr(import_module("torch_radbp.rendering.renderer"), "compiled", lambda: fused)
     for module in ("order", "scatter", "tape", "run"):
         monkeypatch.setattr(import_module(f"torch_radbp.jit.{module}"), "target_of", lambda of: device)
+    monkeypatch.setattr(expanded, "AS_SHOWN", LaneFunction(expanded.as_shown, ("triangle", "instance"), device))

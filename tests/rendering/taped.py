@@ -7,12 +7,27 @@ import torch
 
 import torch_radbp as rb
 from tests.gradients import cotangent, unwarned_renderer
-from tests.scenes import parameters
+from tests.scenes import cornell, diffuse, load, parameters, rectangle, rgb, sensor, sky_and_points, textured, two_sided
 from torch_radbp.adjoint import taped_sweep
 from torch_radbp.boundary.reflections import ideal_steps
+from torch_radbp.io.transform import translate
 from torch_radbp.path import taped_bounces, whole_paths
 
 SETTINGS = {"spp": 4, "max_depth": 5, "rr_depth": 2, "compile": True, "terms": ("interior",)}
+
+
+def crossing(dtype: torch.dtype) -> rb.Scene:
+    """An instance, a ball and a mirror under a sky."""
+    ball = {"type": "sphere", "radius": 0.3, "to_world": translate((0.5, 0.2, 0)), "bsdf": {"type": "conductor"}}
+    group = {"type": "shapegroup", "own": rectangle((0, 0, 0), 0.3, bsdf=diffuse(0.2, 0.5, 0.7))}
+    shown = {"type": "instance", "own": {"type": "ref", "id": "group"}, "to_world": translate((-0.3, 0, 0.2))}
+    floor = rectangle((0, -0.6, 0), 2.0, (1, 0, 0), -90, bsdf=diffuse(0.6, 0.5, 0.4))
+    sky = {"type": "constant", "radiance": rgb(1, 0.8, 0.6)}
+    return load(dtype, sensor=sensor(9), group=group, ball=ball, shown=shown, floor=floor, sky=sky)
+
+
+SCENES = {"closed box": lambda dtype: cornell(dtype, 12), "textures": lambda dtype: textured(dtype=dtype),
+          "two sides": two_sided, "sky and points": sky_and_points, "instances and balls": crossing}
 
 
 def singly(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,8 +17,8 @@ from tests.jit.emulated import Emulated
 from tests.jit.interpreter import interpreted, needs_interpreter
 from tests.rendering.host import exchanges
 from tests.rendering.on_gpu import render_on
-from tests.rendering.taped import SETTINGS, rendered, singly
-from tests.scenes import CASES, cornell, load, sky_and_points, textured, two_sided
+from tests.rendering.taped import SCENES, SETTINGS, rendered, singly
+from tests.scenes import CASES, cornell, load
 from tests.scenes.mirrors import BALL, CUBE, MIRROR, SKY, VIEWED
 from tests.scenes.networks import room
 from torch_radbp.adjoint.function import RenderFunction
@@ -29,8 +29,7 @@ from torch_radbp.path.lane_room import ASKED, room_for
 pytest.importorskip("warp")
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
 SMALL = SETTINGS | {"spp": 2, "max_depth": 4, "caster": "warp"}
-SCENES = {"closed box": lambda: cornell(torch.float32, 8), "textures": lambda: textured(dtype=torch.float32),
-          "two sides": lambda: two_sided(torch.float32), "sky and points": lambda: sky_and_points(torch.float32)}
+
 
 
 @pytest.fixture
@@ -60,7 +59,7 @@ def assert_same_bits(build, gpu: Gpu, monkeypatch, **settings) -> int:
 @pytest.mark.parametrize("sampling", deep_but(["detached", "attached"], ["detached", "hybrid", "attached"]))
 @pytest.mark.parametrize("name", SCENES)
 def test_images_and_gradients_have_the_bits_of_single_calls(name, sampling, gpu, monkeypatch):
-    found = assert_same_bits(SCENES[name], gpu, monkeypatch, sampling=sampling)
+    found = assert_same_bits(lambda: SCENES[name](torch.float32), gpu, monkeypatch, sampling=sampling)
     assert found == 2 * SMALL["max_depth"]  # one for each bounce, forwards and backwards
 
 
@@ -69,11 +68,13 @@ def test_images_and_gradients_have_the_bits_of_single_calls(name, sampling, gpu,
                                           {"adjoint": rb.ReplayAdjoint()}, {"adjoint": rb.QuadraticAdjoint()},
                                           {"hide_emitters": True}, {"nee": False}, {"chunk": 50}])], ids=str)
 def test_so_they_have_with_other_settings(settings, gpu, monkeypatch):
-    assert assert_same_bits(SCENES["two sides"], gpu, monkeypatch, **settings) >= 2 * settings.get("max_depth", 4)
+    found = assert_same_bits(lambda: SCENES["two sides"](torch.float32), gpu, monkeypatch, **settings)
+    assert found >= 2 * settings.get("max_depth", SMALL["max_depth"])
+
 
 
 def test_paths_that_are_asked_for_only_now_and_then_are_those_that_go_on(gpu, monkeypatch):
-    found = assert_same_bits(SCENES["closed box"], gpu, monkeypatch, max_depth=3 * ASKED, rr_depth=2)
+    found = assert_same_bits(lambda: SCENES["closed box"](torch.float32), gpu, monkeypatch, max_depth=3 * ASKED, rr_depth=2)
     assert ASKED < found < 4 * ASKED  # who asks finds that no path is left
 
 

@@ -71,7 +71,8 @@ def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None
     present = [part is not None for part in (integrand.clipping, integrand.differentiated, *(
         getattr(caster, name, None) for name in ("balls", "instances")))]
     # Stages have the code that recordings call.
-    kind = integrand.stages, integrand.proposal.layout, type(caster), *present, moving_leaves(integrand), *kind
+    kinds = type(caster), type(getattr(caster, "caster", None))  # of one that only others stand behind, those
+    kind = integrand.stages, integrand.proposal.layout, *kinds, *present, moving_leaves(integrand), *kind
     return Tape(tables, kind, (integrand.scene,), board, caster, integrand.target)
 
 
