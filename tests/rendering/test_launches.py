@@ -64,6 +64,7 @@ def test_images_and_gradients_have_the_bits_of_single_calls(name, sampling, gpu,
 
 
 @pytest.mark.parametrize("settings", [{"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)}, {"share_samples": True},
+                                      {"adjoint": rb.MemoizedAdjoint("log")},
                                       {"max_depth": 1}, *map(deep, [
                                           {"adjoint": rb.ReplayAdjoint()}, {"adjoint": rb.QuadraticAdjoint()},
                                           {"hide_emitters": True}, {"nee": False}, {"chunk": 50}])], ids=str)
@@ -100,11 +101,12 @@ def test_ways_by_mirrors_are_followed_in_sequences(gpu, monkeypatch):
     assert expected.abs().max() > 1e-3 and torch.equal(taped, expected)
 
 
-def box(depth: int) -> tuple[rb.Renderer, rb.Scene]:
+def box(depth: int, adjoint: rb.MemoizedAdjoint) -> rb.Renderer:
+    """A renderer of a closed box, in which no path ends before its time."""
     scene = cornell(torch.float32, 6)
     for name, value in scene.named_parameters():
         value.requires_grad_(name.endswith("reflectance.value"))
-    return unwarned_renderer(scene, **SMALL | {"max_depth": depth, "rr_depth": 100}), scene
+    return unwarned_renderer(scene, **SMALL | {"max_depth": depth, "rr_depth": 100, "adjoint": adjoint})
 
 
 def both_ways(renderer: rb.Renderer) -> None:
@@ -114,8 +116,10 @@ def both_ways(renderer: rb.Renderer) -> None:
         RenderFunction.backward(image.grad_fn, cotangent(image.detach()))
 
 
+@pytest.mark.parametrize("adjoint", [rb.MemoizedAdjoint(), rb.MemoizedAdjoint(2), rb.MemoizedAdjoint(2, keep_hits=False)],
+                         ids=repr)
 @pytest.mark.parametrize("taped", [True, False])
-def test_the_host_waits_for_nothing_between_bounces(taped, gpu, monkeypatch):
+def test_the_host_waits_for_nothing_between_bounces(taped, adjoint, gpu, monkeypatch):
     """And calls no function of lanes: what is left of a bounce in Python does not depend on what happens there."""
     monkeypatch.setattr("torch_radbp.rendering.cost.memory_of", lambda device: float("inf"))
     calls, prepared = Counter(), LaneFunction.prepared
@@ -127,7 +131,7 @@ def test_the_host_waits_for_nothing_between_bounces(taped, gpu, monkeypatch):
         return prepared(self, arguments)
 
     def of_depth(depth: int) -> tuple[Counter, Counter, int]:
-        renderer, _ = box(depth)
+        renderer = box(depth, adjoint)
         both_ways(renderer)
         both_ways(renderer)
         calls.clear()
@@ -140,7 +144,8 @@ def test_the_host_waits_for_nothing_between_bounces(taped, gpu, monkeypatch):
     waits = {what: count - few[what] for what, count in many.items() if count > few[what]}
     assert bool(waits) != taped, waits
     assert bool(called_more - called) != taped, called_more - called
-    assert more - once == (2 * 2 if taped else 0)  # a sequence for each bounce, forwards and backwards
+    if adjoint.records_all:  # a sequence for each bounce, forwards and backwards
+        assert more - once == (2 * 2 if taped else 0)
 
 
 @needs_interpreter
