@@ -88,6 +88,22 @@ def test_networks_are_asked_by_the_host_and_bounces_without_them_still_recorded(
     assert_same_bits(lambda: room(dtype=torch.float32), gpu, monkeypatch, max_depth=3)
 
 
+@pytest.mark.parametrize("sampling", deep_but(["attached"], ["detached", "attached"]))
+def test_tangents_have_the_bits_of_single_calls(sampling, gpu, monkeypatch):
+    def tangents() -> torch.Tensor:
+        scene = SCENES["two sides"](torch.float32)
+        given = {name: torch.full_like(value, 0.1) for name, value in scene.named_parameters()
+                 if name.endswith(("reflectance.value", "to_world"))}
+        return rb.jvp(scene, given, seed=1, sampling=sampling, **SMALL)
+
+    before = gpu.launcher.sequences
+    taped = tangents()
+    assert gpu.launcher.sequences > before
+    singly(monkeypatch)
+    expected = tangents()
+    assert expected.std() > 0 and torch.equal(taped, expected)
+
+
 def test_ways_by_mirrors_are_followed_in_sequences(gpu, monkeypatch):
     def gradient() -> torch.Tensor:
         scene = load(torch.float32, sensor=VIEWED, sky=SKY, mirror=MIRROR, ball=BALL, cube=CUBE).requires_grad_(False)

@@ -38,6 +38,16 @@ OF_SIZE = {1: torch.bool, 4: torch.int32, 8: torch.int64}  # entries that are mo
 BLOCKS = "nothing", "counts", "scratch", "room"  # of memory, that words may point into; behind these come results
 
 
+MOST_ROOMS = 64  # for which the launches of a recording are kept
+BITS = 6  # bits of a number of lanes that count, so that there are few rooms
+
+
+def room(lanes: int) -> int:
+    """The lanes that there is room for where there may be so many: a little more, at least whole lines of memory."""
+    unit = max(64, 1 << max(0, lanes.bit_length() - BITS))
+    return -(-lanes // unit) * unit
+
+
 class RayQuery(NamedTuple):
     """Rays that a caster of the device casts: `caster.launch(kernel, ...)`, see `Launches.launch`."""
 
@@ -83,11 +93,11 @@ class Launches:
 
     Args:
         of: the recording.
-        lanes: as many as there may be.
+        lanes: as many as there may be, from `room`; so many entries is each tensor long.
     """
 
     def __init__(self, of: RecordedLaunches, lanes: int):
-        self.of, self.lanes, self.row = of, lanes, -(-lanes // 64) * 64
+        self.of, self.lanes = of, lanes
         self.sequence: list[Launch] = []
         self.words: list[Word] = []
         self.scratch = 0  # bytes
@@ -119,8 +129,8 @@ class Launches:
         layout = self.of.layout
         if place.tensor in layout.rows:
             group, row = layout.rows[place.tensor]
-            return Word(len(BLOCKS) + group, row * self.row * place.size)
-        return Word(BLOCKS.index("room"), layout.at[place.tensor] * self.row)
+            return Word(len(BLOCKS) + group, row * self.lanes * place.size)
+        return Word(BLOCKS.index("room"), layout.at[place.tensor] * self.lanes)
 
     def of_span(self, place: MemoryPlace, lanes: LaneSpan) -> Word:
         """Where a tensor begins that has an entry for each of some lanes, which are those from their first on."""
@@ -260,7 +270,7 @@ class RecordedLaunches(RecordedResults):
         self.first_length = self.first_given + len(given)
         self.first_count = self.first_length + len(given)
         self.launches: dict[int, Launches] = {}
-        Launches(self, 1)  # raises what there is to raise
+        self.prepared(1)  # raises what there is to raise
 
     def where(self, place: MemoryPlace | None, lanes: LaneSpan, dtype: torch.dtype) -> ResultPlace:
         if lanes.first:
@@ -281,19 +291,17 @@ class RecordedLaunches(RecordedResults):
                 lanes, and counts stay on the device.
         """
         most = most_of(lanes)
-        launches = self.launches.get(most)
-        if launches is None:
-            launches = self.launches.setdefault(most, Launches(self, most))
-        kept = [self.bytes(len(group.tensors) * launches.row * group.dtype.itemsize).view(group.dtype).view(-1, launches.row)
-                for group in self.layout.groups]
-        counts, scratch, room = (self.bytes(max(1, size)) for size in (
-            8 * self.counts, launches.scratch, self.layout.bytes * launches.row))
-        bases = array("q", [0, *[block.data_ptr() for block in (counts, scratch, room, *kept)]])
+        launches = self.prepared(most)
+        kept = [self.bytes(len(group.tensors) * launches.lanes * group.dtype.itemsize).view(group.dtype).view(
+            -1, launches.lanes) for group in self.layout.groups]
+        counts, scratch, rest = (self.bytes(max(1, size)) for size in (
+            8 * self.counts, launches.scratch, self.layout.bytes * launches.lanes))
+        bases = array("q", [0, *[block.data_ptr() for block in (counts, scratch, rest, *kept)]])
         bases += given.addresses + others.addresses + given.lengths + others.lengths
         for count in (lanes, *known):
             bases.extend((count.address, 0) if isinstance(count, LaneCount) else (0, count))
         words = torch.frombuffer(bases, dtype=torch.int64).index_select(0, launches.blocks).add_(launches.distances)
-        self.gpu.launch_all(launches.sequence, words, most, caster)
+        self.gpu.launch_all(launches.sequence, words, launches.lanes, caster)
         counts = counts.view(torch.int64)
         if waits:
             counts = counts.tolist()
@@ -306,6 +314,16 @@ class RecordedLaunches(RecordedResults):
         results = [rows[group][row][:counts[count]] if waits and count != WHOLE else rows[group][row]
                    for group, row, count in self.found]
         return self.assemble(results), counts
+
+    def prepared(self, most: int) -> Launches:
+        """The launches for so many lanes at most."""
+        lanes = room(most)
+        launches = self.launches.get(lanes)
+        if launches is None:
+            if len(self.launches) >= MOST_ROOMS:
+                self.launches.clear()
+            launches = self.launches.setdefault(lanes, Launches(self, lanes))
+        return launches
 
     def bytes(self, size: int) -> Tensor:
         """Memory of the device."""
