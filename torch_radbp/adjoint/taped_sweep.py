@@ -59,7 +59,7 @@ class TapedSweep(Sweep):
             return Played(onward.packed(integrand), [len(onward.alive)])
 
         kinds = () if step is None else self.kinds(step, depth)
-        borders = [] if step is None else borders_of({queue_kind(queue): queue for queue in step.queues}, kinds)
+        borders = [] if step is None else queue_borders({queue_kind(queue): queue for queue in step.queues}, kinds)
         step = None if step is None else step._replace(queues=(), texture_values=(None,) * len(kinds))
 
         def blank(arguments: tuple, reserve: Reserve, borders: Sequence[int] = ()) -> tuple:
@@ -105,7 +105,7 @@ class TapedSweep(Sweep):
     def differentiate(self, state: PathState, step: Step, memo: Memo, adj_L: Vec3, depth: int) -> tuple[ModuleAdjoint, ...]:
         events, integrand = self.events(depth), self.integrand
         values = self.known_values(step, events)
-        borders = borders_of({queue.event: queue for queue in step.queues if queue.derivative}, events)
+        borders = queue_borders({queue.event: queue for queue in step.queues if queue.derivative}, events)
 
         def blank(arguments: tuple, reserve: Reserve, borders: Sequence[int]) -> tuple:
             *lanes, step, at = arguments
@@ -159,7 +159,7 @@ def queue_kind(queue: Queue) -> QueueKind:
     return queue.event, queue.image, queue.derivative
 
 
-def borders_of(queues: Mapping[Any, Queue], kinds: Sequence[Any]) -> list[int | LaneCount]:
+def queue_borders(queues: Mapping[Any, Queue], kinds: Sequence[Any]) -> list[int | LaneCount]:
     """Where the first queue of some kinds ends, the next begins and ends, ...; those that are not there are empty."""
     borders, last = [], 0
     for kind in kinds:

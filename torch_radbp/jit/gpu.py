@@ -20,11 +20,12 @@ from torch_radbp.jit.any_device import AnyDevice
 from torch_radbp.jit.driver import NoDriver, driver_of
 from torch_radbp.jit.emit import emit
 from torch_radbp.jit.graph import Program
-from torch_radbp.jit.launches import Caster, Launch, RayQuery, RecordedLaunches
+from torch_radbp.jit.launches import Caster, Launch, RayQuery
 from torch_radbp.jit.lowered import without_library
 from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.nvptx import BLOCK, kernel_module
 from torch_radbp.jit.nvptx_lanes import COPIES, SMALL, put_text, scatter_text
+from torch_radbp.jit.recorded_launches import RecordedLaunches
 from torch_radbp.jit.recording import NotRecordable, Recording, recording
 
 SCATTERED = {(dtype, tables): (dtype, tables) for dtype in SCALARS for tables in range(1, MOST_TABLES + 1)}

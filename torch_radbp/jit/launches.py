@@ -1,4 +1,4 @@
-"""A recording as kernels: all that was done with lanes, as launches one after the other, for which the host waits nowhere.
+"""Kernels that do what a recording has noted, launched one after the other; the host waits for nothing.
 
 Numbers of lanes that are found on the way stay on the device: each kernel is launched for as many lanes as there may be, and
 reads which of them there are. So a tensor has room for all lanes, and what belongs to the lanes between two counts stands in
@@ -8,21 +8,19 @@ of an address and a distance, and are computed together.
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import torch
-from torch import Tensor
 
-from torch_radbp.jit.lane_count import LaneCount, most_of
 from torch_radbp.jit.lane_operations import (
     Chosen,
     Copy,
     Inverted,
     LaneSpan,
     MemoryPlace,
-    Outside,
+    NewTensor,
+    Operation,
     Partition,
     Put,
     RecordedLoop,
@@ -31,25 +29,15 @@ from torch_radbp.jit.lane_operations import (
 from torch_radbp.jit.nvptx import BLOCK
 from torch_radbp.jit.nvptx_lanes import counts_text, move_text, put_text, scatter_text
 from torch_radbp.jit.nvptx_order import GROUP, MOST_QUEUES, RUN, count_text, place_text, sum_text
-from torch_radbp.jit.recorded import WHOLE, RecordedInputs, RecordedResults, ResultPlace
-from torch_radbp.jit.recording import NotRecordable, Recording
+from torch_radbp.jit.recorded_text import ResultLayout
+from torch_radbp.jit.recording import NotRecordable
 
 OF_SIZE = {1: torch.bool, 4: torch.int32, 8: torch.int64}  # entries that are moved, by their bytes
 BLOCKS = "nothing", "counts", "scratch", "room"  # of memory, that words may point into; behind these come results
 
 
-MOST_ROOMS = 64  # for which the launches of a recording are kept
-BITS = 6  # bits of a number of lanes that count, so that there are few rooms
-
-
-def room(lanes: int) -> int:
-    """The lanes that there is room for where there may be so many: a little more, at least whole lines of memory."""
-    unit = max(64, 1 << max(0, lanes.bit_length() - BITS))
-    return -(-lanes // unit) * unit
-
-
 class RayQuery(NamedTuple):
-    """Rays that a caster of the device casts: `caster.launch(kernel, ...)`, see `Launches.launch`."""
+    """Rays that a caster of the device casts: `caster.launch(kernel, ...)`, see `Caster.launch`."""
 
     kernel: Any
 
@@ -61,7 +49,7 @@ class RayQuery(NamedTuple):
 class Caster(Protocol):
     """What casts rays on a device."""
 
-    def launch(self, kernel: Any, lanes: int, last: int, addresses: Sequence[int]) -> None:
+    def launch(self, kernel: Any, lanes: int, last: int, *addresses: int) -> None:
         """Casts a ray for each lane, and does not wait for it.
 
         Args:
@@ -88,20 +76,44 @@ class Launch(NamedTuple):
     last: int
 
 
+class DeviceRecording(NamedTuple):
+    """What launches are made of."""
+
+    kernel: Callable  # from name, case and text, see `gpu.Gpu.kernel`
+    operations: Sequence[Operation]
+    made: Sequence[NewTensor]
+    layout: ResultLayout
+    given: int  # tensors and addresses
+    known: int  # counts that are known before the first launch, that of all lanes among them
+
+    @property
+    def first_given(self) -> int:
+        """The first block that is given: blocks of memory, results, what is given, its lengths, and known counts."""
+        return len(BLOCKS) + len(self.layout.groups)
+
+    @property
+    def first_length(self) -> int:
+        return self.first_given + self.given
+
+    @property
+    def first_count(self) -> int:
+        return self.first_length + self.given
+
+
 class Launches:
     """The launches of a recording for so many lanes.
 
     Args:
         of: the recording.
-        lanes: as many as there may be, from `room`; so many entries is each tensor long.
+        lanes: as many as there may be; so many entries is each tensor long.
     """
 
-    def __init__(self, of: RecordedLaunches, lanes: int):
+    def __init__(self, of: DeviceRecording, lanes: int):
         self.of, self.lanes = of, lanes
         self.sequence: list[Launch] = []
         self.words: list[Word] = []
         self.scratch = 0  # bytes
-        self.add(of.gpu.kernel("counts", (of.known,), counts_text), 1, [
+        self.add(of.kernel("counts", (of.known,), counts_text), 1, [
             self.literal(1), *[Word(0, 0)] * 2, self.counts(0),
             *[Word(of.first_count + place, 0) for place in range(2 * of.known)]])
         write = {RecordedLoop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put,
@@ -168,7 +180,7 @@ class Launches:
 
     def of_threads(self, name: str, case: tuple, text, threads: int, words: Sequence[Word]) -> None:
         """Adds the launch of a kernel for so many threads."""
-        self.add(self.of.gpu.kernel(name, case, text), threads, [self.literal(threads), *[Word(0, 0)] * 2, *words])
+        self.add(self.of.kernel(name, case, text), threads, [self.literal(threads), *[Word(0, 0)] * 2, *words])
 
     def loop(self, operation: RecordedLoop) -> None:
         body, lanes = operation.body, operation.lanes
@@ -227,10 +239,10 @@ class Launches:
         for entry, target in pairs:
             words += (self.of_span(entry, lanes), self.whole(target))
         case = (OF_SIZE[pairs[0][0].size],) * len(pairs)
-        self.over(self.of.gpu.kernel("put", case, put_text), lanes, words)
+        self.over(self.of.kernel("put", case, put_text), lanes, words)
 
     def moved(self, name: str, size: int, source: MemoryPlace, target: MemoryPlace, lanes: LaneSpan) -> None:
-        self.over(self.of.gpu.kernel(name, (name, size), move_text), lanes, [
+        self.over(self.of.kernel(name, (name, size), move_text), lanes, [
             self.of_span(source, lanes), self.of_span(target, lanes)])
 
     def inverted(self, operation: Inverted) -> None:
@@ -248,83 +260,4 @@ class Launches:
                       self.literal(added.mask))
             for number, total in zip(added.numbers, added.totals):
                 words += (self.of_span(number, operation.lanes), self.whole(total))
-        self.over(self.of.gpu.kernel("scatter", tuple(case), scatter_text), operation.lanes, words)
-
-
-class RecordedLaunches(RecordedResults):
-    """What was recorded, to be done again on a GPU; args as for `recorded.Recorded`.
-
-    Args:
-        gpu: the target.
-    """
-
-    def __init__(self, gpu, recording: Recording, given: Sequence[Tensor | int], results: Any):
-        self.gpu, self.device = gpu, recording.reserve.device
-        self.operations, self.made = recording.operations, recording.made
-        if any(isinstance(operation, Outside) for operation in self.operations):
-            raise NotRecordable("what is done outside is done by the host between launches")
-        super().__init__(recording, given, results)
-        self.known = 1 + recording.given_counts
-        # The addresses that words begin with: blocks of memory, results, what is given, its lengths, counts that are known.
-        self.first_given = len(BLOCKS) + len(self.layout.groups)
-        self.first_length = self.first_given + len(given)
-        self.first_count = self.first_length + len(given)
-        self.launches: dict[int, Launches] = {}
-        self.prepared(1)  # raises what there is to raise
-
-    def where(self, place: MemoryPlace | None, lanes: LaneSpan, dtype: torch.dtype) -> ResultPlace:
-        if lanes.first:
-            raise NotRecordable("a result begins where only the device knows")
-        return super().where(place, lanes, dtype)
-
-    def __call__(self, given: RecordedInputs, others: RecordedInputs, lanes: int | LaneCount,
-                 known: Sequence[int | LaneCount], caster: Caster | None,
-                 waits: bool) -> tuple[Any, Sequence[int | LaneCount]]:
-        """The results, and all counts.
-
-        Args:
-            given, others: one after the other, as for the constructor; no result is one of the others.
-            lanes: how many, at most at least 1.
-            known: the counts that the function is told.
-            caster: of rays.
-            waits: whether the host waits for the counts: then results are as long as these say. Else they have room for all
-                lanes, and counts stay on the device.
-        """
-        most = most_of(lanes)
-        launches = self.prepared(most)
-        kept = [self.bytes(len(group.tensors) * launches.lanes * group.dtype.itemsize).view(group.dtype).view(
-            -1, launches.lanes) for group in self.layout.groups]
-        counts, scratch, rest = (self.bytes(max(1, size)) for size in (
-            8 * self.counts, launches.scratch, self.layout.bytes * launches.lanes))
-        bases = array("q", [0, *[block.data_ptr() for block in (counts, scratch, rest, *kept)]])
-        bases += given.addresses + others.addresses + given.lengths + others.lengths
-        for count in (lanes, *known):
-            bases.extend((count.address, 0) if isinstance(count, LaneCount) else (0, count))
-        words = torch.frombuffer(bases, dtype=torch.int64).index_select(0, launches.blocks).add_(launches.distances)
-        self.gpu.launch_all(launches.sequence, words, launches.lanes, caster)
-        counts = counts.view(torch.int64)
-        if waits:
-            counts = counts.tolist()
-            lengths = [counts[group.lanes.last] for group in self.layout.groups]
-        else:
-            counts = [LaneCount(counts, number, most) for number in range(self.counts)]
-            lengths = [most] * len(kept)
-        rows = [block.narrow(1, 0, length).unbind(0) for block, length in zip(kept, lengths)]
-        rows += [given.items, [torch.empty(0, dtype=dtype, device=self.device) for dtype in self.empty]]
-        results = [rows[group][row][:counts[count]] if waits and count != WHOLE else rows[group][row]
-                   for group, row, count in self.found]
-        return self.assemble(results), counts
-
-    def prepared(self, most: int) -> Launches:
-        """The launches for so many lanes at most."""
-        lanes = room(most)
-        launches = self.launches.get(lanes)
-        if launches is None:
-            if len(self.launches) >= MOST_ROOMS:
-                self.launches.clear()
-            launches = self.launches.setdefault(lanes, Launches(self, lanes))
-        return launches
-
-    def bytes(self, size: int) -> Tensor:
-        """Memory of the device."""
-        return torch.empty(size, dtype=torch.uint8, device=self.device)
+        self.over(self.of.kernel("scatter", tuple(case), scatter_text), operation.lanes, words)

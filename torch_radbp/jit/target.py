@@ -18,8 +18,8 @@ from torch_radbp.jit.any_device import AnyDevice
 from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.gpu import gpu_of
 from torch_radbp.jit.graph import Program
-from torch_radbp.jit.launches import RecordedLaunches
 from torch_radbp.jit.recorded import Recorded
+from torch_radbp.jit.recorded_launches import RecordedLaunches
 from torch_radbp.jit.recording import Recording
 
 COMPILED = ("cpu", "cuda")  # kinds of devices that functions are compiled for
