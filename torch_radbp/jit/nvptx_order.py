@@ -32,13 +32,17 @@ turn:
 {counters}
 %queue.at = getelementptr {scalar}, ptr %numbers, i64 %j
 %queue.found = load {scalar}, ptr %queue.at, align {size}
-%queue = {queue}
+{queue}
 {steps}
 {each}
 %j.next = add i64 %j, 1
 %j.more = icmp slt i64 %j.next, %run.last
 br i1 %j.more, label %turn, label %end
 end:"""
+# How the queue of a lane is read, by whether lanes have flags: its number, or 0 if its flag is set.
+QUEUE = {False: {"scalar": "i32", "size": 4, "queue": "%queue = add i32 %queue.found, 0"},
+         True: {"scalar": "i8", "size": 1,
+                "queue": "%queue.unset = icmp eq i8 %queue.found, 0\n%queue = zext i1 %queue.unset to i32"}}
 STEP = """\
 %is{q} = icmp eq i32 %queue, {q}
 %one{q} = zext i1 %is{q} to i32
@@ -64,13 +68,6 @@ summed:
 store i32 %sum.next, ptr %total.at, align 4"""
 
 
-def queue_of(flags: bool) -> dict[str, str | int]:
-    """How the queue of a lane is read: its number, or 0 if its flag is set."""
-    if flags:
-        return {"scalar": "i8", "size": 1, "queue": "zext i1 %queue.unset to i32"}
-    return {"scalar": "i32", "size": 4, "queue": "add i32 %queue.found, 0"}
-
-
 def lanes_of_run(queues: int, flags: bool, begins: Sequence[str], starts: Sequence[str], before: str,
                  each: Sequence[str]) -> list[str]:
     """The instructions that go through the lanes of a run.
@@ -84,13 +81,10 @@ def lanes_of_run(queues: int, flags: bool, begins: Sequence[str], starts: Sequen
         each: what is done with a lane.
     """
     counters = [f"%c{q} = phi i32 [ {start}, %{before} ], [ %c{q}.next, %turn.end ]" for q, start in enumerate(starts)]
-    unset = ["%queue.unset = icmp eq i8 %queue.found, 0"] if flags else []
     text = LANES_OF_RUN.format(run=RUN, begins="\n".join(begins), counters="\n".join(counters), before=before,
                                steps="\n".join(STEP.format(q=q) for q in range(queues)), each="\n".join(each),
-                               **queue_of(flags))
-    lines = [line for line in text.splitlines() if line]
-    place = next(number for number, line in enumerate(lines) if line.startswith("%queue = "))
-    return [*lines[:place], *unset, *lines[place:]]
+                               **QUEUE[flags])
+    return [line for line in text.splitlines() if line]
 
 
 def count_text(case: tuple[int, bool]) -> str:
@@ -132,8 +126,7 @@ def place_text(case: tuple[int, bool, int]) -> str:
     # The first run knows where queues begin.
     start = ["%leads = icmp eq i64 %i, 0", "br i1 %leads, label %borders.found, label %places", "borders.found:",
              *borders_found(queues, flags, levels), "br label %places", "places:", *begins]
-    place = "%c0"
-    chain = []
+    place, chain = "%c0", []
     for q in range(1, queues):
         chain.append(f"%place{q} = select i1 %is{q}, i32 %c{q}, i32 {place}")
         place = f"%place{q}"
@@ -163,9 +156,9 @@ def borders_found(queues: int, flags: bool, levels: int) -> Iterator[str]:
     """Instructions that write where queues begin, or how many flags are set."""
     if flags:  # the sum of all
         yield f"%border0 = load i32, ptr %sums{levels}, align 4"
-    for number, q in enumerate(range(0 if flags else 1, 1 if flags else queues)):
-        if not flags:
-            yield from place_of_run(q, levels, "0", f"border{q}")
+    for q in range(1, queues):
+        yield from place_of_run(q, levels, "0", f"border{q}")
+    for number, q in enumerate([0] if flags else range(1, queues)):
         yield f"%border{q}.wide = sext i32 %border{q} to i64"
         yield f"%border{q}.to = getelementptr i64, ptr %borders, i64 {number}"
         yield f"store i64 %border{q}.wide, ptr %border{q}.to, align 8"
