@@ -14,7 +14,6 @@ from torch import Tensor
 
 from torch_radbp.jit.loops import FEW_LANES, TAKE_PARTS
 from torch_radbp.jit.machine import MachineCode, cached_code, made_once
-from torch_radbp.jit.recording import recording
 from torch_radbp.jit.team import run_lanes
 
 # The body may begin with values that are carried from turn to turn.
@@ -207,22 +206,16 @@ def addresses() -> dict[str, int]:
 
 def inverted_on_cpu(flags: Tensor) -> Tensor:
     """See `order.inverted`."""
-    if (listener := recording()) is not None:
-        return listener.inverted(flags, True)
     return ~flags
 
 
 def nothing_on_cpu(flags: Tensor) -> Tensor:
     """See `order.nothing`."""
-    if (listener := recording()) is not None:
-        return listener.inverted(flags, False)
     return torch.zeros_like(flags)
 
 
 def chosen_on_cpu(flags: Tensor) -> Tensor:
     """See `order.chosen`."""
-    if (listener := recording()) is not None:
-        return listener.chosen(flags)
     flags = flags.contiguous()
     order = flags.new_empty(flags.numel(), dtype=torch.int32)
     return order[:code().choose(flags.data_ptr(), order.data_ptr(), flags.numel())]
@@ -230,8 +223,6 @@ def chosen_on_cpu(flags: Tensor) -> Tensor:
 
 def partition_on_cpu(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
     """See `order.partition`."""
-    if (listener := recording()) is not None:
-        return listener.partition(number, queues)
     number, lanes, size = number.contiguous(), number.numel(), number.element_size()
     order = number.new_empty(lanes, dtype=torch.int32)
     if queues * FEW_LANES_OF_QUEUE > lanes:
@@ -260,9 +251,6 @@ def partitioned_by_many(number: Tensor, queues: int, order: Tensor) -> tuple[Ten
 
 def put_on_cpu(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
     """See `order.put`; all is contiguous."""
-    if (listener := recording()) is not None:
-        listener.put(targets, place, entries)
-        return
     for size in {target.element_size() for target in targets}:
         pairs = [(target, entry) for target, entry in zip(targets, entries) if target.element_size() == size]
         inputs = array("q", [place.data_ptr(), len(pairs), *[entry.data_ptr() for _, entry in pairs]])

@@ -146,26 +146,7 @@ class Gpu(AnyDevice):
                 else:
                     launch(kernel.kernel, blocks, BLOCK, address + 8 * first, last - first)
 
-    def chosen(self, flags: Tensor) -> Tensor:
-        listener = recording()
-        return super().chosen(flags) if listener is None else listener.chosen(flags)
-
-    def inverted(self, flags: Tensor) -> Tensor:
-        listener = recording()
-        return super().inverted(flags) if listener is None else listener.inverted(flags, True)
-
-    def nothing(self, flags: Tensor) -> Tensor:
-        listener = recording()
-        return super().nothing(flags) if listener is None else listener.inverted(flags, False)
-
-    def partition(self, number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
-        listener = recording()
-        return super().partition(number, queues) if listener is None else listener.partition(number, queues)
-
     def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
-        if (listener := recording()) is not None:
-            listener.put(targets, place, entries)
-            return
         words = [place.data_ptr()]
         for target, entry in zip(targets, entries):
             words += (entry.data_ptr(), target.data_ptr())

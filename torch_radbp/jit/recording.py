@@ -210,13 +210,19 @@ class Recording:
                           if target.element_size() == size)
             self.operations.append(Put(self.place(place), self.span(place.numel()), pairs))
 
-    def inverted(self, like: Tensor, of_flags: bool) -> Tensor:
-        """As `order.inverted`, or `order.nothing`."""
+    def inverted(self, flags: Tensor) -> Tensor:
+        """As `order.inverted`."""
+        return self.flags_like(flags, self.place(flags) if len(flags) else None)
+
+    def nothing(self, flags: Tensor) -> Tensor:
+        """As `order.nothing`."""
+        return self.flags_like(flags, None)
+
+    def flags_like(self, like: Tensor, inverted: MemoryPlace | None) -> Tensor:
+        """As many flags: others inverted, or all false."""
         result = torch.empty_like(like)
-        if not len(result):
-            return result
-        self.operations.append(Inverted(self.place(like) if of_flags else None, self.span(like.numel()),
-                                        self.written(result)))
+        if len(result):
+            self.operations.append(Inverted(inverted, self.span(like.numel()), self.written(result)))
         return result
 
     def scatter_add(self, groups: Sequence[Sequence[Addition]], lanes: int,
