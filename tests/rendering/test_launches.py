@@ -84,6 +84,18 @@ def test_room_is_that_for_all_until_the_device_is_asked():
     assert room_for([0.5]) == [1.0] * ASKED
 
 
+def test_memory_is_planned_for_all_lanes_of_a_bounce(gpu, monkeypatch):
+    """Of which on the processor only those count that reach it."""
+    renderer = unwarned_renderer(SCENES["sky and points"](torch.float32), **SMALL)
+
+    def shares() -> list[float]:
+        return renderer.planner.workload(renderer.prepare(1, None, None, None)).fractions
+
+    assert shares() == [1.0] * SMALL["max_depth"]
+    singly(monkeypatch)
+    assert shares()[-1] < 1.0
+
+
 def test_networks_are_asked_by_the_host_and_bounces_without_them_still_recorded(gpu, monkeypatch):
     assert_same_bits(lambda: room(dtype=torch.float32), gpu, monkeypatch, max_depth=3)
 
