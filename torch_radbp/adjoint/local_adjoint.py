@@ -19,7 +19,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import Queue
 from torch_radbp.path.state import PathState
 from torch_radbp.path.texture_networks import Asking, values_of_queues
-from torch_radbp.path.wavefront import Step
+from torch_radbp.path.wavefront import Step, cut_to_count
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.interaction import corner_rows
 from torch_radbp.scene.part import leaves_of_part
@@ -103,6 +103,7 @@ class LocalAdjoints:
             memo, adj_L: of all lanes of the chunk.
             depth: of the bounce.
         """
+        state, step = cut_to_count(state, step)
         integrand, arrival = self.integrand, step.arrival(state)
         reached, *of_chunk, at, settings = integrand.stages(bounce_adjoint).taken(
             arrival=arrival, adj_L=adj_L, memo=memo, at=integrand.at(depth), settings=integrand.settings_at(depth))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torch_radbp.jit.addition import Addition
 from torch_radbp.jit.graph import Program
+from torch_radbp.jit.recording import NotRecordable
 
 
 class AnyDevice:
@@ -17,6 +19,8 @@ class AnyDevice:
     Args:
         reason: why nothing is compiled for it, and what to do about it.
     """
+
+    counts_stay = False
 
     def __init__(self, reason: str = "lanes are compiled for the CPU and for GPUs of NVIDIA's; run the function as it is"):
         self.reason = reason
@@ -36,6 +40,9 @@ class AnyDevice:
 
     def compile(self, program: Program):
         raise RuntimeError(self.reason)
+
+    def recorded(self, recording, given: Sequence[Tensor | int], results: Any):
+        raise NotRecordable(self.reason)
 
     def chosen(self, flags: Tensor) -> Tensor:
         """The lanes whose flag is set; waits for the device to know their number."""

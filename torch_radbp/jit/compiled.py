@@ -18,7 +18,7 @@ from torch import Tensor
 from torch_radbp.jit import code_cache
 from torch_radbp.jit.arguments import Arguments, Column
 from torch_radbp.jit.fingerprint import Opaque, fingerprint
-from torch_radbp.jit.graph import Program
+from torch_radbp.jit.graph import LANES, Program
 from torch_radbp.jit.later import Later
 from torch_radbp.jit.recording import NotRecordable, Recording
 from torch_radbp.jit.structure import assembler
@@ -81,8 +81,9 @@ class Compiled:
             return
         if given.read is not given.leaves and any(map(operator.is_not, given.read, given.leaves)):
             raise NotRecordable("a tensor is copied before it is read")
+        kinds = given.kinds
         listener.loop(self, given.lanes, PART, [given.leaves[place] for place in self.inputs], outputs,
-                      first, lengths=True)
+                      first, lengths=True, of_lanes=[kinds[place] == LANES for place in self.inputs])
 
 
 def code_name(function: Callable, tables: tuple[str, ...], given: Arguments, target: Target) -> str | None:

@@ -12,8 +12,10 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import torch
+from torch import Tensor
 
 from torch_radbp.jit import cpu_order, cpu_runs, cpu_scatter
 from torch_radbp.jit.emit import Body, emit
@@ -22,6 +24,8 @@ from torch_radbp.jit.instructions import alignment
 from torch_radbp.jit.loops import TAKE_PARTS, few_lanes
 from torch_radbp.jit.machine import MachineCode, host, host_features, host_width, object_code
 from torch_radbp.jit.prefetch import DECLARATION, prefetches
+from torch_radbp.jit.recorded import Recorded
+from torch_radbp.jit.recording import Recording
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.jit.window import window_of
 
@@ -35,6 +39,8 @@ class Cpu:
         width: lanes in a block; None: those of a float32 vector of the processor, of which float64 takes two. A search
             waits for one entry after the other, and two vectors wait together: float32 takes two too where it searches.
     """
+
+    counts_stay = False
 
     def __init__(self, width: int | None = None):
         self.width = width
@@ -60,6 +66,10 @@ class Cpu:
     def compile(self, program: Program) -> CpuLoop:
         """Compiles and loads a program; see `Target`."""
         return self.loop(self.code(program))
+
+    def recorded(self, recording: Recording, given: Sequence[Tensor | int], results: Any) -> Recorded:
+        """See `Target`."""
+        return Recorded(recording, given, results)
 
     chosen = staticmethod(cpu_order.chosen_on_cpu)
     partition = staticmethod(cpu_order.partition_on_cpu)

@@ -14,7 +14,6 @@ from torch import Tensor
 
 from torch_radbp.jit.loops import FEW_LANES, TAKE_PARTS
 from torch_radbp.jit.machine import MachineCode, cached_code, made_once
-from torch_radbp.jit.recording import recording
 from torch_radbp.jit.team import run_lanes
 
 # The body may begin with values that are carried from turn to turn.
@@ -206,32 +205,24 @@ def addresses() -> dict[str, int]:
 
 
 def inverted_on_cpu(flags: Tensor) -> Tensor:
-    """Inverts flags on the CPU; see `order.inverted`."""
-    if (listener := recording()) is not None:
-        return listener.inverted(flags, True)
+    """See `order.inverted`."""
     return ~flags
 
 
 def nothing_on_cpu(flags: Tensor) -> Tensor:
-    """Flags that are all false, on the CPU; see `order.nothing`."""
-    if (listener := recording()) is not None:
-        return listener.inverted(flags, False)
+    """See `order.nothing`."""
     return torch.zeros_like(flags)
 
 
 def chosen_on_cpu(flags: Tensor) -> Tensor:
-    """The lanes whose flag is set, on the CPU; see `order.chosen`."""
-    if (listener := recording()) is not None:
-        return listener.chosen(flags)
+    """See `order.chosen`."""
     flags = flags.contiguous()
     order = flags.new_empty(flags.numel(), dtype=torch.int32)
     return order[:code().choose(flags.data_ptr(), order.data_ptr(), flags.numel())]
 
 
 def partition_on_cpu(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
-    """Sorts lanes into queues on the CPU; see `order.partition`."""
-    if (listener := recording()) is not None:
-        return listener.partition(number, queues)
+    """See `order.partition`."""
     number, lanes, size = number.contiguous(), number.numel(), number.element_size()
     order = number.new_empty(lanes, dtype=torch.int32)
     if queues * FEW_LANES_OF_QUEUE > lanes:
@@ -259,10 +250,7 @@ def partitioned_by_many(number: Tensor, queues: int, order: Tensor) -> tuple[Ten
 
 
 def put_on_cpu(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
-    """Scatters entries on the CPU; see `order.put`; all is contiguous."""
-    if (listener := recording()) is not None:
-        listener.put(targets, place, entries)
-        return
+    """See `order.put`; all is contiguous."""
     for size in {target.element_size() for target in targets}:
         pairs = [(target, entry) for target, entry in zip(targets, entries) if target.element_size() == size]
         inputs = array("q", [place.data_ptr(), len(pairs), *[entry.data_ptr() for _, entry in pairs]])

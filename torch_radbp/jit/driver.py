@@ -88,13 +88,23 @@ class Driver:
             self.ask(driver.cuLinkDestroy, state)
 
     def launch(self, kernel: Any, blocks: int, threads: int, parameters: array) -> None:
-        """Launches a kernel on torch's current stream; `parameters` are copied before this returns."""
-        address, count = parameters.buffer_info()
-        size = ctypes.c_size_t(8 * count)
-        words = (ctypes.c_void_p * 5)(BUFFER, address, SIZE, ctypes.addressof(size), END)
+        """Starts a kernel on torch's current stream; `parameters` are copied before this returns."""
+        with self.together() as launch:
+            launch(kernel, blocks, threads, *parameters.buffer_info())
+
+    @contextlib.contextmanager
+    def together(self) -> Iterator[Callable[[Any, int, int, int, int], None]]:
+        """What starts kernels one after the other on torch's current stream, see `gpu.Launcher`."""
+        size, stream = ctypes.c_size_t(), self.stream()
+        words = (ctypes.c_void_p * 5)(BUFFER, 0, SIZE, ctypes.addressof(size), END)
+        extra = ctypes.addressof(words)
+
+        def launch(kernel: Any, blocks: int, threads: int, address: int, count: int) -> None:
+            words[1], size.value = address, 8 * count
+            self.ask(self.driver.cuLaunchKernel, kernel, blocks, 1, 1, threads, 1, 1, 0, stream, 0, extra)
+
         with self.current():
-            self.ask(self.driver.cuLaunchKernel, kernel, blocks, 1, 1, threads, 1, 1, 0, self.stream(), 0,
-                     ctypes.addressof(words))
+            yield launch
 
 
 def refused(code: bytes, complaint: bytes) -> str:

@@ -1,27 +1,34 @@
 """An NVIDIA GPU as a target: launches the kernels of `nvptx.py` and `nvptx_lanes.py`.
 
-Lanes are chosen and partitioned by torch's own operations.
+Lanes are chosen and partitioned by torch's own operations, unless it is recorded what is done with them (`launches.py`).
 """
 
 from __future__ import annotations
 
+import ctypes
 from array import array
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from threading import Lock
 from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.addition import Addition
+from torch_radbp.jit.addition import MOST_TABLES, SCALARS, Addition
 from torch_radbp.jit.any_device import AnyDevice
 from torch_radbp.jit.driver import NoDriver, driver_of
 from torch_radbp.jit.emit import emit
 from torch_radbp.jit.graph import Program
+from torch_radbp.jit.launches import Caster, Launch, RayQuery
 from torch_radbp.jit.lowered import without_library
 from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.nvptx import BLOCK, kernel_module
 from torch_radbp.jit.nvptx_lanes import COPIES, SMALL, put_text, scatter_text
+from torch_radbp.jit.recorded_launches import RecordedLaunches
+from torch_radbp.jit.recording import NotRecordable, Recording, recording
+
+SCATTERED = {(dtype, tables): (dtype, tables) for dtype in SCALARS for tables in range(1, MOST_TABLES + 1)}
 
 
 class Launcher(Protocol):
@@ -41,6 +48,9 @@ class Launcher(Protocol):
             parameters: 64-bit words; read before this returns.
         """
 
+    def together(self) -> AbstractContextManager[Callable[[Any, int, int, int, int], None]]:
+        """What starts several kernels, one after the other: as `launch`, but of an address and a number of words."""
+
 
 class LoadedKernel:
     """A kernel that was loaded on a device.
@@ -55,8 +65,8 @@ class LoadedKernel:
         self.launcher, self.kernel = launcher, launcher.load(text, name)
 
     def __call__(self, lanes: int, words: Sequence[int]) -> None:
-        """Launches the kernel for all lanes, at least 1, without waiting; `words`: its other parameters."""
-        self.launcher.launch(self.kernel, -(-lanes // BLOCK), BLOCK, array("q", [lanes, *words]))
+        """Starts it for all lanes, at least 1, and does not wait for it; `words`: its other parameters."""
+        self.launcher.launch(self.kernel, -(-lanes // BLOCK), BLOCK, array("q", [lanes, 0, 0, *words]))
 
 
 class KernelLoop:
@@ -76,6 +86,8 @@ class Gpu(AnyDevice):
     Args:
         launcher: of the device.
     """
+
+    counts_stay = True
 
     def __init__(self, launcher: Launcher):
         super().__init__()
@@ -113,6 +125,27 @@ class Gpu(AnyDevice):
                     self.kernels[key] = LoadedKernel(self.launcher, text(case), name)
         return self.kernels[key]
 
+    def recorded(self, recording: Recording, given: Sequence[Tensor | int], results: Any) -> RecordedLaunches:
+        """See `Target`."""
+        return RecordedLaunches(self, recording, given, results)
+
+    def launch_all(self, launches: Sequence[Launch], words: Tensor, lanes: int, caster: Caster | None) -> None:
+        """Starts kernels, one after the other, and waits for none.
+
+        Args:
+            launches: in this order.
+            words: of all, int64 on the CPU.
+            lanes: as many as there may be.
+            caster: of rays.
+        """
+        address = words.data_ptr()
+        with self.launcher.together() as launch:
+            for kernel, blocks, first, last in launches:
+                if isinstance(kernel, RayQuery):
+                    caster.launch(kernel.kernel, lanes, *(ctypes.c_int64 * (last - first)).from_address(address + 8 * first))
+                else:
+                    launch(kernel.kernel, blocks, BLOCK, address + 8 * first, last - first)
+
     def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
         words = [place.data_ptr()]
         for target, entry in zip(targets, entries):
@@ -123,7 +156,12 @@ class Gpu(AnyDevice):
         return COPIES if entries <= SMALL else 1
 
     def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
-        """Scatter-adds by float64 atomics, or, if torch shall be deterministic, by torch's sums after sorting."""
+        """By atomic additions of float64, or, if torch is told to be deterministic, by its sums of what it has sorted."""
+        if (listener := recording()) is not None:
+            if torch.are_deterministic_algorithms_enabled():
+                raise NotRecordable("torch sums what it has sorted")
+            listener.scatter_add([additions], lanes, SCATTERED)
+            return
         if torch.are_deterministic_algorithms_enabled():
             return super().scatter_add(additions, lanes)
         words: list[int] = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import torch
 
@@ -41,6 +41,7 @@ class RecordedLoop(NamedTuple):
     inputs: tuple[MemoryPlace, ...]
     lengths: tuple[LaneSpan, ...] | None  # of tensors made while recording; None: lengths are not read
     outputs: tuple[MemoryPlace, ...]
+    of_lanes: tuple[bool, ...] = ()  # of each input whether it has an entry for each lane; (): nobody asks
 
 
 class Partition(NamedTuple):
@@ -89,7 +90,7 @@ class Copy(NamedTuple):
 class Added(NamedTuple):
     """One `Addition` of a recorded `scatter.scatter_add`."""
 
-    loop: int  # address of the function
+    loop: Any  # address of the function, or whatever a target calls it by
     index: MemoryPlace
     touched: MemoryPlace
     step: int  # stride between entries of the sums

@@ -26,7 +26,7 @@ def _formula(operation: str) -> Program:
 def without_library(given: Program) -> Program:
     """The program with C library functions replaced by formulas."""
     builder = Builder()
-    made = inlined(builder, given, {})
+    made = inlined(builder, given._replace(values=(*given.inputs, *given.values)), {})  # what no value needs among them
     lowered = program(tuple(None if value is None else made[value] for value in given.outputs))
     inputs = tuple(made[value] for value in given.inputs)  # in the same order, all of them
     return lowered._replace(inputs=inputs, columns=given.columns)

@@ -10,22 +10,28 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.target import target_of
+from torch_radbp.jit.recording import Recording, recording
+from torch_radbp.jit.target import Target, target_of
+
+
+def mover(lanes: Tensor) -> Target | Recording:
+    """What moves lanes: the target of their device, or what listens to this thread."""
+    return recording() or target_of(lanes.device)
 
 
 def chosen(flags: Tensor) -> Tensor:
-    """The lanes, (M,) int32, whose flag in `flags`, (N,) bool, is set."""
-    return target_of(flags.device).chosen(flags)
+    """The lanes, (M,) int32, of which `flags`, (N,) bool, are true."""
+    return mover(flags).chosen(flags)
 
 
 def inverted(flags: Tensor) -> Tensor:
-    """Inverts flags, (N,) bool."""
-    return target_of(flags.device).inverted(flags)
+    """(N,) bool, true where `flags`, (N,) bool, are not; of flags that carry no derivative, as none does."""
+    return mover(flags).inverted(flags)
 
 
 def nothing(flags: Tensor) -> Tensor:
-    """Flags of the same number that are all false."""
-    return target_of(flags.device).nothing(flags)
+    """As many flags, all false."""
+    return mover(flags).nothing(flags)
 
 
 def partition(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
@@ -37,7 +43,7 @@ def partition(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
     Returns:
         (N,) int32, the lanes of queue 0 in their order, then those of queue 1, ...; and the number of lanes of each queue.
     """
-    return target_of(number.device).partition(number, queues)
+    return mover(number).partition(number, queues)
 
 
 def in_order(major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -74,4 +80,4 @@ def put(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> 
             raise ValueError(f"entries on {entry.device} are put into a tensor on {target.device} at places on "
                              f"{place.device}; all must lie on one device")
     if lanes:
-        target_of(place.device).put(targets, place.contiguous(), [entry.contiguous() for entry in entries])
+        mover(place).put(targets, place.contiguous(), [entry.contiguous() for entry in entries])

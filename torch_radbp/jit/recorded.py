@@ -60,8 +60,8 @@ class Memory(NamedTuple):
     row: int  # entries per temporary
 
 
-class Recorded:
-    """A recording, compiled so that it can run again.
+class RecordedResults:
+    """The results of what was recorded, and where they lie.
 
     Args:
         recording: of a function.
@@ -77,15 +77,7 @@ class Recorded:
         self.layout = ResultLayout(recording, [place.tensor for place in places if place and place.made])
         self.empty: list[torch.dtype] = []  # of results without lanes, which are new each time
         self.found = [self.where(place, recording.span(leaf.numel()), leaf.dtype) for place, leaf in zip(places, leaves)]
-        writer = Writer(recording, self.layout, len(given))
-        text = writer.text()
-        self.code: MachineCode = cached_code(text, entry="recorded0", optimized=False)
-        self.outside = [operation for operation in recording.operations if isinstance(operation, Outside)]
-        self.parts = [RECORDED(self.code.address_of(f"recorded{number}")) for number in range(1 + len(self.outside))]
-        self.dtypes = [made.dtype for made in recording.made]
         self.rays, self.counts = recording.rays, recording.counts
-        self.called = writer.functions  # so that they stay where they are
-        self.functions = array("q", [called if isinstance(called, int) else called.address for called in self.called])
 
     def where(self, place: MemoryPlace | None, lanes: LaneSpan, dtype: torch.dtype) -> ResultPlace:
         """The memory of a result; `place`: None if it has no lanes."""
@@ -100,6 +92,21 @@ class Recorded:
         if place.first or lanes.first:
             raise NotRecordable("a result is a part of a tensor that does not begin where it does")
         return ResultPlace(group, row, lanes.last)
+
+
+class Recorded(RecordedResults):
+    """What was recorded, to be done again on the processor. Args as for `RecordedResults`."""
+
+    def __init__(self, recording: Recording, given: Sequence[Tensor | int], results: Any):
+        super().__init__(recording, given, results)
+        writer = Writer(recording, self.layout, len(given))
+        text = writer.text()
+        self.code: MachineCode = cached_code(text, entry="recorded0", optimized=False)
+        self.outside = [operation for operation in recording.operations if isinstance(operation, Outside)]
+        self.parts = [RECORDED(self.code.address_of(f"recorded{number}")) for number in range(1 + len(self.outside))]
+        self.dtypes = [made.dtype for made in recording.made]
+        self.called = writer.functions  # so that they stay where they are
+        self.functions = array("q", [called if isinstance(called, int) else called.address for called in self.called])
 
     def __call__(self, given: RecordedInputs, others: RecordedInputs, lanes: int, board: Board, known: Sequence[int] = (),
                  contexts: Sequence[Any] = ()) -> tuple[Any, array]:

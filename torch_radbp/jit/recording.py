@@ -39,6 +39,7 @@ from torch_radbp.tensors.torch_internals import TorchDispatchMode
 
 ALL = 262_147  # stands for all lanes
 TRIES = 100_000
+CPU = torch.device("cpu")
 BLOCK = 1 << 26  # bytes of addresses that are reserved at a time
 MAKES = ("empty", "new_empty", "empty_like", "empty_strided", "new_empty_strided")
 OF_DUALS = ("is_same_size", "_has_same_storage_numel")  # asked of a tensor and its tangent when a dual tensor is made
@@ -50,15 +51,18 @@ class NotRecordable(Exception):
 
 
 class Reserve:
-    """Addresses for tensors without contents, which take no memory as nothing is written there."""
+    """Addresses for tensors without contents; on the CPU they take no memory, as nothing is written there."""
 
-    def __init__(self) -> None:
-        self.left: memoryview = memoryview(b"")
+    def __init__(self, device: torch.device = CPU) -> None:
+        self.device, self.left, self.made = device, memoryview(b""), []
 
     def tensor(self, dtype: torch.dtype, entries: int) -> Tensor:
         """A tensor (entries,) without contents, at an address of its own."""
         if not entries:
-            return torch.empty(0, dtype=dtype, device="cpu")
+            return torch.empty(0, dtype=dtype, device=self.device)
+        if self.device.type != "cpu":
+            self.made.append(torch.empty(entries, dtype=dtype, device=self.device))
+            return self.made[-1]
         size = -(-entries * dtype.itemsize // 64) * 64
         if size > len(self.left):
             self.left = memoryview(mmap.mmap(-1, max(BLOCK, size)))
@@ -107,7 +111,7 @@ class Recording:
         """The memory place of a tensor, or of an address."""
         known = self.given.get(address_of(item))
         if known is not None:
-            return MemoryPlace(False, known)
+            return MemoryPlace(False, known, size=item.element_size() if isinstance(item, Tensor) else 8)
         if not isinstance(item, Tensor):
             raise NotRecordable("a loop reads what is not given")
         return self.place_made(item)
@@ -135,19 +139,20 @@ class Recording:
     # -- What is done ---------------------------------------------------------------------------------------------------
 
     def loop(self, body: int | LoopBody, lanes: int, part: int, inputs: Sequence[Tensor | int], outputs: Sequence[Tensor],
-             first: int = 0, lengths: bool = False) -> None:
-        """Records a loop of `team.run_lanes`.
+             first: int = 0, lengths: bool = False, of_lanes: Sequence[bool] = ()) -> None:
+        """A loop of `team.run_lanes`.
 
         Args:
             body, lanes, part: of the loop.
             inputs: tensors, or addresses of what lies at the same place in every call.
             outputs: written into from the entry `first` on.
             lengths: whether the lengths of the inputs are read, too.
+            of_lanes: of each input whether it has an entry for each lane of the loop; (): nobody asks.
         """
         places = tuple(map(self.place, inputs))
         spans = tuple(self.span(item.numel()) if place.made else LaneSpan(0, 0) for item, place in zip(inputs, places))
         self.operations.append(RecordedLoop(body, self.span(lanes), part, places, spans if lengths else None,
-                                            tuple(self.written(output, first) for output in outputs)))
+                                            tuple(self.written(output, first) for output in outputs), tuple(of_lanes)))
 
     def cast(self, *loop) -> None:
         """Records a loop, as `loop`, that casts a ray for each lane."""
@@ -205,23 +210,29 @@ class Recording:
                           if target.element_size() == size)
             self.operations.append(Put(self.place(place), self.span(place.numel()), pairs))
 
-    def inverted(self, like: Tensor, of_flags: bool) -> Tensor:
-        """Records `order.inverted`, or `order.nothing`."""
+    def inverted(self, flags: Tensor) -> Tensor:
+        """As `order.inverted`."""
+        return self.flags_like(flags, self.place(flags) if len(flags) else None)
+
+    def nothing(self, flags: Tensor) -> Tensor:
+        """As `order.nothing`."""
+        return self.flags_like(flags, None)
+
+    def flags_like(self, like: Tensor, inverted: MemoryPlace | None) -> Tensor:
+        """As many flags: others inverted, or all false."""
         result = torch.empty_like(like)
-        if not len(result):
-            return result
-        self.operations.append(Inverted(self.place(like) if of_flags else None, self.span(like.numel()),
-                                        self.written(result)))
+        if len(result):
+            self.operations.append(Inverted(inverted, self.span(like.numel()), self.written(result)))
         return result
 
     def scatter_add(self, groups: Sequence[Sequence[Addition]], lanes: int,
-                    loops: Mapping[tuple[torch.dtype, int], int]) -> None:
-        """Records `scatter.scatter_add`.
+                    loops: Mapping[tuple[torch.dtype, int], Any]) -> None:
+        """As `scatter.scatter_add`.
 
         Args:
             groups: of additions that may run side by side.
             lanes: of all.
-            loops: the functions on the processor, by dtype and number of tables.
+            loops: the target's functions, by dtype and number of tables.
         """
         def added(addition: Addition) -> Added:
             index, numbers, sums = addition

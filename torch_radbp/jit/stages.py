@@ -6,13 +6,15 @@ import warnings
 from collections.abc import Callable, Iterator
 from copy import copy
 
+import torch
+
 from torch_radbp.jit.allocator import keep_freed_memory
 from torch_radbp.jit.arguments import PreparedArgument
 from torch_radbp.jit.dual import DualFunction
 from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.refusal import UnknownOperation
 from torch_radbp.jit.run import LaneFunction
-from torch_radbp.jit.target import Target
+from torch_radbp.jit.target import Target, target_of
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.stage import DECLARED, write
 from torch_radbp.tensors.torch_internals import inside_dual_level
@@ -90,6 +92,10 @@ class CompiledStages:
         if stage is None:
             stage = self.made.setdefault(function, CompiledStage(function, DECLARED[function], self.target))
         return stage
+
+    def target_on(self, device: torch.device) -> Target:
+        """What stages are compiled for whose tensors lie on a device."""
+        return target_of(device) if self.target is None else self.target
 
     def __iter__(self) -> Iterator[CompiledStage]:
         """Iterates over the stages that were called."""

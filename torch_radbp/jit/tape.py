@@ -1,4 +1,5 @@
-"""A tape: operations of a step are recorded once for arguments of one kind, and replayed as machine code.
+"""A tape: what a step does with lanes is recorded once for arguments of one kind, and done again as machine code: of the
+processor, or as launches of a GPU, see `recorded.py` and `launches.py`.
 
     tape = Tape(board, tables, kind)
     played = tape.play(key, step, arguments, count)     # the first call of a kind records, later ones only play
@@ -21,9 +22,12 @@ from torch import Tensor
 
 from torch_radbp.jit.board import Board
 from torch_radbp.jit.dual import dual, tangents_and_tensors, values_and_tangents
+from torch_radbp.jit.lane_count import LaneCount
 from torch_radbp.jit.recorded import Recorded, RecordedInputs
+from torch_radbp.jit.recorded_launches import RecordedLaunches
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.structure import flatten
+from torch_radbp.jit.target import Target, target_of
 from torch_radbp.jit.tiles import Handed, handed
 from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.torch_internals import inside_dual_level
@@ -36,8 +40,8 @@ class Played(NamedTuple):
     """The results of a step, recorded or replayed."""
 
     results: Any  # tensors in nested tuples; dual ones of dual arguments
-    counts: Sequence[int] = ()  # numbers of lanes, or offsets among lanes
-    constant: Any = None  # the same at every replay
+    counts: Sequence[int | LaneCount] = ()  # numbers of lanes, or where among lanes something begins
+    constant: Any = None  # what is the same whenever this recording is played
 
 
 Step = Callable[..., Played]  # of the arguments
@@ -46,8 +50,8 @@ Step = Callable[..., Played]  # of the arguments
 class Taped(NamedTuple):
     """A recorded step."""
 
-    recorded: Recorded
-    counts: tuple[int, ...]  # indices of `Played.counts` among the recording's counts
+    recorded: Recorded | RecordedLaunches
+    counts: tuple[int, ...]  # the numbers of `Played.counts` among those of the recording
     constant: Any
     dual: bool  # results are values and, separately, tangents
 
@@ -88,11 +92,6 @@ class Recordings:
 RECORDINGS = Recordings()
 
 
-def blank(arguments: Any, reserve: Reserve) -> Any:
-    """Arguments of a step for recording: tensors with an entry per lane have no contents."""
-    return without_contents(arguments, reserve)
-
-
 class Tape:
     """Records and replays steps that read the same tables.
 
@@ -100,20 +99,28 @@ class Tape:
         tables: tensors, and addresses, that steps read beside their arguments; scenes may have others of the same kind.
         kind: all else that steps depend on.
         contexts: of what steps do outside, see `recording.outside`.
-        board: of the helpers; None: nothing is played, only recorded.
-        cast: is told how many rays were cast.
+        board: of the helpers; None: on the CPU nothing is played, only recorded.
+        caster: of the rays; None: none are cast.
+        target: on which steps are played; None: that of the device of the tables.
     """
 
     def __init__(self, tables: Sequence[Tensor | int], kind: Sequence[Hashable] = (), contexts: Sequence[Any] = (),
-                 board: Board | None = None, cast: Callable[[int], None] | None = None):
-        self.tables, self.contexts, self.board, self.cast = RecordedInputs(tables), contexts, board, cast
-        self.kind = RECORDINGS.kind(*kind, self.tables.pattern,
-                                    lying([table for table in tables if isinstance(table, Tensor)]))
+                 board: Board | None = None, caster: Any = None, target: Target | None = None):
+        self.tables, self.contexts, self.board, self.caster = RecordedInputs(tables), contexts, board, caster
+        tensors = [table for table in tables if isinstance(table, Tensor)]
+        self.device = tensors[0].device if tensors else torch.device("cpu")
+        self.target = target_of(self.device) if target is None else target
+        self.kind = RECORDINGS.kind(*kind, self.target, self.tables.pattern, lying(tensors))
         self.kinds: dict[Hashable, int] = {}  # of arguments, by their names
 
-    def play(self, key: tuple, step: Step, arguments: tuple, count: int, blank: Callable = blank, name: Hashable = None,
-             counts: Sequence[int] = ()) -> Played | None:
-        """Runs a step on its arguments, by its recording; None if it cannot be recorded.
+    def rest(self) -> None:
+        """Lets the helpers go, if there are any."""
+        if self.board is not None:
+            self.board.close()
+
+    def play(self, key: tuple, step: Step, arguments: tuple, count: int | LaneCount, blank: Callable | None = None,
+             name: Hashable = None, counts: Sequence[int | LaneCount] = (), waits: bool = True) -> Played | None:
+        """What a step returns of its arguments; None if it cannot be recorded, and is to be called.
 
         Args:
             key: hashable; what the step does depends on nothing else but the tape and the structure of the arguments.
@@ -124,15 +131,20 @@ class Tape:
                 `counts`.
             name: arguments of one name have one structure, which is then told once; None: it is told each time.
             counts: numbers of lanes that the arguments hold, or where some begin, in ascending order.
+            waits: False: counts that are found on a GPU stay there, and results have room for all lanes.
         """
         varying = self.varying(arguments)
+        blank = without_contents if blank is None else blank
         taped = self.kept(key, arguments, varying, name, partial(self.record, step, arguments, blank, len(counts)))
         if taped is None:
-            self.board.close()
+            self.rest()
             return None
-        results, numbers = taped.recorded(varying, self.tables, count, self.board, counts, self.contexts)
-        if self.cast is not None:
-            self.cast(sum([numbers[last] - numbers[first] for first, last in taped.recorded.rays]))
+        if isinstance(taped.recorded, RecordedLaunches):
+            results, numbers = taped.recorded(varying, self.tables, count, counts, self.caster, waits)
+        else:
+            results, numbers = taped.recorded(varying, self.tables, count, self.board, counts, self.contexts)
+            if self.caster is not None:
+                self.caster.count(sum([numbers[last] - numbers[first] for first, last in taped.recorded.rays]))
         return Played(dual(*results) if taped.dual else results, [numbers[place] for place in taped.counts], taped.constant)
 
     def link(self, key: tuple, step: Step, arguments: tuple, blank: Callable) -> tuple[Link | None, RecordedInputs]:
@@ -161,15 +173,15 @@ class Tape:
         return RECORDINGS.of((kind, varying.pattern, *key), make)
 
     def record(self, step: Step, arguments: tuple, blank: Callable, counts: int) -> Taped | None:
-        """Records a step for `play`."""
-        reserve = Reserve()
+        """Records such a step."""
+        reserve = Reserve(self.device)
         borders = Recording([]).borders(counts + 1, ALL)[1:-1] if counts else []
         arguments = blank(arguments, reserve, borders) if counts else blank(arguments, reserve)
         try:
             listener, given, played = self.listened(step, arguments, reserve, borders)
             results = values_and_tangents(played.results) if inside_dual_level() else played.results
-            return Taped(Recorded(listener, given, results), tuple([listener.points[count] for count in played.counts]),
-                         played.constant, inside_dual_level())
+            counts = tuple([listener.points[count] for count in played.counts])
+            return Taped(self.target.recorded(listener, given, results), counts, played.constant, inside_dual_level())
         except NotRecordable:
             return None
 

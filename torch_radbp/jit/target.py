@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -18,6 +18,9 @@ from torch_radbp.jit.any_device import AnyDevice
 from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.gpu import gpu_of
 from torch_radbp.jit.graph import Program
+from torch_radbp.jit.recorded import Recorded
+from torch_radbp.jit.recorded_launches import RecordedLaunches
+from torch_radbp.jit.recording import Recording
 
 COMPILED = ("cpu", "cuda")  # kinds of devices that functions are compiled for
 
@@ -36,7 +39,14 @@ class Loop(Protocol):
 
 
 class Target(Protocol):
-    """A processor or GPU that lanes are compiled for, and that moves them."""
+    """What lanes are compiled for.
+
+    Attributes:
+        counts_stay: numbers of lanes that a recording finds stay on the device, which runs it as launches for all lanes;
+            else recordings may be run one after the other tile by tile, see `tiles.py`.
+    """
+
+    counts_stay: bool
 
     def text(self, program: Program) -> str:
         """The LLVM IR of a program."""
@@ -57,6 +67,13 @@ class Target(Protocol):
 
     def compile(self, program: Program) -> Loop:
         """Compiles and loads a program."""
+
+    def recorded(self, recording: Recording, given: Sequence[Tensor | int], results: Any) -> Recorded | RecordedLaunches:
+        """A recording, to be done again; args as for `RecordedResults`.
+
+        Raises:
+            NotRecordable: if it cannot be, the message says why.
+        """
 
     def chosen(self, flags: Tensor) -> Tensor:
         """The lanes whose flag is set; see `order.chosen`."""

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.target import Target
 from torch_radbp.path.bounce import places
 from torch_radbp.path.event import Ends, Event
 from torch_radbp.path.queues import ImageLanes
@@ -61,6 +62,11 @@ class Integrand(NamedTuple):
     def with_stages(self, stages: Stages) -> Integrand:
         """The same integrand with another way to run stages."""
         return self._replace(stages=stages, parts={})
+
+    @property
+    def target(self) -> Target:
+        """What stages are compiled for."""
+        return self.stages.target_on(self.proposal.lights.choice.pmf.device)
 
     @property
     def attached(self) -> bool:
@@ -119,6 +125,10 @@ class Integrand(NamedTuple):
     def is_last(self, depth: int) -> bool:
         """True if paths end at this bounce, where nothing is scattered."""
         return depth + 1 >= self.max_depth
+
+    def kind_at(self, depth: int) -> tuple[Settings, bool, bool]:
+        """All that what is done at a depth depends on, beside the position and what is the same at every depth."""
+        return self.settings_at(depth), self.is_last(depth), depth == 0
 
     def scatterer(self, event: Event) -> Appearance | None:
         """The appearance that scatters light in an event; None: the path ends."""

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.lane_count import LaneCount
 from torch_radbp.jit.order import chosen, partition
 from torch_radbp.path.event import Ends, Event, Scatters
 from torch_radbp.raycast.protocol import Hit
@@ -22,10 +23,10 @@ class Queue(NamedTuple):
     """Lanes with the same event, which run the same functions: a part of `Step.order`."""
 
     event: Event  # what happens to them
-    first: int
-    last: int  # end: one past its last lane
-    image: bool = True  # their light counts in the image
-    derivative: bool = True  # the backward pass differentiates them
+    first: int | LaneCount
+    last: int | LaneCount  # the place after its last lane
+    image: bool = True  # the light that its lanes find counts in the image
+    derivative: bool = True  # the backward pass differentiates its lanes
 
 
 class ImageLanes(NamedTuple):

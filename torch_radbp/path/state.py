@@ -7,12 +7,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.lane_count import LaneCount, waited_for
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import LaneKey
 from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.light_choice import LightPick
 from torch_radbp.scene.light_tree import Vantage
 from torch_radbp.tensors.differentiated import settled
+from torch_radbp.tensors.record import rows_between
 from torch_radbp.tensors.vec import Ray, Vec3
 
 
@@ -45,7 +47,17 @@ class PathState(NamedTuple):
     lane: Tensor  # int32, index of the lane in its chunk; dead lanes leave gaps
     vantage: Vantage | None = None  # where the ray starts; None if light selection does not depend on it
     followed: Tensor | None = None  # bool, see `Settings.following`; None without it
-    cone: Cone | None = None  # around the ray; None if no texture is filtered
+    cone: Cone | None = None  # around the ray; None if no texture asks how much of a surface a sample sees
+    number: LaneCount | None = None  # of the lanes, of which the first are meant; None: all are
+
+    @property
+    def count(self) -> int | LaneCount:
+        """The number of lanes."""
+        return len(self.lane) if self.number is None else self.number
+
+    def cut_to_count(self) -> PathState:
+        """The same state of as many lanes as there are; waits for the device if it alone knows their number."""
+        return self if self.number is None else rows_between(self._replace(number=None), 0, waited_for(self.number))
 
 
 class Arrival(NamedTuple):

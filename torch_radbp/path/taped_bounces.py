@@ -10,6 +10,7 @@ import torch
 
 from torch_radbp.jit.board import Board, board
 from torch_radbp.jit.dual import tangents_and_tensors, values_and_tangents
+from torch_radbp.jit.lane_count import LaneCount
 from torch_radbp.jit.recording import ALL, Reserve
 from torch_radbp.jit.tape import Played, Tape, without_contents
 from torch_radbp.path.integrand import Integrand
@@ -26,21 +27,31 @@ BounceOf = Callable[[Onward, int, Vec3 | None], tuple[PathState, Step, Onward]] 
 
 
 @contextmanager
-def bounces_taken(integrand: Integrand, dtype: torch.dtype, bounce: Bounce = bounced) -> Iterator[BounceOf]:
-    """A function that takes one bounce after the other: `bounce`, or machine code that does the same."""
+def bounces_taken(integrand: Integrand, dtype: torch.dtype, bounce: Bounce = bounced, waits: bool = True
+                  ) -> Iterator[BounceOf]:
+    """What takes one bounce after the other, of rays of a dtype: `bounce`, or machine code that does the same.
+
+    Args:
+        waits: False: numbers of lanes that only a device knows stay there; see `PathState.number`.
+    """
     if not recordable(integrand):
         yield partial(bounce, integrand)
         return
     with board() as helpers:
-        yield partial(played, bounce, integrand, tape_of(integrand, dtype, helpers))
+        yield partial(played, bounce, integrand, tape_of(integrand, dtype, helpers), waits)
 
 
 def recordable(integrand: Integrand) -> bool:
-    """True if bounces may be recorded: compiled stages, on the CPU, without autograd."""
+    """True if bounces may be recorded: those of compiled stages, which autograd does not record. Who is asked outside is
+    told no tangents."""
     return (integrand.stages.is_compiled and not (integrand.attached and torch.is_grad_enabled())
             and not (integrand.proposal.layout.reads_outside and inside_dual_level())
-            and (integrand.caster is None or hasattr(integrand.caster, "reads"))
-            and integrand.proposal.lights.choice.pmf.device.type == "cpu")
+            and (integrand.caster is None or hasattr(integrand.caster, "reads")))
+
+
+def keeps_all_lanes(integrand: Integrand) -> bool:
+    """True if what is kept of a bounce has room for all lanes, since only the device knows how many reach it."""
+    return recordable(integrand) and integrand.target.counts_stay
 
 
 def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None, more: tuple = (),
@@ -60,26 +71,32 @@ def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None
     present = [part is not None for part in (integrand.clipping, integrand.differentiated, *(
         getattr(caster, name, None) for name in ("balls", "instances")))]
     # Stages have the code that recordings call.
-    kind = integrand.stages, integrand.proposal.layout, type(caster), *present, moving_leaves(integrand), *kind
-    return Tape(tables, kind, (integrand.scene,), board, None if caster is None else caster.count)
+    kinds = type(caster), type(getattr(caster, "caster", None))  # of one that only others stand behind, those
+    kind = integrand.stages, integrand.proposal.layout, *kinds, *present, moving_leaves(integrand), *kind
+    return Tape(tables, kind, (integrand.scene,), board, caster, integrand.target)
 
 
-def played(bounce: Bounce, integrand: Integrand, tape: Tape, onward: Onward, depth: int,
+def played(bounce: Bounce, integrand: Integrand, tape: Tape, waits: bool, onward: Onward, depth: int,
            L: Vec3 | None) -> tuple[PathState, Step, Onward]:
     """Takes a bounce by machine code, or by `bounced` where that is not possible; args as there."""
     if depth == 0 and onward.hit is None and integrand.rejects_hits:
-        tape.board.close()
+        tape.rest()
         onward = with_first_hit(integrand, onward)  # who knows how many rays it casts
     later = onward.hit is None and onward.alive is not None and not inside_dual_level()
-    found = tape.play(*recipe(bounce, integrand, depth), (onward, L, integrand.at(depth)), onward.count, blank_lanes,
-                      "later" if later else None)
+    count = onward.count
+    found = tape.play(*recipe(bounce, integrand, depth), (onward._replace(number=None), L, integrand.at(depth)), count,
+                      blank_lanes, "later" if later else None, waits=waits)
     if found is None:
-        return bounce(integrand, onward, depth, L)
-    (state, step, onward), counts, queues = found
-    places = zip(queues, counts[::2], counts[1::2], step.texture_values)
-    there = [(queue._replace(first=first, last=last), values) for queue, first, last, values in places if last > first]
+        return bounce(integrand, onward.cut_to_count(), depth, L)
+    (state, step, onward), (*borders, going_on), queues = found
+    places = zip(queues, borders[::2], borders[1::2], step.texture_values)
+    there = [(queue._replace(first=first, last=last), values) for queue, first, last, values in places
+             if isinstance(last, LaneCount) or last > first]
     queues, values = zip(*there) if there else ((EMPTY,), ((),))
-    return state, step._replace(queues=queues, texture_values=values), onward
+    step = step._replace(queues=queues, texture_values=values)
+    if isinstance(count, LaneCount):
+        state = state._replace(number=count)
+    return state, step, onward._replace(number=going_on) if isinstance(going_on, LaneCount) else onward
 
 
 def recipe(bounce: Bounce, integrand: Integrand, depth: int) -> tuple[tuple, Callable]:
@@ -87,9 +104,9 @@ def recipe(bounce: Bounce, integrand: Integrand, depth: int) -> tuple[tuple, Cal
     def step(onward: Onward, L: Vec3 | None, at: Position) -> Played:
         state, step, onward = bounce(integrand, onward, depth, L)
         counts = [border for queue in step.queues for border in (queue.first, queue.last)]
-        return Played((state, step._replace(queues=()), onward), counts, step.queues)
+        return Played((state, step._replace(queues=()), onward), [*counts, len(onward.alive)], step.queues)
 
-    return (bounce, integrand.settings_at(depth), integrand.is_last(depth), depth == 0), step
+    return (bounce, *integrand.kind_at(depth)), step
 
 
 def blank_lanes(arguments: tuple, reserve: Reserve) -> tuple:

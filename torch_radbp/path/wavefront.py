@@ -14,12 +14,14 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.dual import dual, tangents_and_tensors
+from torch_radbp.jit.lane_count import LaneCount, waited_for
 from torch_radbp.jit.order import chosen, inverted, nothing, put
 from torch_radbp.jit.team import loops_together
 from torch_radbp.path.bounce import Vertex, chance_of_light, emitter_met, gathered, pick_light
 from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.queues import ImageLanes, Queue, appearance_met, one_queue, queues_by, shines, side_met
+from torch_radbp.path.lane_room import ASKED, power_of_2
+from torch_radbp.path.queues import EMPTY, ImageLanes, Queue, appearance_met, one_queue, queues_by, shines, side_met
 from torch_radbp.path.state import Arrival, PathState
 from torch_radbp.path.texture_networks import values_of_queues
 from torch_radbp.raycast.protocol import Hit
@@ -74,6 +76,7 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
         The vertices of the lanes that meet an appearance, the light that those meet that end (None: none do), and the
         decisions.
     """
+    state, step = cut_to_count(state, step)
     if step is None:
         hit = first_hit(integrand, state.ray, depth) if hit is None else hit
         undecided = hit.prim.new_empty(0, dtype=torch.bool)
@@ -88,6 +91,20 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
             nothing(vertex.survives))
         return vertex, light, step._replace(visible=visible, survives=vertex.survives)
     return *bounce_queues(integrand, state, depth, step, with_light), step
+
+
+def cut_to_count(state: PathState, step: Step | None) -> tuple[PathState, Step | None]:
+    """A state and what was decided there, of as many lanes as there are; waits for the device if it alone knows."""
+    state = state.cut_to_count()
+    if step is None or not isinstance(step.queues[-1].last, LaneCount):
+        return state, step
+    counts = step.queues[-1].last.counts.tolist()
+    found = [(queue._replace(first=counts[queue.first.number], last=counts[queue.last.number]), values)
+             for queue, values in zip(step.queues, step.texture_values)]
+    queues, values = zip(*([each for each in found if each[0].first < each[0].last] or [(EMPTY, ())]))
+    hit, front, picked = rows_between((step.hit, step.front, step.picked), 0, len(state.lane))
+    step = Step(hit, front, step.order[:queues[-1].last], queues, step.visible, step.survives, picked, values)
+    return state, step._replace(visible=step.visible[:step.scattered], survives=step.survives[:step.scattered])
 
 
 def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step,
@@ -249,14 +266,27 @@ def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mappi
 class Onward(NamedTuple):
     """The paths that go on from a bounce."""
 
-    paths: PathState  # (K,) of all vertices, also those where paths end
-    alive: Tensor | None  # (M,) int32, indices of those that go on; None: all do
-    hit: Hit | None = None  # (M,) of their rays, if already cast
+    paths: PathState  # (K,) of the vertices, those that end there among them
+    alive: Tensor | None  # (M,) int32, the places of those that go on; None: all do
+    hit: Hit | None = None  # (M,) of their rays, if it is known
+    number: LaneCount | None = None  # M, if only the device knows it; of `alive` the first are meant
 
     @property
-    def count(self) -> int:
-        """M, the number of paths that go on."""
-        return len(self.paths.lane if self.alive is None else self.alive)
+    def count(self) -> int | LaneCount:
+        """M."""
+        return len(self.paths.lane if self.alive is None else self.alive) if self.number is None else self.number
+
+    def asked(self, depth: int) -> Onward:
+        """The same at `depth`; if only the device knows the number, it is asked now and then, so that there is room for
+        fewer from there on."""
+        if self.number is None or depth % ASKED:
+            return self
+        most = min(power_of_2(waited_for(self.number)), self.number.most)
+        return self._replace(alive=self.alive[:most], number=self.number._replace(most=most))
+
+    def cut_to_count(self) -> Onward:
+        """The same of as many paths as there are; waits for the device if it alone knows."""
+        return self if self.number is None else self._replace(alive=self.alive[:waited_for(self.number)], number=None)
 
     def packed(self, integrand: Integrand) -> PathState:
         """(M,) the states of the paths that go on, compacted."""

@@ -20,9 +20,10 @@ MOST_BOUNCES = 64
 
 
 def goes_whole(integrand: Integrand, lanes: int, depth: int = 0) -> bool:
-    """True if paths can be traced whole: many enough, and without network textures."""
-    return (lanes >= TILE and recordable(integrand) and integrand.max_depth - depth <= MOST_BOUNCES
-            and not integrand.proposal.layout.reads_outside)
+    """True if so many paths from a depth on may be traced whole: there are enough to make a tile's memory worth it, and what
+    they meet asks nobody outside."""
+    return (lanes >= TILE and recordable(integrand) and not integrand.target.counts_stay
+            and integrand.max_depth - depth <= MOST_BOUNCES and not integrand.proposal.layout.reads_outside)
 
 
 def traced_whole(integrand: Integrand, onward: Onward, depth: int = 0, bounce: Bounce = bounced) -> Vec3 | None:
@@ -41,8 +42,8 @@ def traced_whole(integrand: Integrand, onward: Onward, depth: int = 0, bounce: B
         onward = with_first_hit(integrand, onward)
     tape, lanes, steps = tape_of(integrand, dtype), onward.count, []
     for number in range(depth, integrand.max_depth):
-        key = bounce, integrand.settings_at(number), integrand.is_last(number), number == 0
-        link, given = tape.link(key, step_of(bounce, integrand, number), (onward, L, integrand.at(number)), blank_lanes)
+        step, key = step_of(bounce, integrand, number), (bounce, *integrand.kind_at(number))
+        link, given = tape.link(key, step, (onward, L, integrand.at(number)), blank_lanes)
         if link is None:
             return None
         steps.append(TileStep(link.recorded, link.handed, given, len(tangents_and_tensors(onward))))

@@ -12,6 +12,8 @@ from torch_radbp.boundary import bytes_of_edges
 from torch_radbp.call.render_call import RenderCall, pilot_paths
 from torch_radbp.film.splat import TOGETHER
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.lane_room import room_for
+from torch_radbp.path.taped_bounces import keeps_all_lanes
 from torch_radbp.rendering.bounce_memory import BounceMemory, measured, tables_of
 from torch_radbp.rendering.memory import MemoryPlan, Workload, plan_memory, predict, reaching, record_sizes
 from torch_radbp.rendering.settings import PRIMARY, SHADOW
@@ -61,7 +63,10 @@ class MemoryPlanner:
         triangles = (moving and integrand.settings.sampling != "attached"
                      and any_differentiated(call.scene.triangles.vertices.p))
         still = call.still()
-        return Workload(reaching(integrand, pilot_paths(still, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,
+        fractions = reaching(integrand, pilot_paths(still, PILOT_LANES))
+        if keeps_all_lanes(call.integrand):
+            fractions = room_for(fractions)[:integrand.max_depth]
+        return Workload(fractions, lanes, integrand.max_depth, scene.dtype,
                         call.stages.is_compiled, call.workers, moving,
                         record_sizes(integrand, pilot_paths(still, FEW_LANES), triangles), IMAGE_COPIES * image_bytes,
                         self.bounce_memory_of(call, integrand, triangles),

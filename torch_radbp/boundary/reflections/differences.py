@@ -61,8 +61,7 @@ def path_difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: 
         pairs: of them.
     """
     depths = tuple([number_of(depth, pairs.first.device) for depth in range(len(path))])
-    if (not isinstance(surfaces, PreparedArgument) or not len(pairs.first) or pairs.first.device.type != "cpu"
-            or inside_dual_level()):
+    if not isinstance(surfaces, PreparedArgument) or not len(pairs.first) or inside_dual_level():
         return depth_by_depth(stages, surfaces, path, pairs, depths)
     with board() as helpers:
         kind = stages, surfaces.form.structure, *structure_of((path, depths))

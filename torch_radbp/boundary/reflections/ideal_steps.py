@@ -146,8 +146,7 @@ def steps_played(integrand: Integrand, surfaces: PreparedArgument, ideal: Ideal,
         (onward, _, at) = blank_lanes((arguments[0], None, arguments[1]), reserve)
         return onward, at
 
-    key = integrand.settings_at(depth), integrand.is_last(depth), depth == 0
-    played = tape.play(key, step, (onward, integrand.at(depth)), onward.count, blank)
+    played = tape.play(integrand.kind_at(depth), step, (onward, integrand.at(depth)), onward.count, blank)
     return ideal_step(integrand, surfaces, ideal, onward, depth) if played is None else played.results
 
 
