@@ -115,7 +115,6 @@ def triangle_table(cache: PackCache, shapes: Sequence[PlacedShape], columns: Col
                          dtype, device)
     smooth = tuple(shape.surface.normals is not None for shape in shapes)
     smooth = None if all(smooth) or not columns.normals else cache(of_each, smooth, counts, torch.bool, device)
-    plain = tuple(wanted and shape.surface.normals is None for wanted, shape in zip(columns.plain, shapes))
     along = cache(_tangents, vertices, corners) if columns.tangents else None
     if not columns.uv:
         vertices = cache(VertexTable, vertices.p, vertices.n, None, vertices.attributes)
@@ -124,7 +123,7 @@ def triangle_table(cache: PackCache, shapes: Sequence[PlacedShape], columns: Col
                          attributes=cache(face_table, surfaces, counts, columns.face_attributes, dtype, device),
                          numbers=None if columns.numbers is None else cache(_numbers, columns.numbers, counts, device),
                          instances=instances,
-                         plain=cache(of_each, plain, counts, torch.bool, device) if any(plain) else None)
+                         plain=cache(of_each, columns.plain, counts, torch.bool, device) if any(columns.plain) else None)
 
 
 def shown_instances(cache: PackCache, groups: Sequence[Sequence[Instance]], shapes: Sequence[PlacedShape], normals: bool,
