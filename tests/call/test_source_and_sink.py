@@ -14,7 +14,7 @@ import torch_radbp as rb
 from tests.gradients import EXACT, cotangent, relative_error
 from tests.scenes import diffuse, furnace, load, overhead, rectangle, rgb
 from torch_radbp.call.render_call import of_wavefronts
-from torch_radbp.call.sink import Gathered, Sink
+from torch_radbp.call.sink import Sink, SinkValues
 from torch_radbp.call.source import PathSource
 from torch_radbp.path.bounce import CameraSample
 from torch_radbp.rendering.transport import transport
@@ -69,7 +69,7 @@ class Grid(Sink):
     def gather(self, call, work):
         done = of_wavefronts(call, call.wavefronts, work)
         sums = sum(part for parts, _ in done for part in parts)
-        return Gathered(sums.view(-1, SIDE, SIDE, SIDE), None, [result for _, result in done])
+        return SinkValues(sums.view(-1, SIDE, SIDE, SIDE), None, [result for _, result in done])
 
     def asked(self, call, gradient, filters):
         return Vec3(*gradient.flatten(1))

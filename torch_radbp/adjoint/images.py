@@ -11,13 +11,13 @@ from torch_radbp.adjoint.record import Allowance, trace_both, trace_wavefront
 from torch_radbp.adjoint.sweep import PathRecord
 from torch_radbp.call.finite import FirstNonFinite, all_finite, checked_stages, image_error
 from torch_radbp.call.render_call import RenderCall
-from torch_radbp.call.sink import Gathered
+from torch_radbp.call.sink import SinkValues
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
 
 
-def render_images(call: RenderCall, integrand: Integrand, record: bool, tracer: Callable = trace) -> Gathered:
+def render_images(call: RenderCall, integrand: Integrand, record: bool, tracer: Callable = trace) -> SinkValues:
     """What the sink has of radiance and of the quantities of the call, and records of wavefronts, if wanted and kept."""
     allowance = Allowance(call.record_bytes if record else 0)
 

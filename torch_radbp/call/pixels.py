@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_radbp.call.chunks import Chunk
 from torch_radbp.call.render_call import RenderCall, of_wavefronts
-from torch_radbp.call.sink import Gathered, Sink, Work
+from torch_radbp.call.sink import Sink, SinkValues, Work
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.film.develop import Development, Grid, across, row_sums
 from torch_radbp.film.splat import Block, deposited, gathered_by, gathered_from_pixels, offset_sums, sums_in_pairs
@@ -22,14 +22,14 @@ from torch_radbp.tensors.vec import Vec2, Vec3, rows
 class Films(Sink):
     """The films of the views of a call: each pixel is the mean of the samples around it, by the reconstruction filter.
 
-    `Gathered.values` are images (B, C, H, W), and `Gathered.filters`, (B, H, W), the sums of the filter over samples.
+    `SinkValues.values` are images (B, C, H, W), and `SinkValues.filters`, (B, H, W), the sums of the filter over samples.
     """
 
     def deposit(self, call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor],
                 samples: CameraSample) -> list[Tensor]:
         return deposit(call, wavefront, values, samples.place)
 
-    def gather(self, call: RenderCall, work: Work) -> Gathered:
+    def gather(self, call: RenderCall, work: Work) -> SinkValues:
         return developed(call, work)
 
     def asked(self, call: RenderCall, gradient: Tensor, filters: Tensor | None) -> list[Vec3]:
@@ -65,7 +65,7 @@ def deposit_of_chunk(call: RenderCall, chunk: Chunk, values: Sequence[Tensor], p
     return offset_sums(stage, grid.kernel, tuple(values), block)  # moved once all samples of the row are there
 
 
-def developed(call: RenderCall, work: Work) -> Gathered:
+def developed(call: RenderCall, work: Work) -> SinkValues:
     """The images of C values of lanes: means of the samples around each pixel, weighted by the reconstruction filter.
 
     Args:
@@ -81,7 +81,7 @@ def developed(call: RenderCall, work: Work) -> Gathered:
             developments[sensor].add(put_together(call.views[sensor].grid, band, list(parts)))
     pixels, filters = zip(*(development.image() for development in developments))
     # Stacked in their final shape: what is no view may be changed in place, also where gradients are wanted.
-    return Gathered(torch.stack(pixels), torch.stack(filters), results)
+    return SinkValues(torch.stack(pixels), torch.stack(filters), results)
 
 
 def put_together(grid: Grid, band: range, parts: list[tuple[Chunk, Tensor]]) -> Tensor:
@@ -104,7 +104,7 @@ def film_places(call: RenderCall, wavefront: Wavefront, which: int) -> Vec2:
 
 
 def filters_of(call: RenderCall, which: int) -> Tensor:
-    """(B, H, W) as in `Gathered`, of the samples of the image (0) or of its derivative (1)."""
+    """(B, H, W) as in `SinkValues`, of the samples of the image (0) or of its derivative (1)."""
     if all(view.grid.kernel.flat for view in call.views):
         view = call.views[0]
         return torch.full((len(call.views), view.height, view.width), float(call.spp), dtype=call.scene.dtype,

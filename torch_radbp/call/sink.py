@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Work = Callable[["Wavefront"], tuple[list[Tensor], Any]]  # of each wavefront what `deposit` gives, and anything else
 
 
-class Gathered(NamedTuple):
+class SinkValues(NamedTuple):
     """What a sink has of all lanes."""
 
     values: Tensor  # such as images
@@ -44,7 +44,7 @@ class Sink(ABC):
         """
 
     @abstractmethod
-    def gather(self, call: RenderCall, work: Work) -> Gathered:
+    def gather(self, call: RenderCall, work: Work) -> SinkValues:
         """All that comes in; `work` is to be done for each wavefront of the call (`of_wavefronts`)."""
 
     @abstractmethod
@@ -52,7 +52,7 @@ class Sink(ABC):
         """What `adjoint` reads, made once.
 
         Args:
-            gradient: derivative of the loss with respect to `Gathered.values`.
+            gradient: derivative of the loss with respect to `SinkValues.values`.
             filters: of the forward pass, if the derivative has its samples; else None.
         """
 
@@ -66,5 +66,5 @@ class Sink(ABC):
         """
 
     def radiance(self, values: Tensor) -> Tensor:
-        """The part of `Gathered.values` that has a derivative by radiance."""
+        """The part of `SinkValues.values` that has a derivative by radiance."""
         return values

@@ -37,7 +37,7 @@ def transport(renderer: Renderer, source: Callable[[Keys], PathSource], sink: Si
         seed: as for a rendering.
 
     Returns:
-        `Gathered.values` of the sink.
+        `SinkValues.values` of the sink.
     """
     call = renderer.prepare(seed, [0], 1, None)
     begins = source(call.views[0].sample_keys)
