@@ -84,6 +84,18 @@ def test_room_is_that_for_all_until_the_device_is_asked():
     assert room_for([0.5]) == [1.0] * ASKED
 
 
+def test_sums_are_in_order_where_torch_is_deterministic(gpu, monkeypatch):
+    """Also after bounces have been recorded whose numbers are added in any order."""
+    def scattered() -> bool:
+        first = len(gpu.launcher.launches)
+        rendered(SCENES["two sides"](torch.float32), **SMALL)
+        return "scatter" in {launch.name for launch in gpu.launcher.launches[first:]}
+
+    assert scattered()
+    monkeypatch.setattr(torch, "are_deterministic_algorithms_enabled", lambda: True)
+    assert not scattered()
+
+
 def test_memory_is_planned_for_all_lanes_of_a_bounce(gpu, monkeypatch):
     """Of which on the processor only those count that reach it."""
     renderer = unwarned_renderer(SCENES["sky and points"](torch.float32), **SMALL)
