@@ -84,6 +84,18 @@ def test_room_is_that_for_all_until_the_device_is_asked():
     assert room_for([0.5]) == [1.0] * ASKED
 
 
+def test_sums_are_in_order_where_torch_is_deterministic(gpu, monkeypatch):
+    """Also after bounces have been recorded whose numbers are added in any order."""
+    def scattered() -> bool:
+        first = len(gpu.launcher.launches)
+        rendered(SCENES["two sides"](torch.float32), **SMALL)
+        return "scatter" in {launch.name for launch in gpu.launcher.launches[first:]}
+
+    assert scattered()
+    monkeypatch.setattr(torch, "are_deterministic_algorithms_enabled", lambda: True)
+    assert not scattered()
+
+
 def test_memory_is_planned_for_all_lanes_of_a_bounce(gpu, monkeypatch):
     """Of which on the processor only those count that reach it."""
     renderer = unwarned_renderer(SCENES["sky and points"](torch.float32), **SMALL)
@@ -116,14 +128,21 @@ def test_tangents_have_the_bits_of_single_calls(sampling, gpu, monkeypatch):
     assert expected.std() > 0 and torch.equal(taped, expected)
 
 
-def test_ways_by_mirrors_are_followed_in_sequences(gpu, monkeypatch):
+@pytest.mark.parametrize("term, scene", [("primary", {"sky": SKY, "mirror": MIRROR, "ball": BALL, "cube": CUBE}),
+                                         ("shadow", None)], ids=["mirrors", "shadows"])
+def test_places_where_images_jump_are_those_of_single_calls(term, scene, gpu, monkeypatch):
+    """Ways by mirrors are followed in sequences of launches, and paths to what shadows are seen from; the host waits for how
+    many go on."""
     def gradient() -> torch.Tensor:
-        scene = load(torch.float32, sensor=VIEWED, sky=SKY, mirror=MIRROR, ball=BALL, cube=CUBE).requires_grad_(False)
-        pose = scene.get_parameter("sensor.to_world").requires_grad_()
-        image = rb.render(scene, seed=3, spp=4, max_depth=4, terms=("primary",), compile=True, caster="warp")
+        objects = load(torch.float32, sensor=VIEWED, **scene) if scene else cornell(torch.float32, 8)
+        pose = next(value for name, value in objects.requires_grad_(False).named_parameters() if name.endswith("to_world"))
+        pose.requires_grad_()
+        image = rb.render(objects, seed=3, spp=4, max_depth=4, terms=(term,), compile=True, caster="warp")
         return torch.autograd.grad(image, pose, cotangent(image.detach()))[0]
 
+    before = gpu.launcher.sequences
     taped = gradient()
+    assert gpu.launcher.sequences > before + 4
     singly(monkeypatch)
     expected = gradient()
     assert expected.abs().max() > 1e-3 and torch.equal(taped, expected)

@@ -110,7 +110,8 @@ class Tape:
         tensors = [table for table in tables if isinstance(table, Tensor)]
         self.device = tensors[0].device if tensors else torch.device("cpu")
         self.target = target_of(self.device) if target is None else target
-        self.kind = RECORDINGS.kind(*kind, self.target, self.tables.pattern, lying(tensors))
+        deterministic = torch.are_deterministic_algorithms_enabled()  # by which targets may add numbers otherwise
+        self.kind = RECORDINGS.kind(*kind, self.target, deterministic, self.tables.pattern, lying(tensors))
         self.kinds: dict[Hashable, int] = {}  # of arguments, by their names
 
     def rest(self) -> None:
