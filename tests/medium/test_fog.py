@@ -13,8 +13,8 @@ import torch
 
 import torch_radbp as rb
 from tests.gradients import EXACT, REPLAY, cotangent, image_and_gradients, relative_error
-from tests.medium import fog  # noqa: F401 (registers it)
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
+from torch_radbp.plugin import REGISTRY, register
 
 SIGMA = (0.25, 0.5, 0.875)
 FOG = {"type": "absorbing_fog", "sigma_a": rgb(*SIGMA)}
@@ -23,6 +23,16 @@ MIRROR = {"type": "conductor", "material": "none"}
 SAMPLINGS = ("detached", "hybrid", "attached")
 NEAR = 0.01  # from the camera to where its rays begin, the near plane
 SETTINGS = {"spp": 8, "max_depth": 4, "rr_depth": 2}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def registered():
+    """The category of the fog exists while it is tested: the rest of the tests go over all that the package has."""
+    from tests.medium.fog import AbsorbingFog
+
+    register("medium", "absorbing_fog")(AbsorbingFog)
+    yield
+    del REGISTRY["medium"]
 
 
 def lamp(at, half, radiance=(3.0, 2.0, 1.0), **more):

@@ -156,10 +156,10 @@ def methods_off(subject: Subject, count: int, seed: int) -> tuple[float, str]:
     others = {"eval": (kind.eval(values, wi, wo), value), "pdf": (kind.pdf(values, wi, wo), pdf)}
     others |= dict(zip(("eval_pdf with fixed_lobes, the BSDF", "eval_pdf with fixed_lobes, the density"),
                        zip(kind.eval_pdf(values, wi, wo, True), (value, pdf))))
-    for name, (value, expected) in others.items():
-        value, expected = (each.stack().detach() if isinstance(each, Vec3) else each.detach() for each in (value, expected))
-        if not torch.allclose(value, expected, rtol=1e-9, atol=0, equal_nan=True):
-            return math.inf, f"{name} differs from eval_pdf by up to {float((value - expected).abs().max()):.2g}"
+    for name, pair in others.items():
+        other, expected = (each.stack().detach() if isinstance(each, Vec3) else each.detach() for each in pair)
+        if not torch.allclose(other, expected, rtol=1e-9, atol=0, equal_nan=True):
+            return math.inf, f"{name} differs from eval_pdf by up to {float((other - expected).abs().max()):.2g}"
     least = min(float(value.stack().min()), float(pdf.min()))
     return (math.inf if least < 0 else 0.0), (f"eval or pdf is negative, {least:.2g}" if least < 0 else
                                               "eval, pdf and eval_pdf say the same")

@@ -45,7 +45,6 @@ from torch_radbp.shape.mesh import TensorMesh
 MAX_DEPTH = 100  # of objects in objects, references followed
 MAX_OBJECTS = 100_000
 
-TOP_LEVEL = ("shape", "bsdf", "texture", "emitter", "medium", "sensor", "integrator", "sampler", "film", "rfilter")
 PARTS_OF_SENSORS = ("sampler", "film", "rfilter")  # stand there to be referred to
 
 
@@ -105,7 +104,7 @@ class _Builder:
             if _is_reference(value):
                 raise self.error((name,), value, "a reference cannot stand directly in the scene; put it inside the "
                                  "object that uses it")
-            plugin = self.plugin((name,), value, TOP_LEVEL)
+            plugin = self.plugin((name,), value, REGISTRY)
             if plugin.category not in PARTS_OF_SENSORS:
                 children[name] = plugin
             if plugin.category == "integrator":

@@ -17,6 +17,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import EMPTY
 from torch_radbp.path.state import PathState, Position
 from torch_radbp.path.wavefront import Onward, Step, bounced, first_hit
+from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.torch_internals import inside_dual_level
@@ -46,12 +47,17 @@ def recordable(integrand: Integrand) -> bool:
     told no tangents."""
     return (integrand.stages.is_compiled and not (integrand.attached and torch.is_grad_enabled())
             and not (integrand.proposal.layout.reads_outside and inside_dual_level())
-            and (integrand.caster is None or hasattr(integrand.caster, "reads")))
+            and (integrand.caster is None or hasattr(behind(integrand.caster), "reads")))
 
 
 def keeps_all_lanes(integrand: Integrand) -> bool:
     """True if what is kept of a bounce has room for all lanes, since only the device knows how many reach it."""
     return recordable(integrand) and integrand.target.counts_stay
+
+
+def behind(caster: RayCaster) -> RayCaster:
+    """The caster that casts the rays of another one, or of itself."""
+    return getattr(caster, "caster", caster)
 
 
 def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None, more: tuple = (),
@@ -71,7 +77,7 @@ def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None
     present = [part is not None for part in (integrand.clipping, integrand.differentiated, *(
         getattr(caster, name, None) for name in ("balls", "instances")))]
     # Stages have the code that recordings call.
-    kinds = type(caster), type(getattr(caster, "caster", None))  # of one that only others stand behind, those
+    kinds = type(caster), type(behind(caster))
     kind = integrand.stages, integrand.proposal.layout, *kinds, *present, moving_leaves(integrand), *kind
     return Tape(tables, kind, (integrand.scene,), board, caster, integrand.target)
 

@@ -40,7 +40,7 @@ class PluginTypes(MutableMapping):
 
 REGISTRY: dict[str, PluginTypes] = {
     name: PluginTypes()
-    for name in ("shape", "bsdf", "texture", "emitter", "sensor", "film", "rfilter", "sampler", "integrator", "medium")
+    for name in ("shape", "bsdf", "texture", "emitter", "sensor", "film", "rfilter", "sampler", "integrator")
 }
 
 
@@ -52,7 +52,7 @@ def register(category: str, name: str) -> Callable[[Class], Class]:
 
     def add(cls: Class) -> Class:
         cls.category, cls.type = category, name
-        REGISTRY[category][name] = cls
+        REGISTRY.setdefault(category, PluginTypes())[name] = cls
         return cls
 
     return add

@@ -396,4 +396,4 @@ class Renderer(nn.Module):
     @property
     def last_caster(self) -> RayCaster | None:
         """The ray caster of the last call."""
-        return None if self.casters.known is None else self.casters.known.caster
+        return None if self.casters.cached is None else self.casters.cached.caster
