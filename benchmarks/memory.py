@@ -24,8 +24,8 @@ import torch_radbp as rb
 from benchmarks.resident import MIB, peak_of
 from benchmarks.scenes.cornell_box import PARAMETERS, cornell_box
 from benchmarks.scenes.description import Setting, cotangent
-from torch_radbp.call.pixels import deposit, developed
-from torch_radbp.call.render_call import film_places, start_paths
+from torch_radbp.call.pixels import deposit, developed, film_places
+from torch_radbp.call.render_call import start_paths
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.wavefront import add_at, survivors, take_step
 from torch_radbp.tensors.record import joined
@@ -68,7 +68,7 @@ def render_with_checkpoints(renderer: rb.Renderer, seed: int) -> torch.Tensor:
             depth += 1
         return deposit(call, wavefront, L, film_places(call, wavefront, 0)), None
 
-    return developed(call._replace(workers=1), deposited).pixels
+    return developed(call._replace(workers=1), deposited).values
 
 
 def one_pass(renderer: rb.Renderer, name: str, adj_image: torch.Tensor, seed: int) -> float:

@@ -27,7 +27,7 @@ if _typing.TYPE_CHECKING:
 
 
 class _Package(_ModuleType):
-    """This package as a module that imports its public names and its parts on demand."""
+    """The package as a module that imports its public names and subpackages on demand."""
 
     def __getattr__(self, name: str):
         if name.startswith("_") and name != "__all__":

@@ -116,7 +116,7 @@ def _point(name: str, value: Tensor | Sequence[float], dtype: torch.dtype, devic
 
 
 def _unit(vector: Tensor) -> Tensor:
-    """The direction of a vector that is not zero, of any length that the dtype can hold."""
+    """The unit vector along a nonzero vector of any length."""
     scaled = vector / vector.detach().abs().max()
     return scaled / scaled.norm()
 
@@ -135,7 +135,7 @@ def sine_and_cosine_terms(square: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def series(square: Tensor, first: int) -> Tensor:
-    """The sum over k of (-square)^k / (2 k + first)!."""
+    """The series sum over k of (-square)^k / (2 k + first)!."""
     total = torch.zeros_like(square)
     for k in reversed(range(TERMS)):
         total = 1 / math.factorial(2 * k + first) - square * total

@@ -1,4 +1,4 @@
-"""Where users call in, and torch's own modes end.
+"""Entry points of the public interface, in which torch's own modes are switched off.
 
 `torch.autocast` would round matrix products to 8 bits of mantissa, so that poses, and with them images, would be off by a
 percent. `torch.compile` would trace a loop over bounces, whose length depends on the paths, through a foreign library: it
@@ -25,18 +25,18 @@ Function = TypeVar("Function", bound=Callable)
 
 @contextmanager
 def without_modes() -> Iterator[None]:
-    """Neither autocast nor compilation nor operations on several threads, on this thread."""
+    """Switches autocast, compilation and torch's threading off, on this thread."""
     with without_compiler(), without_autocast("cpu"), without_autocast("cuda"), alone_in_torch():
         yield
 
 
 def without_autocast(device_type: str) -> AbstractContextManager:
-    """Operations on a kind of device keep the precision of what they are given."""
+    """A context without autocast on a kind of device."""
     return torch.autocast(device_type, enabled=False) if torch.is_autocast_enabled(device_type) else nullcontext()
 
 
 def public_call(function: Function) -> Function:
-    """`function`, which runs without those modes, and names an argument that is unknown, and the nearest."""
+    """Decorates a public function: runs it without torch's modes, and names unknown arguments with the nearest."""
     parameters = inspect.signature(function).parameters.values()
     known = {each.name for each in parameters if each.name != "self"}
     takes_any = any(each.kind is each.VAR_KEYWORD for each in parameters)
@@ -54,7 +54,7 @@ def public_call(function: Function) -> Function:
 
 
 def passing_on(names: Iterable[str], source: Callable, **defaults: Any) -> Callable[[Function], Function]:
-    """Names the keywords that a function takes as `**settings` and passes on, so that completion and `help` show them.
+    """Shows the keywords that a function passes on as `**settings` in its signature, for completion and `help`.
 
     Args:
         names: of the keywords: the `TypedDict` that the function's `**settings` unpacks, for type checkers to read.

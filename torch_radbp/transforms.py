@@ -1,4 +1,4 @@
-"""Affine transforms: as attributes of plugins, and of points and normals."""
+"""Affine transforms, as attributes of plugins, and of points and normals."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch_radbp.plugin.domain import POSE
 
 
 def transform(name: str, matrix: Tensor | None) -> Tensor:
-    """The (4, 4) transform that an attribute gives; the identity for None. `Plugin.freeze` checks that it is a pose.
+    """Checks a (4, 4) transform given for an attribute; the identity for None. `Plugin.freeze` checks that it is a pose.
 
     Raises:
         ValueError: if it has another shape, or is not finite.
@@ -20,7 +20,7 @@ def transform(name: str, matrix: Tensor | None) -> Tensor:
 
 
 def affine(name: str, matrix: Tensor | None) -> Tensor:
-    """As `transform`, of an attribute that does not become a parameter itself.
+    """Checks an affine transform given for an attribute that does not become a parameter itself; the identity for None.
 
     Raises:
         ValueError: if it has another shape, is not finite, not affine, or cannot be inverted.
@@ -31,7 +31,7 @@ def affine(name: str, matrix: Tensor | None) -> Tensor:
 
 
 def transform_points(matrix: Tensor, points: Tensor) -> Tensor:
-    """(V, 3) points under an affine (4, 4) matrix.
+    """Transforms (V, 3) points by an affine (4, 4) matrix.
 
     Sums instead of a matrix product: that would be rounded to bfloat16 by a backward pass under `torch.autocast`, and by
     `torch.set_float32_matmul_precision("medium")`.
@@ -42,7 +42,7 @@ def transform_points(matrix: Tensor, points: Tensor) -> Tensor:
 
 
 def transform_normals(matrix: Tensor, normals: Tensor) -> Tensor:
-    """(V, 3) normals under an affine (4, 4) matrix, normalised."""
+    """Transforms (V, 3) normals by an affine (4, 4) matrix, and normalises them."""
     inverse = torch.linalg.inv(matrix[:3, :3].double()).to(matrix.dtype)  # in float64, which autocast leaves alone
     x, y, z = normals.unbind(1)
     columns = (column.unbind() for column in inverse.unbind(1))
@@ -50,5 +50,5 @@ def transform_normals(matrix: Tensor, normals: Tensor) -> Tensor:
 
 
 def mirrors(matrix: Tensor) -> bool:
-    """True if an affine (4, 4) matrix exchanges left and right."""
+    """True if an affine (4, 4) matrix is a mirroring one (negative determinant)."""
     return bool(torch.linalg.det(matrix.detach()[:3, :3]) < 0)

@@ -8,8 +8,8 @@ from torch.utils._pytree import tree_map_only
 
 import torch_radbp as rb
 from tests.scenes import cornell, parameters
-from torch_radbp.adjoint import record
 from torch_radbp.adjoint.local_map import Verdict, local_map
+from torch_radbp.call.pixels import Films
 from torch_radbp.call.render_call import start_paths
 from torch_radbp.path.state import Arrival
 from torch_radbp.path.wavefront import bounces, survivors, take_step
@@ -53,14 +53,14 @@ def test_the_derivative_is_that_of_the_recorded_survivors():
 def test_nothing_of_a_chunk_is_held_once_it_is_added_to_the_image(monkeypatch):
     """But for what the backward pass needs: without a gradient, that is nothing."""
     alive, most = weakref.WeakSet(), []
-    deposit = record.deposit
+    deposit = Films.deposit
 
-    def watched(call, wavefront, values, place):
+    def watched(films, call, wavefront, values, samples):
         alive.add(values[0])
         most.append(len(alive))
-        return deposit(call, wavefront, values, place)
+        return deposit(films, call, wavefront, values, samples)
 
-    monkeypatch.setattr(record, "deposit", watched)
+    monkeypatch.setattr(Films, "deposit", watched)
     scene = cornell()
     parameters(scene, ["white.reflectance.value"])
     image = rb.Renderer(scene, **SETTINGS, chunk=16, adjoint=rb.MemoizedAdjoint())(seed=1)

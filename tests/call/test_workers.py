@@ -11,7 +11,8 @@ import torch
 import torch_radbp as rb
 from tests.gradients import assert_informative, image_and_gradients, relative_error
 from tests.scenes import CASES
-from torch_radbp.adjoint import function, images
+from torch_radbp.adjoint import images
+from torch_radbp.call.pixels import Films
 from torch_radbp.call.workers import in_turns
 from torch_radbp.jit import team
 
@@ -91,9 +92,9 @@ def test_after_an_error_no_other_chunk_is_begun():
                          ids=repr)
 def test_image_and_gradients_do_not_depend_on_the_number_of_threads(name, adjoint, monkeypatch):
     """Both passes run on workers too; sums in another order differ by rounding."""
-    case, seen, torch_threads = CASES[name], {"trace_wavefront": set(), "lane_adjoint": set()}, [1]
+    case, seen, torch_threads = CASES[name], {"trace_wavefront": set(), "adjoint": set()}, [1]
 
-    def watch(module: ModuleType, called: str) -> None:
+    def watch(module: ModuleType | type, called: str) -> None:
         original = getattr(module, called)
 
         def watched(*arguments, **keywords):
@@ -105,7 +106,7 @@ def test_image_and_gradients_do_not_depend_on_the_number_of_threads(name, adjoin
         monkeypatch.setattr(module, called, watched)
 
     watch(images, "trace_wavefront")
-    watch(function, "lane_adjoint")
+    watch(Films, "adjoint")
 
     def results():
         return image_and_gradients(case.scene(), case.parameters, adjoint=adjoint, share_samples=True, **SETTINGS)

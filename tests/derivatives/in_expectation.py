@@ -9,7 +9,7 @@ from torch import Tensor
 
 import torch_radbp as rb
 from tests.scenes.moving import MovingScene
-from torch_radbp.check.gradient import Measurement, informative_cotangents
+from torch_radbp.check.gradient import BatchRendering, Measurement, informative_cotangents
 from torch_radbp.check.outcome import GradientCheck, Question, judge, uncertainty
 from torch_radbp.check.statistics import Cotangent, Estimates, compare
 from torch_radbp.check.stencil import BOTH_SIDES, ParameterMove
@@ -78,8 +78,8 @@ class Estimate:
             renderer = rb.Renderer(scene, max_depth=moving.max_depth, sampling=sampling, compile=effort.compile,
                                    share_samples=True)
             move = ParameterMove(moving.step, BOTH_SIDES, self.tangent)
-            self.measurements[sampling] = Measurement(renderer, f"scene.{moving.name}", value, move, False, effort.spp,
-                                                      effort.seed, None, None)
+            self.measurements[sampling] = Measurement(renderer, f"scene.{moving.name}", value, move,
+                                                      BatchRendering(effort.spp, effort.seed))
         self.sums: dict[str, Tensor] = {}
         self.rounding: Tensor | float = 0.0
         reference = self.plain.difference(self.new_number()).value

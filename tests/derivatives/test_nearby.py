@@ -24,12 +24,13 @@ SKY = {"type": "constant", "radiance": rgb(1, 0.8, 0.6)}
 POINT = {"type": "point", "position": [1.5, 0.3, 1.2], "intensity": rgb(3, 4, 5)}
 
 
-def corner(bottom: float, lamp: dict[str, Any] = SKY, **objects: Any) -> rb.Scene:
-    """A wall along x = 0 whose lower edge is at this height, and a floor, from above."""
+def corner(bottom: float, lamp: dict[str, Any] = SKY, normals: torch.Tensor | None = None, **objects: Any) -> rb.Scene:
+    """A wall along x = 0 whose lower edge is at this height, and a floor, from above; `normals`: of the wall's vertices."""
     view = sensor(SIZE, (0.6, -0.4, 3), (0.25, 0.1, 0), 20)
     square = torch.tensor([[0.0, -2, bottom], [0, 2, bottom], [0, 2, 1], [0, -2, 1]])
     wall = {"type": "mesh", "vertex_positions": square, "faces": torch.tensor([[0, 1, 2], [0, 2, 3]]),
             "bsdf": {"type": "twosided", "one": diffuse(0.9, 0.7, 0.8)}}
+    wall |= {} if normals is None else {"vertex_normals": normals}
     floor = {"type": "rectangle", "to_world": rotate((0, 0, 1), 10) @ scale((3, 3, 1)), "bsdf": diffuse(0.6, 0.8, 0.7)}
     return load(torch.float32, sensor=view, lamp=lamp, floor=floor, wall=wall, **objects)
 
@@ -56,9 +57,13 @@ def derivative(scene: rb.Scene, seed: int, spp: int = SPP, **settings: Any) -> t
 
 BLOCKER = {"type": "rectangle", "to_world": translate((0.1, 0.1, 0.3)) @ rotate((0.1, 1, 0), 70) @ scale((0.06, 0.12, 1)),
            "bsdf": {"type": "twosided", "one": diffuse(0.2, 0.3, 0.4)}}
+LEANING = torch.nn.functional.normalize(torch.tensor(
+    [[1.0, 0.4, 0.2], [1, -0.3, 0.3], [1, -0.4, -0.3], [1, 0.3, -0.2]]), dim=1)
 SCENES = {"stands on the floor": (0.0, SKY, {}), "passes through the floor": (-0.7, SKY, {}),
           "above the floor": (0.05, SKY, {}), "before it a plate": (-0.7, SKY, {"plate": BLOCKER}),
-          "a sharp shadow on it": (-0.7, POINT, {"plate": BLOCKER})}
+          "a sharp shadow on it": (-0.7, POINT, {"plate": BLOCKER}),
+          "smoothly shaded": (-0.7, SKY, {"normals": LEANING}),
+          "smoothly shaded, a sharp shadow on it": (-0.7, POINT, {"plate": BLOCKER, "normals": LEANING})}
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -76,9 +81,10 @@ def test_light_from_a_wall_that_moves_along_a_floor_is_that_of_differences(name)
     assert abs(float(sums.mean()) - whole) < 4 * noise + 0.01 * whole
 
 
-@pytest.mark.parametrize("name", ["stands on the floor", "passes through the floor"])
+@pytest.mark.parametrize("name", ["stands on the floor", "passes through the floor", "smoothly shaded"])
 def test_no_sample_is_large_next_to_the_line_where_surfaces_meet(name):
-    scene = corner(*SCENES[name][:2])
+    bottom, lamp, objects = SCENES[name]
+    scene = corner(bottom, lamp, **objects)
     found = derivative(scene, 1, terms={"interior"}).abs()
     assert found.isfinite().all() and 0 < found.max() < 40 * found.mean()
 

@@ -10,7 +10,7 @@ import torch_radbp as rb
 from tests.emitter.lanes import detached
 from tests.scenes import load, rectangle, rgb, sensor
 from tests.scenes.lights import scene_of
-from torch_radbp.emitter.sun_position import DAY, sun_position
+from torch_radbp.emitter.sun_position import PlaceAndTime, sun_position
 from torch_radbp.emitter.sunsky import Sunsky
 from torch_radbp.io.transform import rotate, scale
 from torch_radbp.tensors.vec import Vec3, normalize
@@ -42,11 +42,11 @@ def test_radiance_is_mitsubas(turbidity, albedo, sun, view, expected):
 
 def test_the_sun_stands_in_the_south_at_noon_and_rises_in_the_east():
     """Greenwich at the equinox, universal time; +x is south and +y west."""
-    day = DAY | {"latitude": 51.48, "longitude": 0.0, "timezone": 0.0, "year": 2010, "month": 3, "day": 20}
-    noon = sun_position(**day | {"hour": 12.0, "minute": 7.0})  # by the equation of time
+    day = PlaceAndTime(latitude=51.48, longitude=0.0, timezone=0.0, year=2010, month=3, day=20)
+    noon = sun_position(day._replace(hour=12.0, minute=7.0))  # by the equation of time
     torch.testing.assert_close(noon[2], torch.tensor(np.cos(np.radians(51.48))), rtol=0, atol=3e-3)
     assert abs(noon[1]) < 5e-3 and noon[0] > 0
-    morning = sun_position(**day | {"hour": 6.0, "minute": 7.0})
+    morning = sun_position(day._replace(hour=6.0, minute=7.0))
     assert abs(morning[2]) < 1e-2 and morning[1] < -0.99
 
 

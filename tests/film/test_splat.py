@@ -10,13 +10,13 @@ import torch_radbp as rb
 from tests.gradients import assert_informative, cotangent, relative_error
 from tests.scenes import cornell, sensor
 from torch_radbp.call import chunks
-from torch_radbp.call.pixels import asked_of_pixels, deposit, developed, film_places, filters_of, lane_adjoint
+from torch_radbp.call.pixels import deposit, developed, film_places, filters_of
 from torch_radbp.film.box import Box
 from torch_radbp.film.gaussian import Gaussian
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.film.lanczos import Lanczos
 from torch_radbp.film.mitchell import Mitchell
-from torch_radbp.film.splat import Block, Deposited, asked_of_sums, deposited, sums_of
+from torch_radbp.film.splat import Block, Deposited, deposited, gathered_from_sums, sums_of
 from torch_radbp.film.tent import Tent
 from torch_radbp.jit.stages import compiled
 from torch_radbp.tensors.stage import EAGER
@@ -81,7 +81,7 @@ def test_images_are_the_sums_of_samples_over_the_sums_of_the_filter(name, border
     found = developed(call._replace(workers=1), work)
     assert np.abs(sums).max() > 0.5 and np.abs(expected).max() > 1
     np.testing.assert_allclose(found.filters[0].numpy(), sums, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(found.pixels[0].numpy(), expected, rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(found.values[0].numpy(), expected, rtol=1e-9, atol=1e-10)
 
 
 @pytest.mark.parametrize("compile", [False, True])
@@ -113,13 +113,13 @@ def test_what_lanes_are_asked_for_is_the_transpose(name):
     places, values = samples(call)
     wanted = cotangent(torch.zeros(1, 3, 7, 9, dtype=torch.float64))
     filters = filters_of(call, 0)
-    pixels = asked_of_pixels(call, wanted, filters)
-    asked = torch.cat([torch.stack(lane_adjoint(call, wavefront, film_places(call, wavefront, 0), pixels))
-                       for wavefront in call.wavefronts], 1)
+    pixels = call.sink.asked(call, wanted, filters)
+    adjoint = torch.cat([torch.stack(call.sink.adjoint(call, wavefront, film_places(call, wavefront, 0), pixels))
+                         for wavefront in call.wavefronts], 1)
     expected, _ = written_out(FILTERS[name], places, values)
     product = float((wanted[0, 0] * torch.from_numpy(expected[0])).sum())
     assert abs(product) > 1e-3
-    assert float((asked[0] * torch.from_numpy(values[:, 0])).sum()) == pytest.approx(product, rel=1e-9)
+    assert float((adjoint[0] * torch.from_numpy(values[:, 0])).sum()) == pytest.approx(product, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", ["tent", "lanczos"])
@@ -138,8 +138,8 @@ def test_compiled_and_eager_sums_are_the_same_but_for_rounding():
     found = [sums_of(stages(deposited), kernel, (value,), Block(Vec2(u, v), 11, 11)) for stages in (EAGER, compiled())]
     assert found[0].shape == (5, 5, 2, 7) and found[0].abs().max() > 1
     torch.testing.assert_close(found[1], found[0], rtol=0, atol=1e-14)
-    asked, = asked_of_sums(kernel, Block(Vec2(u, v), 11, 11), found[0][:, :, 1:])
-    assert float((asked * value).sum()) == pytest.approx(float((found[0][:, :, 1] ** 2).sum()), rel=1e-12)
+    adjoint, = gathered_from_sums(kernel, Block(Vec2(u, v), 11, 11), found[0][:, :, 1:])
+    assert float((adjoint * value).sum()) == pytest.approx(float((found[0][:, :, 1] ** 2).sum()), rel=1e-12)
 
 
 def test_the_integrals_of_a_filter_inside_a_window():

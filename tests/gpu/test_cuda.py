@@ -1,11 +1,14 @@
 """On a GPU: kernels, images and gradients are those of the processor. Skipped without one; `make gpu-check` runs them."""
 
+import warnings
+
 import pytest
 import torch
 
 import torch_radbp as rb
 from tests.gradients import assert_informative, cotangent, relative_error
 from tests.jit.programs import addition, arguments, assert_close, mixed
+from tests.rendering.taped import singly
 from tests.scenes import CASES, cornell
 from tests.scenes.everything import EVERYTHING, build_everything
 from torch_radbp.jit import LaneFunction
@@ -98,6 +101,36 @@ def test_the_image_and_gradients_of_the_cornell_box(caster):
     assert differs.sum() <= 10  # of 1024 pixels
     for name, gradient, wanted in zip(names, found, gradients):
         assert relative_error(gradient, wanted) < 2e-3, name
+
+
+def test_bounces_that_are_recorded_bring_what_single_calls_do(monkeypatch):
+    """The image has the same bits, gradients are sums in another order."""
+    names, settings = CASES["cornell"].parameters, {"spp": 16, "max_depth": 5, "rr_depth": 3, "caster": "warp"}
+    image, found = image_and_gradients(cornell(torch.float32, 32), names, "cuda", **settings)
+    singly(monkeypatch)
+    expected, gradients = image_and_gradients(cornell(torch.float32, 32), names, "cuda", **settings)
+    assert expected.std() > 0 and torch.equal(image, expected)
+    for name, gradient, wanted in zip(names, found, gradients):
+        assert relative_error(gradient, wanted) < 1e-6, name
+
+
+def test_the_host_waits_for_nothing_between_bounces():
+    def waits(depth: int) -> int:
+        scene = cornell(torch.float32, 16).to("cuda")
+        wanted = [scene.get_parameter(name).requires_grad_() for name in CASES["cornell"].parameters]
+        renderer = rb.Renderer(scene, spp=4, max_depth=depth, rr_depth=100, caster="warp")
+        for mode in ("default", "warn"):  # all is recorded in the first turn
+            torch.cuda.set_sync_debug_mode(mode)
+            with warnings.catch_warnings(record=True) as told:
+                warnings.simplefilter("always")
+                try:
+                    image = renderer(seed=1)
+                    torch.autograd.grad(image, wanted, torch.ones_like(image), allow_unused=True)
+                finally:
+                    torch.cuda.set_sync_debug_mode("default")
+        return sum("synchroniz" in str(warning.message) for warning in told)
+
+    assert waits(7) == waits(3)
 
 
 @pytest.fixture

@@ -5,9 +5,11 @@ What differs from the GPU's is the target that LLVM compiles for, and that a thr
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import re
 from array import array
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 from torch_radbp.jit.gpu import Gpu
@@ -75,11 +77,21 @@ class Emulated:
         self.assemble, self.backwards = assemble, backwards
         self.ptx: list[str] = []
         self.launches: list[Launch] = []
+        self.sequences = 0  # of several launches
 
     def load(self, text: str, name: str) -> Any:
         if self.assemble:
             self.ptx.append(ptx(text, self.architecture))
         return name, MachineCode(object_code(on_processor(text, self.backwards)), entry="launch")
+
+    @contextlib.contextmanager
+    def together(self) -> Iterator[Callable[[Any, int, int, int, int], None]]:
+        self.sequences += 1
+
+        def launch(kernel: Any, blocks: int, threads: int, address: int, count: int) -> None:
+            self.launch(kernel, blocks, threads, array("q", ctypes.string_at(address, 8 * count)))
+
+        yield launch
 
     def launch(self, kernel: Any, blocks: int, threads: int, parameters: array) -> None:
         name, code = kernel

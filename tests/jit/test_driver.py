@@ -88,9 +88,9 @@ def test_a_function_of_lanes_is_launched_on_the_current_stream_with_the_addresse
     assert len(launcher.driver.of("cuModuleLoadData")) == 1  # once for both
     for launch in launcher.driver.of("cuLaunchKernel"):
         assert launch[:9] == ("kernel", -(-1000 // BLOCK), 1, 1, BLOCK, 1, 1, 0, 77) and launch[9] == 0
-    lanes, *words = launcher.driver.words[0]
+    lanes, first, last, *words = launcher.driver.words[0]
     point, (colours,), index, scale, _ = given
-    assert lanes == 1000
+    assert (lanes, first, last) == (1000, 0, 0)
     assert words[:4] == [tensor.data_ptr() for tensor in (point.x, colours, index, scale)]
     assert words[4] == found[0].x.data_ptr() and len(words) == 4 + 4
 

@@ -26,8 +26,9 @@ def test_parameters_are_the_lanes_the_inputs_the_lengths_of_searched_tables_and_
     program = traced_program(lambda table, x: [torch.searchsorted(table, x, right=True), x * 2], [torch.float32] * 2,
                              [TABLE, LANES])
     head = next(line for line in Gpu(Emulated()).text(program).splitlines() if line.startswith("define ptx_kernel"))
-    assert head == ("define ptx_kernel void @lanes(i64 %lanes, ptr noalias readonly %in0, ptr noalias readonly %in1, "
-                    "i64 %length0, ptr noalias writeonly %out0, ptr noalias writeonly %out1) #0 {")
+    assert head == ("define ptx_kernel void @lanes(i64 %lanes, ptr readonly %first, ptr readonly %last, "
+                    "ptr noalias readonly %in0, ptr noalias readonly %in1, i64 %length0, "
+                    "ptr noalias writeonly %out0, ptr noalias writeonly %out1) #0 {")
 
 
 @pytest.mark.parametrize("architecture", ["sm_80", "sm_90", "sm_100"])

@@ -6,13 +6,23 @@ from importlib import import_module
 
 import pytest
 
+from tests.rendering.taped import singly
 from torch_radbp.jit.gpu import Gpu
+from torch_radbp.jit.run import LaneFunction
 from torch_radbp.jit.stages import CompiledStages
+from torch_radbp.raycast import expanded
 
 
-def render_on(device: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compiled renderings run on `device` during the test; it begins with nothing compiled."""
+def render_on(device: Gpu, monkeypatch: pytest.MonkeyPatch, taped: bool = False) -> None:
+    """Compiled renderings run on `device` during the test; it begins with nothing compiled.
+
+    Args:
+        taped: bounces are recorded, and run in sequences of launches.
+    """
+    if not taped:
+        singly(monkeypatch)
     fused = CompiledStages(device)
     monkeypatch.setattr(import_module("torch_radbp.rendering.renderer"), "compiled", lambda: fused)
-    for module in ("order", "scatter"):
+    for module in ("order", "scatter", "tape", "run"):
         monkeypatch.setattr(import_module(f"torch_radbp.jit.{module}"), "target_of", lambda of: device)
+    monkeypatch.setattr(expanded, "AS_SHOWN", LaneFunction(expanded.as_shown, ("triangle", "instance"), device))

@@ -5,6 +5,7 @@ Where nothing is fused, every call of every kernel has the bits of the processor
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 from collections.abc import Sequence
 
@@ -21,6 +22,7 @@ from torch_radbp.jit import instructions
 from torch_radbp.jit.cpu import Cpu, CpuLoop
 from torch_radbp.jit.graph import Program
 from torch_radbp.jit.lowered import without_library
+from torch_radbp.path import wavefront
 
 pytestmark = [needs_interpreter, pytest.mark.deep, pytest.mark.filterwarnings(
     "error:.*runs eagerly:RuntimeWarning", "ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")]
@@ -39,6 +41,12 @@ def unfused(monkeypatch):
     for operation in ("add", "sub", "mul"):
         line = instructions.FLOATING[operation].replace(" contract", "")
         monkeypatch.setitem(instructions.FLOATING, operation, line)
+
+
+@pytest.fixture
+def at_once(monkeypatch):
+    """Loops of the processor do not wait for each other, as kernels do not: what both find is compared one by one."""
+    monkeypatch.setattr(wavefront, "loops_together", contextlib.nullcontext)
 
 
 class ComparedLoop:
@@ -84,7 +92,7 @@ CASES_OF_KERNELS = [*((name, "hybrid", torch.float32, "sm_80") for name in SCENE
 
 @pytest.mark.parametrize("name, sampling, dtype, architecture", CASES_OF_KERNELS,
                          ids=[f"{name}-{sampling}" for name, sampling, *_ in CASES_OF_KERNELS])
-def test_every_kernel_has_the_bits_of_the_processor(name, sampling, dtype, architecture, unfused, monkeypatch):
+def test_every_kernel_has_the_bits_of_the_processor(name, sampling, dtype, architecture, unfused, at_once, monkeypatch):
     scene = build(name, dtype)
     names = [name for name, _ in scene.named_parameters()]
     settings = {"spp": 1, "max_depth": 4, "rr_depth": 2, "sampling": sampling}

@@ -249,7 +249,7 @@ def test_gradcheck_by_origins_and_directions(sampling):
             integrand = call.make_integrand(call.scene)
             integrand = integrand if sampling == "attached" else integrand._replace(caster=held)
             with torch.no_grad():
-                return render_images(call, integrand, record=False, tracer=trace_attached).pixels[0, :, :, 0].t()
+                return render_images(call, integrand, record=False, tracer=trace_attached).values[0, :, :, 0].t()
 
     attached = [part.clone().requires_grad_() for part in (origins, directions)]
     radiance = renderer.radiance(*attached, seed=5)

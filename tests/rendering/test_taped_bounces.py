@@ -5,33 +5,17 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but
-from tests.gradients import cotangent, unwarned_renderer
-from tests.scenes import cornell, diffuse, load, parameters, rectangle, rgb, sensor, sky_and_points, textured, two_sided
+from tests.rendering.taped import SCENES, SETTINGS, rendered, singly
+from tests.scenes import cornell, sky_and_points, two_sided
 from tests.scenes.everything import build_everything
 from tests.scenes.networks import Function, lit_room, mlp, room
-from torch_radbp.adjoint import record, taped_sweep
-from torch_radbp.io.transform import translate
+from torch_radbp.adjoint import record
 from torch_radbp.jit.recorded import Recorded
 from torch_radbp.jit.tape import RECORDINGS
 from torch_radbp.jit.tiles import TILE
-from torch_radbp.path import taped_bounces, whole_paths
+from torch_radbp.path import whole_paths
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
-SETTINGS = {"spp": 4, "max_depth": 5, "rr_depth": 2, "compile": True, "terms": ("interior",)}
-
-
-def crossing(dtype: torch.dtype) -> rb.Scene:
-    """An instance, a ball and a mirror under a sky."""
-    ball = {"type": "sphere", "radius": 0.3, "to_world": translate((0.5, 0.2, 0)), "bsdf": {"type": "conductor"}}
-    group = {"type": "shapegroup", "own": rectangle((0, 0, 0), 0.3, bsdf=diffuse(0.2, 0.5, 0.7))}
-    shown = {"type": "instance", "own": {"type": "ref", "id": "group"}, "to_world": translate((-0.3, 0, 0.2))}
-    floor = rectangle((0, -0.6, 0), 2.0, (1, 0, 0), -90, bsdf=diffuse(0.6, 0.5, 0.4))
-    sky = {"type": "constant", "radiance": rgb(1, 0.8, 0.6)}
-    return load(dtype, sensor=sensor(9), group=group, ball=ball, shown=shown, floor=floor, sky=sky)
-
-
-SCENES = {"closed box": lambda dtype: cornell(dtype, 12), "textures": lambda dtype: textured(dtype=dtype),
-          "two sides": two_sided, "sky and points": sky_and_points, "instances and balls": crossing}
 
 
 @pytest.fixture
@@ -50,22 +34,6 @@ def calls(monkeypatch) -> list[int]:
     monkeypatch.setattr(Recorded, "__call__", noting)
     monkeypatch.setattr(whole_paths, "run_in_tiles", noting_steps)
     return found
-
-
-def singly(monkeypatch) -> None:
-    """From here on nothing is recorded."""
-    monkeypatch.setattr(taped_bounces, "recordable", lambda integrand: False)
-    monkeypatch.setattr(taped_sweep, "recordable", lambda integrand: False)
-    monkeypatch.setattr(whole_paths, "recordable", lambda integrand: False)
-
-
-def rendered(scene: rb.Scene, **settings) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-    """An image, and the gradients of all parameters that it depends on."""
-    named = dict(scene.named_parameters())
-    wanted = parameters(scene, named)
-    image = unwarned_renderer(scene, **SETTINGS | settings)(seed=3)
-    found = torch.autograd.grad(image, wanted, cotangent(image.detach()), allow_unused=True)
-    return image.detach(), {name: gradient for name, gradient in zip(named, found) if gradient is not None}
 
 
 def assert_same_bits(build, calls, monkeypatch, **settings) -> None:

@@ -1,4 +1,4 @@
-"""The backward pass: memoized adjoint radiance, its schedules, and the strategies to compare with."""
+"""The backward pass: memoized adjoint radiance, its schedules, and other strategies for comparison."""
 
 from torch_radbp.adjoint.memoized import MemoizedAdjoint
 from torch_radbp.adjoint.quadratic import QuadraticAdjoint

@@ -1,4 +1,4 @@
-"""The loop over bounces with all derivatives, as torch records them or carries tangents along."""
+"""The loop over bounces with all derivatives, recorded by autograd or in forward mode."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def trace_attached(integrand: Integrand, state: PathState, visit: Visit | None =
 
 
 def bounced_twice(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) -> tuple[PathState, Step, Onward]:
-    """`bounced` where rays carry derivatives: once detached, to find out what the next ray meets, and then attached to that.
+    """`bounced` with differentiated rays: first detached, to find the next hits, then attached to these.
 
     Args as there, but that `L` is always wanted.
     """
@@ -50,7 +50,7 @@ def bounced_twice(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | No
 
 
 def attached_light(integrand: Integrand, state: PathState, depth: int, step: Step) -> Vec3 | None:
-    """The light that paths meet that end, with all derivatives; None: none does."""
+    """The emission seen by paths that end at a bounce, with all derivatives; None: none ends."""
     *_, queue = step.queues
     if queue.event.scatters:
         return None
@@ -59,7 +59,7 @@ def attached_light(integrand: Integrand, state: PathState, depth: int, step: Ste
 
 def attached_vertices(integrand: Integrand, state: PathState, depth: int, step: Step,
                       following: Hit | None) -> tuple[Vec3 | None, PathState | None]:
-    """What vertices bring where light is scattered, and the paths from there, with all derivatives; None: it is nowhere.
+    """E_k of vertices that scatter, and the path states that leave them, with all derivatives; None: nothing scatters.
 
     Args:
         step: what was decided.
@@ -82,7 +82,7 @@ def attached_vertices(integrand: Integrand, state: PathState, depth: int, step: 
 
 
 def arguments_of(integrand: Integrand, state: PathState, depth: int, step: Step, queue: Queue) -> tuple:
-    """What the functions of a bounce are given for a queue, with all derivatives."""
+    """The arguments of a bounce's functions for one queue, with all derivatives."""
     part, lanes = integrand.part(queue.event), step.order[queue.first:queue.last]
     arrival, at, settings, values = step.arrival(state), integrand.at(depth), integrand.settings_at(depth), ()
     if integrand.proposal.layout.reads_outside:
@@ -92,7 +92,7 @@ def arguments_of(integrand: Integrand, state: PathState, depth: int, step: Step,
 
 
 def room_for_paths(integrand: Integrand, state: PathState, lanes: int) -> tuple[Vec3, PathState]:
-    """What `attached_vertices` returns in forward mode, to write into."""
+    """Empty results of `attached_vertices` in forward mode, to write into."""
     values, tangents = (room_for_vertices(state, lanes, True) for _ in range(2))
     E, ahead = dual(values.Le, tangents.Le), values.next._replace(vantage=None)
     settings, of = integrand.settings, tangents.next
@@ -102,7 +102,7 @@ def room_for_paths(integrand: Integrand, state: PathState, lanes: int) -> tuple[
 
 
 def rays_reaching(integrand: Integrand, start: PathState, depth: Tensor) -> Ray:
-    """The rays that reach the vertices of paths at these depths, with all derivatives.
+    """The rays that reach the vertices of paths at given depths, with all derivatives.
 
     Args:
         integrand: attached.
@@ -124,7 +124,7 @@ def rays_reaching(integrand: Integrand, start: PathState, depth: Tensor) -> Ray:
 
 
 def _spread(hit: Hit | None, alive: Tensor, lanes: int) -> Hit | None:
-    """(N,) the hits of the lanes `alive` in their places; of no meaning in others."""
+    """Hits of the lanes `alive`, scattered to all lanes, (N,); undefined in the others."""
     if hit is None:
         return None
     whole = Hit(*[None if part is None else part.new_empty(lanes) for part in hit])

@@ -1,4 +1,4 @@
-"""The backward pass of one bounce: its local vector-Jacobian product, and the memo that it moves up.
+"""The backward pass of one bounce: its local vector-Jacobian product, and the memo of the bounce below.
 
 If geometry, camera or directions carry derivatives, the local map is (theta, ray_k) -> (E_k, F_k, ray_{k+1}), and beside the
 radiance the memo holds dloss/dray_{k+1}, which has come up from below; the same product turns it into dloss/dray_k.
@@ -30,14 +30,14 @@ from torch_radbp.texture.reader import TextureValue
 
 
 class Memo(NamedTuple):
-    """The results of the bounce below, (N,) each; zeros where there was none."""
+    """The memo of the recursion: results of the bounce below, (N,) each; zeros where there was none."""
 
     L: Vec3  # L_{k+1}
     adj_ray: Ray | None = None  # dloss/dray_{k+1}; None if rays do not carry derivatives
-    adj_pdf: Tensor | None = None  # the same of the density with which the ray was picked
-    adj_cone: Cone | None = None  # the same of the cone around the ray; None if paths carry none
-    hit: Hit | None = None  # what the ray meets; triangle -1: nothing
-    adj_corners: Corners | None = None  # dloss/dp so far of that triangle's vertices; None unless two bounces contribute
+    adj_pdf: Tensor | None = None  # dloss/dpdf of the density with which the ray was sampled
+    adj_cone: Cone | None = None  # dloss/dcone of the ray's cone; None if paths carry none
+    hit: Hit | None = None  # hit of the ray; triangle -1: a miss
+    adj_corners: Corners | None = None  # partial dloss/dp of that triangle's vertices; None unless two bounces contribute
 
 
 def empty_memo(like: Tensor, moving: bool, twice: bool, scene: SceneTensors) -> Memo:
@@ -62,7 +62,7 @@ def empty_memo(like: Tensor, moving: bool, twice: bool, scene: SceneTensors) -> 
 
 
 class TableAdjoint(NamedTuple):
-    """The adjoint of one read of a table, (N,) each; still to be scattered into its gradient."""
+    """The adjoint of one table look-up, (N,) each, before it is scattered into the table's gradient."""
 
     index: Tensor  # int32
     adjoint: Tensor
@@ -73,7 +73,7 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], still: tuple[b
                    verdict: Verdict | None, adj_L: Vec3, memo: Memo, at: Position, settings: Settings,
                    texture_values: tuple[TextureValue, ...]
                    ) -> tuple[Memo, list[list[TableAdjoint]], tuple[Vec3, ...]]:
-    """The local vector-Jacobian product of one bounce.
+    """The local vector-Jacobian product of one bounce: from dloss/dL_k to gradients of tables, and to the ray before.
 
     Args:
         scene: the part that these lanes read, detached.
@@ -132,18 +132,18 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], still: tuple[b
 
 
 def as_leaf(tensor: Tensor) -> Tensor:
-    """A copy that derivatives can be taken with respect to."""
+    """A detached leaf tensor with the same values, which requires a gradient."""
     return tensor.clone().requires_grad_()
 
 
 def read_again(positions: Vec3, corners: tuple[Tensor, Tensor, Tensor], adj_corners: Corners) -> Corners:
-    """The vertices `corners` from tapped positions, with a part of their adjoints that the bounce below has found."""
+    """Gathers the vertices `corners` from recorded positions, with a part of their adjoints from the bounce below."""
     return tuple(Vec3(*(tap.read(row, found) for tap, found in zip(positions, adj_p)))
                  for row, adj_p in zip(corners, adj_corners))
 
 
 def vector_jacobian_product(outputs: list[Tensor], inputs: list[Tensor], adjoints: list[Tensor]) -> tuple:
-    """The adjoints of `inputs`; None where nothing depends on them."""
+    """The adjoints of `inputs` by torch's autograd; None where nothing depends on them."""
     dependent = [(output, adjoint) for output, adjoint in zip(outputs, adjoints) if output.requires_grad]
     if not dependent or not inputs:
         return (None,) * len(inputs)
@@ -152,12 +152,12 @@ def vector_jacobian_product(outputs: list[Tensor], inputs: list[Tensor], adjoint
 
 
 def zeros_unless(adjoint: Tensor | None, like: Tensor) -> Tensor:
-    """The adjoint, or zeros where there is none."""
+    """The adjoint, or zeros if it is None."""
     return torch.zeros_like(like) if adjoint is None else adjoint
 
 
 def table_adjoints(tap: Tap, adjoints: Iterator[Tensor | None]) -> list[TableAdjoint]:
-    """The adjoints of the reads of a table.
+    """Pairs the look-ups of a table with their adjoints.
 
     Args:
         tap: of the table.

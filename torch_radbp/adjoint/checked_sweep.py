@@ -1,4 +1,4 @@
-"""The backward sweep once more, with a look at the derivatives of each bounce: when a gradient is NaN or infinite."""
+"""The backward sweep with a check of each bounce, to explain a gradient that is not finite."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.bounce import bounce_adjoint
+from torch_radbp.adjoint.local_adjoint import LocalAdjoints
 from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.call.finite import FirstNonFinite
 from torch_radbp.path.state import Arrival, PathState
@@ -15,14 +16,14 @@ from torch_radbp.tensors.stage import PlainStages
 
 
 class CheckedSweep(Sweep):
-    """A sweep that notes the first bounce, from the deepest up, whose derivatives are not finite. Eager."""
+    """A sweep that records the first bounce, from the deepest up, whose derivatives are not finite. Eager."""
 
     def __init__(self, finding: FirstNonFinite, *arguments):
         super().__init__(*arguments)
         self.finding = finding
 
     def adjoint(self, state: PathState, depth: int) -> None:
-        """Differentiates one bounce, as `Sweep` does."""
+        """Differentiates one bounce, as `Sweep` does, and checks the result."""
 
         def checked(scene: SceneTensors, wanted: tuple[bool, ...], still: tuple[bool, ...], arrival: Arrival, lanes: Tensor,
                     *arguments):
@@ -35,5 +36,5 @@ class CheckedSweep(Sweep):
             return above, tables, adj_values
 
         self.integrand = self.integrand.with_stages(PlainStages({bounce_adjoint: checked}))
-        self.adjoints = {}
+        self.local = LocalAdjoints(self.integrand, self.local.numbered)
         super().adjoint(state, depth)

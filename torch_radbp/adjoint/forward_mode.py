@@ -31,17 +31,17 @@ def has_tangents(record) -> bool:
 
 
 def render_tangents(call: RenderCall) -> Tensor:
-    """The dual images of a scene with dual leaves, (B, 3, H, W), by all workers.
+    """Renders a scene with dual leaves: dual images, (B, 3, H, W), in several threads.
 
     Raises:
         RuntimeError: if a leaf also requires a gradient, which would be missing.
     """
-    leaves = leaves_of((call.scene, [view.camera for view in call.views]))
+    leaves = leaves_of((call.scene, call.source.tensors))
     if torch.is_grad_enabled() and any(leaf.requires_grad for leaf in leaves if isinstance(leaf, Tensor)):
         raise RuntimeError("a rendering is differentiated either forward or backward, but parameters have tangents and "
                            "parameters require grad: render under torch.no_grad(), or with adjoint=TapeAdjoint() for both")
     with torch.no_grad():
-        return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached).pixels
+        return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached).values
 
 
 def inside_transforms() -> bool:
@@ -50,7 +50,7 @@ def inside_transforms() -> bool:
 
 
 def render_outside_transforms(render: Callable, parameters: dict[str, Tensor]):
-    """`render(parameters)` inside `torch.func.jvp`, images in tuples and dicts, computed outside of it on dual tensors.
+    """Computes `render(parameters)` for `torch.func.jvp`: outside of the transform, on dual tensors.
 
     Raises:
         RuntimeError: in any other transform, or in several.
@@ -73,5 +73,5 @@ def render_outside_transforms(render: Callable, parameters: dict[str, Tensor]):
 
 
 def rewrapped(image: tuple[Tensor, Tensor | None]) -> Tensor:
-    """The dual tensor of an image and its tangent, if it has one."""
+    """Makes a dual tensor of an image and its tangent, if it has one."""
     return image[0] if image[1] is None else forward_ad.make_dual(*image)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext
 from functools import partial, wraps
 
@@ -16,19 +16,19 @@ from torch_radbp.adjoint.record import record_wavefront
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import Sweep, numbered_leaves
 from torch_radbp.adjoint.taped_sweep import sweep_of
-from torch_radbp.call.chunks import Chunk
+from torch_radbp.call.chunks import LaneBlock
 from torch_radbp.call.finite import FirstNonFinite, NonFiniteError, all_finite, count_of_bad, gradient_error
-from torch_radbp.call.pixels import asked_of_pixels, filters_of, lane_adjoint, weighted
+from torch_radbp.call.pixels import weighted
 from torch_radbp.call.render_call import (
     RenderCall,
-    integrand_of,
+    integrand_of_wavefront,
     start_paths,
 )
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.call.workers import in_turns
 from torch_radbp.public_call import public_call
 from torch_radbp.scene.cone import Cone
-from torch_radbp.tensors.differentiated import detached, differentiable
+from torch_radbp.tensors.differentiated import differentiable
 from torch_radbp.tensors.lookup import summed
 from torch_radbp.tensors.record import leaves_of, mapped, rows_between, with_leaves
 from torch_radbp.tensors.stage import EAGER
@@ -39,7 +39,7 @@ SAVED = object()  # stands for a tensor that autograd keeps
 
 
 def first_derivatives_only(backward: Callable) -> Callable:
-    """A backward pass that refuses to be recorded, instead of giving gradients whose own derivative would be zero."""
+    """Makes a backward pass raise under double differentiation, instead of returning zeros."""
     @wraps(backward)
     def refusing(ctx, *gradients: Tensor):
         if torch.is_grad_enabled():
@@ -57,17 +57,16 @@ def first_derivatives_only(backward: Callable) -> Callable:
 
 
 class RenderFunction(torch.autograd.Function):
-    """Images as a function of the scene's leaves, with memoized adjoint radiance as its derivative."""
+    """What a sink has of paths from a source, with memoized adjoint radiance as its derivative: images of cameras."""
 
     @staticmethod
     def forward(ctx, call: RenderCall, *leaves: Tensor) -> Tensor:
         ctx.shapes = {name: tuple(parameter.shape) for name, parameter in call.parameters.items()}
-        ctx.camera_leaves = [asks_for_gradient(view.camera) for view in call.views]
-        ctx.scene_leaves = asks_for_gradient(call.scene)
-        integrand, views = call.integrand, [detached(view) for view in call.views]
-        ctx.call = call = call._replace(scene=integrand.scene, views=views, caster=None, make_integrand=None, integrand=None)
+        ctx.source_leaves, ctx.scene_leaves = asks_for_gradient(call.source.tensors), asks_for_gradient(call.scene)
+        integrand, call = call.integrand, call.still()
+        ctx.call = call = call._replace(caster=None, make_integrand=None, integrand=None)
         wanted = any(ctx.needs_input_grad)
-        images, filters, records = render_images(call, integrand, record=wanted and (call.shares_samples or call.together))
+        values, filters, records = render_images(call, integrand, record=wanted and (call.shares_samples or call.together))
         ctx.filters = filters if call.shares_samples else None
         # An image that lives on keeps the hierarchy of triangles alive only if its backward pass casts rays.
         casts_again = wanted and (None in records or not call.adjoint.keep_hits)
@@ -76,35 +75,32 @@ class RenderFunction(torch.autograd.Function):
         recorded: list[Tensor] = []
         ctx.records = mapped(records, partial(without_tensor, recorded))
         ctx.save_for_backward(*leaves, *recorded)
-        return images
+        return values
 
     @staticmethod
     @first_derivatives_only
     @torch.autograd.function.once_differentiable
     @public_call
-    def backward(ctx, grad_images: Tensor):
-        call, integrand, grad_images = ctx.call, ctx.integrand, grad_images[:, :3]  # quantities have no derivative here
+    def backward(ctx, gradient: Tensor):
+        call, integrand = ctx.call, ctx.integrand
         check_shapes(call.parameters, ctx.shapes)
         tensors = saved_tensors(ctx)
         saved = iter(tensors[len(ctx.needs_input_grad) - 1:])
         records = mapped(ctx.records, lambda leaf: next(saved) if leaf is SAVED else leaf)
         asked = iter(ctx.needs_input_grad[1:])
         wanted = tuple(attached and next(asked) for attached in ctx.scene_leaves)
-        wanted_of_cameras = [tuple(attached and next(asked) for attached in leaves) for leaves in ctx.camera_leaves]
+        wanted_of_source = [attached and next(asked) for attached in ctx.source_leaves]
         numbered = numbered_leaves(call.scene, wanted)
         leaves = [leaf for leaf, want in zip(leaves_of(call.scene), wanted) if want]
-        cameras = [leaf for view, wants in zip(call.views, wanted_of_cameras)
-                   for leaf, want in zip(leaves_of(view.camera), wants) if want]
-        filters = ctx.filters if call.shares_samples else filters_of(call, 1)
-        pixels = asked_of_pixels(call, grad_images, filters)
-        first = [len(leaves) + sum(map(sum, wanted_of_cameras[:sensor])) for sensor in range(len(call.views))]
+        of_source = [leaf for leaf, want in zip(leaves_of(call.source.tensors), wanted_of_source) if want]
+        asked_of_lanes = call.sink.asked(call, gradient, ctx.filters)
 
         def swept(index: int, gradients: Gradients, sweep_of: Callable = sweep_of) -> Sweep:
             wavefront, record = call.wavefronts[index], records[index]
             if record is None:
                 record = record_wavefront(call, integrand, wavefront)
-            adj_L = weighted(lane_adjoint(call, wavefront, record.place, pixels), record.weight)
-            seen = integrand_of(call, integrand, wavefront.sensor)
+            adj_L = weighted(call.sink.adjoint(call, wavefront, record.place, asked_of_lanes), record.weight)
+            seen = integrand_of_wavefront(call, integrand, wavefront)
             with sweep_of(seen, record, adj_L, numbered, gradients) as sweep:
                 call.adjoint.backward(sweep)
             return sweep
@@ -115,24 +111,23 @@ class RenderFunction(torch.autograd.Function):
                     swept(index, Gradients(leaves), lambda *arguments: nullcontext(CheckedSweep(finding, *arguments)))
 
         def differentiate_share(share: Iterable[int]) -> Gradients:
-            gradients = Gradients((*leaves, *cameras), call.memory)
+            gradients = Gradients((*leaves, *of_source), call.memory)
             for index in share:
                 memo = swept(index, gradients).memo
-                for chunk, *lanes in call.wavefronts[index].parts():
-                    wants = wanted_of_cameras[chunk.sensor]
-                    if any(wants):
-                        adj_start = rows_between((memo.adj_ray, memo.adj_cone), *lanes)
-                        for k, adjoint in enumerate(camera_adjoint(call, chunk, wants, *adj_start)):
-                            gradients.add_whole(first[chunk.sensor] + k, adjoint)
+                for chunk, *lanes in call.wavefronts[index].parts() if of_source else ():
+                    adj_start = rows_between((memo.adj_ray, memo.adj_cone), *lanes)
+                    for k, adjoint in source_adjoint(call, chunk, wanted_of_source, *adj_start):
+                        gradients.add_whole(len(leaves) + k, adjoint)
             return gradients
 
         shares = in_turns(len(call.wavefronts), call.workers, differentiate_share)
         results, are_finite = gradients_of(shares)
         call.memory.give_back(rows for share in shares for rows in share.rows)
         if not are_finite:
-            if not all_finite([grad_images]):
+            radiance = call.sink.radiance(gradient)
+            if not all_finite([radiance]):
                 raise NonFiniteError(f"the derivative of the loss with respect to the image is NaN or infinite in "
-                                     f"{count_of_bad(grad_images)}: it is the loss that is not finite, not the rendering")
+                                     f"{count_of_bad(radiance)}: it is the loss that is not finite, not the rendering")
             sources = tensors[:len(ctx.needs_input_grad) - 1]
             bad = [(source, result) for source, result in zip(wanted_of(ctx, sources), results) if not all_finite([result])]
             raise gradient_error(bad, integrand, call.module, call.parameters, sweep_again)
@@ -141,7 +136,7 @@ class RenderFunction(torch.autograd.Function):
 
 
 def without_tensor(tensors: list[Tensor], leaf):
-    """What stands for a leaf of a record whose tensors autograd keeps; these are added to a list."""
+    """Replaces a tensor in a record by a placeholder, and appends it to `tensors`, which autograd saves."""
     if not isinstance(leaf, Tensor):
         return leaf
     tensors.append(leaf)
@@ -149,7 +144,7 @@ def without_tensor(tensors: list[Tensor], leaf):
 
 
 def saved_tensors(ctx) -> tuple[Tensor, ...]:
-    """What autograd has kept; raises RuntimeError in our words if a parameter has been changed in place since."""
+    """The tensors that autograd has saved; raises RuntimeError if a parameter was changed in place since."""
     try:
         return ctx.saved_tensors
     except RuntimeError as error:
@@ -160,7 +155,7 @@ def saved_tensors(ctx) -> tuple[Tensor, ...]:
 
 
 def check_shapes(parameters: dict[str, Tensor], shapes: dict[str, tuple[int, ...]]) -> None:
-    """Raises RuntimeError naming a parameter whose shape is not that which it had in the forward pass."""
+    """Raises RuntimeError naming a parameter whose shape has changed since the forward pass."""
     for name, parameter in parameters.items():
         if tuple(parameter.shape) != shapes[name]:
             raise RuntimeError(f"the parameter {name!r} has been resized between a rendering and its backward pass, from "
@@ -169,32 +164,34 @@ def check_shapes(parameters: dict[str, Tensor], shapes: dict[str, tuple[int, ...
 
 
 def asks_for_gradient(record) -> list[bool]:
-    """Of each leaf of a record, as `leaves_of` counts, whether it is a tensor that requires a gradient."""
+    """For each leaf of a record, whether it is a tensor that requires a gradient."""
     return [isinstance(leaf, Tensor) and leaf.requires_grad for leaf in leaves_of(record)]
 
 
 def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
-    """The leaves that a gradient is asked for, of those that were handed over."""
+    """The leaves of the forward pass that require a gradient."""
     return [source for source, need in zip(sources, ctx.needs_input_grad[1:]) if need]
 
 
-def camera_adjoint(call: RenderCall, chunk: Chunk, wanted: tuple[bool, ...], adj_ray: Ray,
-                   adj_cone: Cone | None) -> list[Tensor]:
-    """The gradients of the wanted leaves of a camera from those of the rays, and cones, of one chunk; where each ray reads
-    entries of its own, they are summed in float64."""
-    view = call.views[chunk.sensor]
-    leaves = leaves_of(view.camera)
-    leaves = [leaf.clone().requires_grad_() if want else leaf for leaf, want in zip(leaves, wanted)]
-    sensors = [view._replace(camera=summed(with_leaves(view.camera, leaves))) if number == chunk.sensor else other
-               for number, other in enumerate(call.views)]
+def source_adjoint(call: RenderCall, chunk: LaneBlock, wanted: Sequence[bool], adj_ray: Ray,
+                   adj_cone: Cone | None) -> Iterator[tuple[int, Tensor]]:
+    """What the rays, and cones, of one chunk add to the gradients of the wanted leaves of the source, with the number of
+    each among these; where each ray reads entries of its own, they are summed in float64."""
+    read, tensors = call.source.leaves_read(chunk), call.source.tensors
+    leaves = [leaf.clone().requires_grad_() if want and place in read else leaf
+              for place, (leaf, want) in enumerate(zip(leaves_of(tensors), wanted))]
+    inputs = [(sum(wanted[:place]), leaves[place]) for place in read if wanted[place]]
+    if not inputs:
+        return
+    source = call.source.with_tensors(summed(with_leaves(tensors, leaves)))
     with torch.enable_grad():
-        start = start_paths(call._replace(views=sensors, stages=EAGER), Wavefront((chunk,)), 1)
-        inputs = [leaf for leaf, want in zip(leaves, wanted) if want]
+        start = start_paths(call._replace(source=source, stages=EAGER), Wavefront((chunk,)), 1)
         outputs, adjoints = (leaves_of((ray, cone or ())) for ray, cone in ((start.ray, start.cone), (adj_ray, adj_cone)))
-        adjoints = vector_jacobian_product(outputs, inputs, adjoints)
-    return [zeros_unless(adjoint, leaf) for adjoint, leaf in zip(adjoints, inputs)]
+        adjoints = vector_jacobian_product(outputs, [leaf for _, leaf in inputs], adjoints)
+    for (number, leaf), adjoint in zip(inputs, adjoints):
+        yield number, zeros_unless(adjoint, leaf)
 
 
 def render_with_derivative(call: RenderCall) -> Tensor:
-    """The images, with the quantities of the call; attached to the leaves of scene and cameras through `RenderFunction`."""
-    return RenderFunction.apply(call, *differentiable(call.scene), *differentiable([view.camera for view in call.views]))
+    """What the sink has of the call, attached to the leaves of scene and source through `RenderFunction`: images."""
+    return RenderFunction.apply(call, *differentiable(call.scene), *differentiable(call.source.tensors))

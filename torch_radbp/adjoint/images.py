@@ -10,15 +10,15 @@ from torch import Tensor
 from torch_radbp.adjoint.record import Allowance, trace_both, trace_wavefront
 from torch_radbp.adjoint.sweep import PathRecord
 from torch_radbp.call.finite import FirstNonFinite, all_finite, checked_stages, image_error
-from torch_radbp.call.pixels import Images, developed
 from torch_radbp.call.render_call import RenderCall
+from torch_radbp.call.sink import SinkValues
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
 
 
-def render_images(call: RenderCall, integrand: Integrand, record: bool, tracer: Callable = trace) -> Images:
-    """Linear RGB and the quantities of the call, and records of those wavefronts of which one is wanted and kept."""
+def render_images(call: RenderCall, integrand: Integrand, record: bool, tracer: Callable = trace) -> SinkValues:
+    """What the sink has of radiance and of the quantities of the call, and records of wavefronts, if wanted and kept."""
     allowance = Allowance(call.record_bytes if record else 0)
 
     def trace_one(wavefront: Wavefront) -> tuple[list[Tensor], PathRecord | None]:
@@ -28,8 +28,8 @@ def render_images(call: RenderCall, integrand: Integrand, record: bool, tracer: 
         sums, path_record = trace_wavefront(call, integrand, wavefront, 0, keeping, tracer)
         return sums, path_record if keeping and allowance.covers(path_record) else None
 
-    images = developed(call, trace_one)
-    _check_images(call, integrand, images.pixels[:, :3].detach())
+    images = call.sink.gather(call, trace_one)
+    _check_images(call, integrand, call.sink.radiance(images.values).detach())
     return images
 
 
@@ -49,7 +49,7 @@ def _check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> Non
 
 
 def render_detached(call: RenderCall) -> Tensor:
-    """The images without derivatives, with the quantities of the call."""
+    """Renders images and AOVs without derivatives."""
     call = call.still()
     with torch.no_grad():
-        return render_images(call, call.integrand, record=False).pixels
+        return render_images(call, call.integrand, record=False).values

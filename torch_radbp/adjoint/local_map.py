@@ -1,4 +1,4 @@
-"""The function of one bounce that is differentiated, the same for reverse mode, forward mode and plain autograd."""
+"""The differentiable function of one bounce, the same for reverse mode, forward mode and plain autograd."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MISS = Hit(-1, 0.0, 0.0, 0.0, 0)
 
 
 class LocalMap(NamedTuple):
-    """The terms of L_k = E_k + F_k L_{k+1} as functions of what a bounce is attached to."""
+    """The terms of L_k = E_k + F_k L_{k+1}, as functions of the parameters of a bounce."""
 
     E: Vec3
     F: Vec3
@@ -33,7 +33,7 @@ class LocalMap(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What was decided at a bounce."""
+    """The decisions at a bounce that derivatives keep: visibility and survival."""
 
     visible: Tensor  # (N,) bool: the shadow ray was free
     survives: Tensor  # (N,) bool: the path goes on
@@ -42,7 +42,7 @@ class Verdict(NamedTuple):
 def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, verdict: Verdict | None, following: Hit | None,
               at: Position, settings: Settings, texture_values: tuple[TextureValue, ...], here: Corners | None = None,
               there: Corners | None = None) -> LocalMap:
-    """From parameters, and from the ray if it is moving, to E_k and F_k, and to the next ray.
+    """The local map of a bounce: parameters, and the ray if differentiated, to E_k, F_k and the next ray.
 
     Args:
         scene, proposal, at, settings, texture_values: as for `bounce`.
@@ -66,7 +66,7 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, ver
 def attached_vertex(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, verdict: Verdict,
                     following: Hit, at: Position, settings: Settings,
                     texture_values: tuple[TextureValue, ...]) -> tuple[Vec3, PathState]:
-    """E_k, and the paths that leave the vertices, with all derivatives; those without `vantage`, which carries none.
+    """E_k and the path states that leave vertices, with all derivatives; without `vantage`, which has none.
 
     Args:
         arrival: the paths that reach this bounce.

@@ -1,4 +1,4 @@
-"""Memoized adjoint radiance with a configurable checkpoint schedule: the note's method, and the default."""
+"""Memoized adjoint radiance with a checkpoint schedule: the note's method, and the default."""
 
 from __future__ import annotations
 
@@ -54,15 +54,15 @@ class MemoizedAdjoint(AdjointStrategy):
 
     @property
     def records_all(self) -> bool:
-        """True if the backward pass takes no bounce again."""
+        """True if the backward pass replays no bounce."""
         return self.stride == 1 and self.keep_hits
 
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
-        """The depths at which the schedule keeps states."""
+        """The depths at which the schedule keeps path states."""
         return kept_depths(bounces, self.stride, most)
 
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
-        """The most states that the plan of the schedule keeps at once."""
+        """The greatest number of states that the schedule holds at once."""
         held = most = 0.0
         for action in backward_plan(len(reaching), kept, self.stride):
             if action.depth not in kept:
@@ -71,7 +71,7 @@ class MemoizedAdjoint(AdjointStrategy):
         return most
 
     def backward(self, sweep: Sweep) -> None:
-        """Runs the plan of the schedule."""
+        """Differentiates all bounces in the order that the checkpoint schedule has planned."""
         record = sweep.record
         states = dict(record.states)
         if 0 not in states:

@@ -1,4 +1,4 @@
-"""The values of textures that are computed outside of the functions of a bounce, and their derivatives."""
+"""Derivatives of network textures (modules), whose values are computed before compiled code runs."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ HELD = 1 << 17  # lanes that have reached a bounce, whose adjoints are held back
 
 
 class ModuleAdjoint(NamedTuple):
-    """The adjoints of values of modules."""
+    """The adjoints of values that modules (neural networks) have computed at points."""
 
     bank: int  # see `banks_asked`
-    row: Tensor  # (N,) int32, which module of it; -1: none
-    at: Vec2 | Vec3  # (N,) where
+    row: Tensor  # (N,) int32, index of the module in the bank; -1: none
+    at: Vec2 | Vec3  # (N,) inputs of the module
     adjoint: Vec3  # (N,) of the values there
 
 
 class ModuleGradients:
-    """Adds up what adjoints of values contribute to the gradients of modules' parameters.
+    """Accumulates the gradients of modules' parameters from adjoints of their values.
 
     The values are computed once more: between the passes nothing is kept of modules but values. Adjoints of several bounces
     are held back until modules run on all of them at once, in fewer batches.
@@ -54,16 +54,16 @@ class ModuleGradients:
         self.lanes = 0  # that reached the bounces of which something is held
 
     def numbers(self, bank: int) -> Sequence[Sequence[int | None]]:
-        """Those of the parameters of the modules of a bank."""
+        """For a table of modules, the gradient index of each parameter of each module; None: not differentiated."""
         return module_banks(self.numbered)[bank].parameters
 
     def wanted(self, bank: int) -> list[list[bool]]:
-        """Which of these have one."""
+        """For a table of modules, whether each parameter of each module is differentiated."""
         return [[leaf is not None for leaf in leaves] for leaves in self.numbers(bank)]
 
     def adjoints(self, scatterer: Appearance | None, places: tuple[Place, ...],
                  adj_values: tuple[Vec3, ...]) -> tuple[ModuleAdjoint, ...]:
-        """Those of which gradients are wanted.
+        """The adjoints of modules with differentiated parameters.
 
         Args:
             scatterer, places: as for `texture_values_at`.
@@ -74,13 +74,13 @@ class ModuleGradients:
                      if any(map(any, self.wanted(bank))))
 
     def hold(self, adjoints: Sequence[ModuleAdjoint], lanes: int) -> None:
-        """Holds back adjoints of a bounce that so many lanes have reached."""
+        """Queues the adjoints of a bounce with `lanes` lanes, until modules run on many at once."""
         if adjoints:
             self.held += adjoints
             self.lanes += lanes
 
     def add_held(self) -> None:
-        """Runs the modules on what is held back, and adds what it contributes."""
+        """Runs the modules on all queued adjoints, and adds the gradients."""
         held, self.held, self.lanes = self.held, [], 0
         for bank in dict.fromkeys(part.bank for part in held):
             parts = [(part.row, *part.adjoint, *part.at) for part in held if part.bank == bank]
@@ -91,7 +91,7 @@ class ModuleGradients:
 
 
 def values_that_move(scene: SceneTensors, asking: Sequence[Asking]) -> list[tuple[TextureValue, ...]]:
-    """The values of textures for queues of a bounce, with their derivatives by the places.
+    """Evaluates network textures for the queues of a bounce, with derivatives by their inputs.
 
     Args:
         scene: detached.
@@ -102,15 +102,15 @@ def values_that_move(scene: SceneTensors, asking: Sequence[Asking]) -> list[tupl
 
 
 def moving_values_of(banks: Sequence[int], scene: SceneTensors, given: Given) -> list[Sequence[Tensor]]:
-    """The values of modules and their derivatives, channel by channel; args as for `values_of`."""
+    """Evaluates modules and their derivatives, channel by channel; args as for `values_of`."""
     return of_banks(banks, scene, given, channels_that_move)
 
 
 def channels_that_move(bank: ModuleBank, row: Tensor, at: Vec2 | Vec3) -> list[Tensor]:
-    """As `ModuleBank.values_and_slopes`, channel by channel."""
+    """The channels of `ModuleBank.values_and_slopes`, in one list."""
     return [channel for values in bank.values_and_slopes(row, at) for channel in values]
 
 
 def triples(channels: Sequence[Tensor]) -> list[Vec3]:
-    """Three channels each."""
+    """Groups channels by three into colour vectors."""
     return [Vec3(*channels[first:first + 3]) for first in range(0, len(channels), 3)]

@@ -1,4 +1,4 @@
-"""The note's first `d_Li`: incident radiance is traced again at every depth."""
+"""The note's first `d_Li`: incident radiance is traced anew at every depth."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class QuadraticAdjoint(AdjointStrategy):
         return ()
 
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
-        """The states on the stack, and those of two bounces below it."""
+        """The number of states on the recursion's stack, plus two bounces below."""
         return sum(reaching) + 2 * max(reaching)  # the stack, and a bounce and the next below it
 
     def backward(self, sweep: Sweep) -> None:
-        """Walks down the path and, as the recursion `d_Li` does, differentiates each bounce on the way back."""
+        """Walks down the path and, as the recursion `d_Li`, differentiates each bounce on the way back."""
         stack = [bounce.state for bounce in bounces(sweep.integrand, sweep.record.start(), steps=sweep.record.steps)]
         for depth, state in reversed(list(enumerate(stack))):
             sweep.remember(radiance_beyond(sweep, state, depth))
@@ -49,7 +49,7 @@ class QuadraticAdjoint(AdjointStrategy):
 
 
 def radiance_beyond(sweep: Sweep, reached: PathState, first: int) -> Vec3:
-    """L_{k+1} of the paths that have reached bounce k, the depth `first`, by lane; 0 where they end."""
+    """L_{k+1} of the paths that have reached bounce k, at depth `first`, by lane; 0 where they end."""
     L, weight = Vec3.buffer(sweep.adj_L.x), Vec3.full(sweep.adj_L.x, 1.0).map(Tensor.clone)
     for bounce in bounces(sweep.integrand, reached, first, sweep.record.steps):
         if bounce.depth > first:

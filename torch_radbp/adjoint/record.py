@@ -1,4 +1,4 @@
-"""Traces wavefronts, and keeps of their paths what the backward pass will need."""
+"""Traces wavefronts, and records what the backward pass needs."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.sweep import PathRecord
-from torch_radbp.call.pixels import deposit, weighted
+from torch_radbp.call.pixels import weighted
 from torch_radbp.call.render_call import (
     RenderCall,
     camera_samples,
-    integrand_of,
+    integrand_of_wavefront,
     samples_of_chunks,
     start_paths,
     started,
@@ -38,7 +38,7 @@ MANY = 2 * TILE  # lanes of an image from which on those of its derivative are t
 
 def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront, which: int, record: bool,
                     tracer: Callable = trace) -> tuple[list[Tensor], PathRecord]:
-    """What the lanes count in pixels, as of `deposit`, and what the backward pass will need of them.
+    """What the lanes bring to the sink, as of `Sink.deposit`, and what the backward pass will need of them.
 
     Args:
         which: samples of the image, 0, or of its derivative, 1.
@@ -46,29 +46,28 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
         tracer: `trace`, or what does the same.
     """
     samples, recorder = camera_samples(call, wavefront, which), Recorder(call.adjoint, integrand.max_depth, record)
-    integrand = integrand_of(call, integrand, wavefront.sensor)
+    integrand = integrand_of_wavefront(call, integrand, wavefront)
     asked = record or call.quantities is not None  # of the quantities some ask for what camera rays meet
     L = tracer(integrand, started(call, samples), recorder.visit if asked else None)
     radiance = L if record and call.adjoint.keep_radiance else None
-    return (deposit(call, wavefront, _shown(call, integrand, samples, recorder.hit, L), samples.place),
+    return (call.sink.deposit(call, wavefront, _shown(call, integrand, samples, recorder.hit, L), samples),
             recorder.record(partial(start_paths, call, wavefront, which), radiance, samples))
 
 
 def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> tuple[list[Tensor], PathRecord]:
-    """What `trace_wavefront` gives for the samples of the image and `record_wavefront` for those of the derivative."""
+    """Traces the samples of the image and, together with them, those of its derivative."""
     recorder = Recorder(call.adjoint, integrand.max_depth)
-    integrand = integrand_of(call, integrand, wavefront.sensor)
+    integrand = integrand_of_wavefront(call, integrand, wavefront)
     apart = wavefront.lanes >= MANY and call.quantities is None and goes_whole(integrand, wavefront.lanes)
     traced = traced_apart if apart else traced_as_one
     image, derivative, hit, L = traced(call, integrand, wavefront, recorder)
-    return (deposit(call, wavefront, _shown(call, integrand, image, hit, L), image.place),
+    return (call.sink.deposit(call, wavefront, _shown(call, integrand, image, hit, L), image),
             recorder.record(partial(start_paths, call, wavefront, 1), None, derivative))
 
 
 def traced_apart(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
                  recorder: Recorder) -> tuple[CameraSample, CameraSample, None, Vec3]:
-    """What `traced_as_one` gives but for hits: the image without its bounces, and at the same time the derivative's paths
-    without light, so that a thread is at its lanes while the other is at its Python."""
+    """Traces the image's samples and the derivative's paths in two threads; results as of `traced_as_one`, without hits."""
     def image() -> tuple[CameraSample, Vec3]:
         samples = camera_samples(call, wavefront, 0)
         return samples, trace(integrand, started(call, samples))
@@ -84,7 +83,7 @@ def traced_apart(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
 
 def traced_as_one(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
                   recorder: Recorder) -> tuple[CameraSample, CameraSample, Hit | None, Vec3]:
-    """The camera rays of the image and those of the derivative, what the former meet, and their radiance."""
+    """Traces both kinds of samples as one wavefront: camera rays of both, hits and radiance of the image's."""
     image, derivative = (samples_of_chunks(call, wavefront, which) for which in (0, 1))
     lanes = wavefront.lanes
     both = joined([samples._replace(weight=None, place=None) for samples in (*derivative, *image)])
@@ -98,7 +97,7 @@ def traced_as_one(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
 
 
 def _shown(call: RenderCall, integrand: Integrand, samples: CameraSample, hit: Hit | None, L: Vec3) -> list[Tensor]:
-    """What the lanes of an image count in pixels: their radiance, and the quantities beside it.
+    """Splats the radiance of an image's lanes, and AOVs beside it.
 
     Args:
         samples: their camera rays.
@@ -114,16 +113,16 @@ def _shown(call: RenderCall, integrand: Integrand, samples: CameraSample, hit: H
 
 
 def record_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> PathRecord:
-    """What the backward pass needs of a wavefront's paths, without their radiance unless the strategy asks for it."""
+    """Records a wavefront's paths for the backward pass, without radiance unless the strategy needs it."""
     if call.adjoint.keep_radiance:
         return trace_wavefront(call, integrand, wavefront, 1, record=True)[1]
     samples, recorder = camera_samples(call, wavefront, 1), Recorder(call.adjoint, integrand.max_depth)
-    walk(integrand_of(call, integrand, wavefront.sensor), Onward(started(call, samples), None), recorder.visit)
+    walk(integrand_of_wavefront(call, integrand, wavefront), Onward(started(call, samples), None), recorder.visit)
     return recorder.record(partial(start_paths, call, wavefront, 1), None, samples)
 
 
 class Recorder:
-    """Keeps what camera rays meet, and what a strategy asks for of the bounces that it is shown, until there are `most`.
+    """Records camera hits, and bounces as the strategy asks, up to `most`.
 
     Args:
         keeping: False: of all bounces nothing is asked for.
@@ -153,13 +152,13 @@ class Recorder:
 
 
 class Allowance:
-    """The bytes of records that are still to be kept, of wavefronts that are traced side by side."""
+    """The remaining bytes for path records, shared by wavefronts that are traced in parallel."""
 
     def __init__(self, count: float):
         self.left, self.lock = count, Lock()
 
     def covers(self, record: PathRecord) -> bool:
-        """True if a record is to be kept, which is then counted."""
+        """True if a path record still fits the memory limit; its bytes are then counted."""
         size = sum(item.nbytes for item in leaves_of(record) if isinstance(item, Tensor))
         with self.lock:
             self.left -= size

@@ -1,4 +1,4 @@
-"""The images of a call with the derivatives that are asked for, in either mode."""
+"""Renders the images of a call with interior derivatives, in either mode."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch_radbp.tensors.differentiated import differentiable, with_derivative_o
 
 def rendered(call: RenderCall) -> Tensor:
     """(B, C, H, W) with the derivatives of what is seen inside of edges, and with the quantities of the call."""
-    record = call.scene, [view.camera for view in call.views]
+    record = call.scene, call.source.tensors
     forward_mode = has_tangents(record)
     if not forward_mode and not (torch.is_grad_enabled() and differentiable(record)):
         return render_detached(call)

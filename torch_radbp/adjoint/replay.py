@@ -40,11 +40,11 @@ class ReplayAdjoint(AdjointStrategy):
         return ()
 
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
-        """Where rays carry derivatives the states of all bounces, else those of two."""
+        """The number of states held at once: of all bounces if rays carry derivatives, else of two."""
         return sum(reaching) if moving else 4 * max(reaching)  # of a bounce and the next; its terms are as much again
 
     def backward(self, sweep: Sweep) -> None:
-        """Walks down the path with what remains of L."""
+        """Walks down the path with the remaining radiance L_k."""
         L, stack = sweep.record.radiance, []
         for bounce in bounces(sweep.integrand, sweep.record.start(), steps=sweep.record.steps):
             depth, state, lane, F = bounce.depth, bounce.state, bounce.vertex.next.lane, bounce.F

@@ -1,4 +1,4 @@
-"""The gradients of tables that lanes read: each lane's adjoint is added to the entry that it has read.
+"""Gradients of tables: adds each lane's adjoint to the table entry that the lane has read.
 
 A table may have four entries, to which millions of lanes add, or millions, most of which nobody reads. Totals are float64
 (one float32 sum loses what is small against the total: 2% of the lamp's gradient at 4 million paths). Memory of large ones
@@ -26,22 +26,22 @@ FEW = 1 << 8  # entries of a table below which it takes less to sum several in o
 
 
 class Contribution(NamedTuple):
-    """What one read of a table adds to its gradient."""
+    """The adjoints of one table look-up, to be added to the table's gradient."""
 
-    leaf: int  # which table
+    leaf: int  # index of the table
     index: Tensor  # (N,) int32
     adjoint: Tensor  # (N,)
 
 
 class TableBlock(NamedTuple):
-    """Tables whose totals lie together: columns of the same rows, several of few entries, or a single one."""
+    """Consecutive tables whose gradients are columns of one array."""
 
-    first: int  # table
-    width: int  # how many there are
+    first: int  # first table
+    width: int  # number of tables
 
 
 def blocks_of(tables: Sequence[Tensor]) -> list[TableBlock]:
-    """All tables, block by block."""
+    """Groups tables into blocks whose gradients are columns of one array."""
     found, first = [], 0
     while first < len(tables):
         width = 1
@@ -53,7 +53,7 @@ def blocks_of(tables: Sequence[Tensor]) -> list[TableBlock]:
 
 
 def lie_together(one: Tensor, other: Tensor) -> bool:
-    """True if the totals of two tables lie together, of which the first is the first of a block."""
+    """True if the gradients of two tables belong in one block, which the first of them starts."""
     if one.dim() != 1 or other.shape != one.shape or (other.dtype, other.device) != (one.dtype, one.device):
         return False
     stride, apart = one.stride(0), other.storage_offset() - one.storage_offset()
@@ -62,7 +62,7 @@ def lie_together(one: Tensor, other: Tensor) -> bool:
 
 
 class Gradients:
-    """The gradients of some tables, as far as one worker has found them.
+    """The gradients of tables as summed by one worker thread.
 
     Args:
         tables: (K,) each, or () for a number; of any shape if only whole gradients are added.
@@ -84,7 +84,7 @@ class Gradients:
         self.sums: dict[tuple[int, ...], Sums] = {}  # of the tables that were added to together
 
     def add(self, contributions: Iterable[Contribution]) -> None:
-        """Adds what reads of equally many lanes contribute."""
+        """Adds the adjoints of look-ups of equally many lanes."""
         # Those at the same index of tables of equal length, whose totals lie alike.
         together: dict[tuple[int, int, int], list[Contribution]] = {}
         for part in contributions:
@@ -99,7 +99,7 @@ class Gradients:
         scatter_add(additions)
 
     def sums_of(self, leaves: tuple[int, ...], entries: int) -> Sums:
-        """What is added to for some tables with so many entries."""
+        """The arrays to which the gradients of some tables with `entries` entries are added."""
         sums = self.sums.get(leaves)
         if sums is None:
             sums = self.sums[leaves] = Sums([self.totals[leaf] for leaf in leaves], self.touched[entries])
@@ -113,7 +113,7 @@ class Gradients:
 
 
 def gradients_of(workers: Sequence[Gradients]) -> tuple[list[Tensor], bool]:
-    """The gradients, in the tables' shapes and dtypes, from those that each worker has found, summed in the workers' order.
+    """Sums all workers' gradients in a fixed order, in the tables' shapes and dtypes.
 
     Those of columns of the same rows are such columns, too. The workers' totals are zero afterwards.
 
@@ -137,7 +137,7 @@ def gradients_of(workers: Sequence[Gradients]) -> tuple[list[Tensor], bool]:
 
 
 def take_over(rows: Tensor, totals: Sequence[Tensor], place: Tensor) -> Tensor:
-    """Moves the sums of some pages, as of `pages_touched`, into the rows of a gradient.
+    """Moves the sums on touched pages (blocks of entries) into the rows of a gradient.
 
     Returns:
         Numbers that are finite if what was written is.
@@ -156,13 +156,13 @@ def take_over(rows: Tensor, totals: Sequence[Tensor], place: Tensor) -> Tensor:
 
 
 def pages_touched(flags: Sequence[Tensor]) -> Tensor:
-    """The numbers of the pages that a worker has touched; elsewhere than on the CPU all, which asks the device nothing."""
+    """The pages (blocks of entries) that a worker has touched, by index; on a GPU all, to avoid waiting for it."""
     if not flags[0].is_cpu:
         return torch.arange(len(flags[0]), device=flags[0].device)
     return torch.stack(list(flags)).any(0).nonzero().squeeze(1)
 
 
 def pages(entries: int) -> int:
-    """The number of pages of a table, the last perhaps not full."""
+    """The number of pages (blocks of entries) of a table; the last may be partial."""
     return max(1, -(-entries // PAGE))
 

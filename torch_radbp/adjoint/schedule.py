@@ -1,4 +1,4 @@
-"""The depths at which the path state is kept, and the order in which the backward sweep visits the bounces.
+"""The schedule of checkpoints: depths at which path states are kept, and the order of the backward sweep.
 
 Pure functions of (number of bounces, stride) that return plain values, so that coverage, order of replayed steps and number
 of states can be tested without a renderer. "Depth d" below is the d-th bounce, counted from 0.
@@ -17,7 +17,7 @@ LOAD, ADVANCE, KEEP, ADJOINT, DROP = "load", "advance", "keep", "adjoint", "drop
 
 
 class Action(NamedTuple):
-    """One instruction to the sweep."""
+    """One step of the backward sweep's plan: restore, replay, keep, differentiate or drop a state."""
 
     kind: str
     """load: make the kept state of `depth` the current one. advance: replay bounce `depth` of the current state. keep: keep
@@ -27,7 +27,7 @@ class Action(NamedTuple):
 
 
 def kept_depths(bounces: int, stride: int | str, most: int | None = None) -> tuple[int, ...]:
-    """Depths whose state is kept after `bounces` bounces; none but those of one bounce fewer, and the last.
+    """The depths whose state is kept after `bounces` bounces, a subset of those after one bounce less, and the last.
 
     Args:
         bounces: how many were taken so far, N.
@@ -45,7 +45,7 @@ def kept_depths(bounces: int, stride: int | str, most: int | None = None) -> tup
 
 
 def square_root_step(bounces: int) -> int:
-    """The least power of two s with 2 s^2 >= N: N / s states are kept and s replayed at a time, 2.13 sqrt(N) at most."""
+    """The stride for "sqrt": the least power of two s with 2 s^2 >= N; at most 2.13 sqrt(N) states are held at once."""
     step = 1
     while 2 * step * step < bounces:
         step *= 2
@@ -53,7 +53,7 @@ def square_root_step(bounces: int) -> int:
 
 
 def backward_plan(bounces: int, kept: tuple[int, ...], stride: int | str) -> list[Action]:
-    """Instructions that differentiate bounces `bounces - 1` down to 0, each once.
+    """The plan that differentiates bounces `bounces - 1` down to 0, each once.
 
     Args:
         bounces: how many bounces the forward pass took.
@@ -71,7 +71,7 @@ def backward_plan(bounces: int, kept: tuple[int, ...], stride: int | str) -> lis
 
 
 def replay_segment(first: int, end: int, plan: list[Action]) -> None:
-    """Replays a segment once, keeping every state of it."""
+    """Plans to replay a segment once, keeping every state of it."""
     plan.append(Action(LOAD, first))
     for depth in range(first, end - 1):
         plan += [Action(ADVANCE, depth), Action(KEEP, depth + 1)]
@@ -80,7 +80,7 @@ def replay_segment(first: int, end: int, plan: list[Action]) -> None:
 
 
 def bisect(first: int, end: int, plan: list[Action]) -> None:
-    """Halves a segment until it is one bounce: log2(length) states at a time, length * log2(length) / 2 replays."""
+    """Plans to halve a segment recursively: log2(length) states at a time, length * log2(length) / 2 replays."""
     if end - first == 1:
         plan += [Action(ADJOINT, first), Action(DROP, first)]
         return
@@ -102,5 +102,5 @@ def peak_states(bounces: int, stride: int | str) -> int:
 
 
 def replayed_steps(bounces: int, stride: int | str) -> int:
-    """The number of forward bounces that the backward sweep takes again."""
+    """The number of bounces that the backward sweep replays."""
     return sum(action.kind == ADVANCE for action in backward_plan(bounces, kept_depths(bounces, stride), stride))

@@ -1,4 +1,4 @@
-"""What a strategy of the backward pass is. A new one is a file with a class derived from `AdjointStrategy`."""
+"""The interface of strategies of the backward pass. A new one is a file with a class derived from `AdjointStrategy`."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from torch_radbp.call.render_call import RenderCall
 class AdjointStrategy(ABC):
     """How a rendering is differentiated: what the forward pass keeps of its paths, and how the backward pass uses it."""
 
-    taped: ClassVar[bool] = False  # autograd records all operations, which run eagerly, and keeps their results
+    taped: ClassVar[bool] = False  # autograd records all operations, which run eagerly
     keep_radiance: ClassVar[bool] = False  # the forward pass keeps L_1 of each path
-    keep_hits = True  # and what each ray met
+    keep_hits = True  # the forward pass keeps the hit of each ray
 
     @property
     def records_all(self) -> bool:
-        """True if the backward pass takes no bounce again."""
+        """True if the backward pass replays no bounce."""
         return False
 
     def image(self, call: RenderCall) -> Tensor:
-        """The images of a call, (B, 3 + C, H, W) with its C quantities, attached to scene and cameras for backward."""
+        """Renders (B, 3 + C, H, W) images with C AOV channels, attached to scene and cameras."""
         return render_with_derivative(call)
 
     def dual_image(self, call: RenderCall) -> Tensor:
-        """The images of a call by its own samples, with the tangents of forward mode."""
+        """Renders images with forward-mode tangents, from the call's own samples."""
         return render_tangents(call)
 
     @abstractmethod
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
-        """Depths whose state the forward pass keeps after `bounces` bounces of `most` that there may be."""
+        """The depths whose state the forward pass keeps after `bounces` of at most `most` bounces."""
 
     @abstractmethod
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
-        """States of a camera path that `backward` holds at once beside those kept.
+        """The number of states of a camera path that `backward` holds at once beside those kept.
 
         Args:
             reaching: for each bounce, the share of the camera paths that reach it.

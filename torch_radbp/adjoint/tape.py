@@ -1,4 +1,4 @@
-"""Plain autograd."""
+"""Plain autograd as a strategy."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from torch_radbp.tensors.differentiated import with_derivative_of
 
 @dataclass(frozen=True)
 class TapeAdjoint(AdjointStrategy):
-    """Lets autograd record every operation of the forward pass: the oracle of the tests.
+    """Records every operation of the forward pass by autograd: the reference for tests.
 
     Memory grows with everything that is computed. Takes no part in the `autograd.Function` of images; the loop over bounces
     is recorded as it runs.
@@ -26,22 +26,22 @@ class TapeAdjoint(AdjointStrategy):
     taped = True
 
     def image(self, call: RenderCall) -> Tensor:
-        """The images of a scene, (B, 3, H, W), with all derivatives."""
+        """Renders (B, 3, H, W) images with all derivatives."""
         attached = self.dual_image(call.of_derivative())
         return attached if call.shares_samples else with_derivative_of(render_detached(call), attached)
 
     def dual_image(self, call: RenderCall) -> Tensor:
         """The images by the samples of the call, with all derivatives of either mode."""
-        return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached).pixels
+        return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached).values
 
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
         """No depths: autograd keeps what it needs."""
         return ()
 
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
-        """No states: nothing is swept."""
+        """0 states: nothing is replayed, since autograd has recorded everything."""
         return 0.0
 
     def backward(self, sweep: Sweep) -> None:
-        """Is not called: autograd walks back over what it has recorded."""
+        """Never called: autograd runs the backward pass."""
         raise TypeError("autograd differentiates what it has recorded; there is nothing to sweep")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import torch
 
@@ -12,21 +13,23 @@ from torch_radbp.adjoint.outside import ModuleAdjoint
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
 from torch_radbp.jit.board import Board, board
+from torch_radbp.jit.lane_count import LaneCount
 from torch_radbp.jit.recording import Reserve
 from torch_radbp.jit.tape import Played, without_contents
 from torch_radbp.path.event import Ends, Event, Scatters
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.queues import Queue
+from torch_radbp.path.queues import ALL, APART, Queue
 from torch_radbp.path.state import PathState, Position
 from torch_radbp.path.taped_bounces import recordable, tape_of
 from torch_radbp.path.texture_networks import number_outside
-from torch_radbp.path.wavefront import Step
+from torch_radbp.path.wavefront import Onward, Step, surviving, take_step
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.vec import Vec3
 from torch_radbp.texture.reader import TextureValue
 
 TextureValues = tuple[TextureValue, ...] | None
+QueueKind = tuple[Event, bool, bool]  # what happens, and whether lanes are of the image, and of the derivative
 
 
 class TapedSweep(Sweep):
@@ -45,51 +48,96 @@ class TapedSweep(Sweep):
         self.tape = tape_of(integrand, adj_L.x.dtype, board, tuple(sums), ("sweep", wanted, sizes))
 
     def advance(self, state: PathState, depth: int) -> PathState:
-        self.tape.board.close()
-        return super().advance(state, depth)
+        step, integrand = self.record.steps.get(depth), self.integrand
+        if self.takes_outside(step, depth):
+            self.tape.rest()
+            return super().advance(state, depth)
+
+        def advanced(state: PathState, step: Step | None, at: Position) -> Played:
+            vertex, _, step = take_step(integrand, state, depth, step, with_light=False)
+            onward = Onward(vertex.next, surviving(step))
+            return Played(onward.packed(integrand), [len(onward.alive)])
+
+        kinds = () if step is None else self.kinds(step, depth)
+        borders = [] if step is None else queue_borders({queue_kind(queue): queue for queue in step.queues}, kinds)
+        step = None if step is None else step._replace(queues=(), texture_values=(None,) * len(kinds))
+
+        def blank(arguments: tuple, reserve: Reserve, borders: Sequence[int] = ()) -> tuple:
+            state, step, at = arguments
+            places = zip(kinds, [0, *borders[1::2]], borders[::2])
+            queues = [Queue(event, first, last, *of) for (event, *of), first, last in places]
+            return without_contents(state, reserve), None if step is None else in_queues(step, queues, reserve), at
+
+        arguments = state._replace(number=None), step, integrand.at(depth)
+        played = self.tape.play(("advance", kinds, *integrand.kind_at(depth)), advanced, arguments, state.count, blank,
+                                counts=borders, waits=False)
+        if played is None:
+            return super().advance(state, depth)
+        ahead, (going_on,) = played.results, played.counts
+        return ahead._replace(number=going_on) if isinstance(going_on, LaneCount) else ahead
+
+    def takes_outside(self, step: Step | None, depth: int) -> bool:
+        """True if a bounce is not recorded as a whole when it is taken again, decided or not: networks are asked, or rays
+        cast until they meet what the camera may see."""
+        return self.integrand.scene.layout.reads_outside or (step is None and depth == 0 and self.integrand.rejects_hits)
 
     def finish(self) -> None:
-        self.tape.board.close()
+        self.tape.rest()
         super().finish()
 
     def adjoint(self, state: PathState, depth: int) -> None:
-        if depth not in self.record.steps:
-            self.tape.board.close()
-        super().adjoint(state, depth)
+        step, integrand = self.record.steps.get(depth), self.integrand
+        if step is not None or self.takes_outside(step, depth):
+            if step is None:
+                self.tape.rest()
+            super().adjoint(state, depth)
+            return
+
+        def taken_again(state: PathState, memo: Memo, adj_L: Vec3, at: Position) -> Played:
+            step = take_step(integrand, state, depth, with_light=False)[-1]
+            return Played(super(TapedSweep, self).differentiate(state, step, memo, adj_L, depth))
+
+        arguments = state._replace(number=None), self.memo, self.adj_L, integrand.at(depth)
+        played = self.tape.play(("again", *integrand.kind_at(depth)), taken_again, arguments, state.count, waits=False)
+        if played is None:
+            super().adjoint(state, depth)
 
     def differentiate(self, state: PathState, step: Step, memo: Memo, adj_L: Vec3, depth: int) -> tuple[ModuleAdjoint, ...]:
         events, integrand = self.events(depth), self.integrand
         values = self.known_values(step, events)
-        queues, borders, last = {queue.event: queue for queue in step.queues if queue.derivative}, [], 0
-        for event in events:
-            queue = queues.get(event)
-            borders += [last, last] if queue is None else [queue.first, last := queue.last]
+        borders = queue_borders({queue.event: queue for queue in step.queues if queue.derivative}, events)
 
         def blank(arguments: tuple, reserve: Reserve, borders: Sequence[int]) -> tuple:
             *lanes, step, at = arguments
-            *lanes, hit, front, picked = without_contents((*lanes, step.hit, step.front, step.picked), reserve)
-            step = step._replace(hit=hit, front=front, picked=picked,
-                                 queues=tuple(map(Queue, events, borders[::2], borders[1::2])))
-            return *lanes, in_queues(step, reserve), at
+            queues = list(map(Queue, events, [0, *borders[1::2]], borders[::2]))
+            return *without_contents(lanes, reserve), in_queues(step, queues, reserve), at
 
         def differentiated(state: PathState, memo: Memo, adj_L: Vec3, step: Step, at: Position) -> Played:
             return Played(super(TapedSweep, self).differentiate(state, step, memo, adj_L, depth))
 
-        key = integrand.settings_at(depth), integrand.is_last(depth), depth == 0
-        arguments = state, memo, adj_L, step._replace(queues=(), texture_values=values), integrand.at(depth)
+        arguments = (state._replace(number=None), memo, adj_L, step._replace(queues=(), texture_values=values),
+                     integrand.at(depth))
         name = step.front is None, *[of_queue is None for of_queue in values]
-        played = self.tape.play(key, differentiated, arguments, len(state.lane), blank, name, borders)
+        played = self.tape.play(integrand.kind_at(depth), differentiated, arguments, state.count, blank, name, borders,
+                                waits=False)
         return super().differentiate(state, step, memo, adj_L, depth) if played is None else played.results
 
     def events(self, depth: int) -> list[Event]:
-        """What may happen at a bounce."""
+        """The events that are possible at a bounce."""
         layout = self.integrand.proposal.layout
         if self.integrand.is_last(depth):
             return [Ends.LAST_BOUNCE]
         return [*map(Scatters, range(len(layout.appearances))), *([] if layout.surround is None else [Ends.SURROUNDINGS])]
 
+    def kinds(self, step: Step, depth: int) -> tuple[QueueKind, ...]:
+        """The queues that there may be at a bounce, in the order of their lanes, beside those that there are."""
+        apart = any(kind[1:] not in ALL for kind in map(queue_kind, step.queues))
+        scatters, ends = ([event for event in self.events(depth) if event.scatters == on] for on in (True, False))
+        return tuple((event, *kind) for events in (scatters, ends) for event, kind in (
+            [(event, kind) for kind in (APART if apart else ALL) for event in events]))
+
     def known_values(self, step: Step, events: list[Event]) -> tuple[TextureValues, ...]:
-        """The values of textures that were read outside, for each of the events; None: not known, or not asked for."""
+        """The values of network textures for each event, from the forward pass; None: not kept, or not needed."""
         integrand = self.integrand
         if self.moving or not integrand.scene.layout.reads_outside:
             return (None,) * len(events)
@@ -106,19 +154,33 @@ class TapedSweep(Sweep):
         return tuple(map(values_of, events))
 
 
-def in_queues(step: Step, reserve: Reserve) -> Step:
-    """What was decided at a bounce with what belongs to its queues, without contents."""
-    scattered = [0, *(queue.last for queue in step.queues if queue.event.scatters)][-1]
+def queue_kind(queue: Queue) -> QueueKind:
+    """What a queue is beside its lanes."""
+    return queue.event, queue.image, queue.derivative
+
+
+def queue_borders(queues: Mapping[Any, Queue], kinds: Sequence[Any]) -> list[int | LaneCount]:
+    """Where the first queue of some kinds ends, the next begins and ends, ...; those that are not there are empty."""
+    borders, last = [], 0
+    for kind in kinds:
+        queue = queues.get(kind)
+        borders += [last, last] if queue is None else [queue.first, last := queue.last]
+    return borders[1:]
+
+
+def in_queues(step: Step, queues: Sequence[Queue], reserve: Reserve) -> Step:
+    """What was decided at a bounce, without contents, of lanes in some queues."""
+    hit, front, picked = without_contents((step.hit, step.front, step.picked), reserve)
+    scattered = [0, *(queue.last for queue in queues if queue.event.scatters)][-1]
     values = tuple([without_contents(values, reserve, queue.last - queue.first)
-                    for queue, values in zip(step.queues, step.texture_values)])
-    return step._replace(order=reserve.tensor(torch.int32, step.queues[-1].last), texture_values=values,
-                         visible=reserve.tensor(torch.bool, scattered), survives=reserve.tensor(torch.bool, scattered))
+                    for queue, values in zip(queues, step.texture_values)])
+    visible, survives = (reserve.tensor(torch.bool, scattered) for _ in range(2))
+    return Step(hit, front, reserve.tensor(torch.int32, queues[-1].last), tuple(queues), visible, survives, picked, values)
 
 
 @contextmanager
 def sweep_of(integrand: Integrand, *arguments) -> Iterator[Sweep]:
-    """The `Sweep` with these arguments, whose bounces are differentiated by machine code where that is possible; all
-    gradients are complete afterwards."""
+    """A sweep that uses machine code where possible; on exit all gradients are complete."""
     if not recordable(integrand):
         yield (sweep := Sweep(integrand, *arguments))
         sweep.finish()

@@ -1,4 +1,4 @@
-"""Arbitrary output variables: images of what the camera sees first, and moments of the samples of an image."""
+"""Arbitrary output variables (AOVs): images of depth, normals and the like, and moments of an image's samples."""
 
 from torch_radbp.aov.quantity import QUANTITIES, channel_names
 

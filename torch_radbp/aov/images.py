@@ -1,4 +1,4 @@
-"""Images of quantities: the mean over the samples of each pixel, by the very camera rays of the image."""
+"""Images of AOVs: means over each pixel's samples, by the same camera rays as the image."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.aov import material, path, surface
 from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, SQUARED, UNDIFFERENTIATED, plain
 from torch_radbp.aov.surface import surface_values
-from torch_radbp.call.pixels import deposit, developed
-from torch_radbp.call.render_call import RenderCall, camera_samples, integrand_of, started
+from torch_radbp.call.render_call import RenderCall, camera_samples, integrand_of_wavefront, started
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
@@ -27,7 +26,7 @@ from torch_radbp.tensors.vec import Vec3
 
 
 def beside_image(names: tuple[str, ...]) -> Callable[[Integrand, PathState, Hit | None, Vec3], list[Tensor]]:
-    """`RenderCall.quantities` for these."""
+    """The function for `RenderCall.quantities` that computes AOVs beside an image."""
     def values(integrand: Integrand, start: PathState, hit: Hit | None, L: Vec3) -> list[Tensor]:
         return channels_of(names, lane_values(integrand, start, tuple(dict.fromkeys(map(plain, names))), hit, L))
 
@@ -35,7 +34,7 @@ def beside_image(names: tuple[str, ...]) -> Callable[[Integrand, PathState, Hit 
 
 
 def render_aovs(call: RenderCall, names: tuple[str, ...], channels: Tensor | None = None) -> dict[str, Tensor]:
-    """(B, C, H, W) images of quantities, by name.
+    """Renders AOVs: (B, C, H, W) images, by name.
 
     Attached to scene and cameras, in either mode; the derivative has samples of its own, unless the call shares them.
 
@@ -45,7 +44,7 @@ def render_aovs(call: RenderCall, names: tuple[str, ...], channels: Tensor | Non
         channels: what the call has of them beside its image; None: it has no image.
     """
     images = by_name(names, channels) if channels is not None else quantities_of(call.still(), names)
-    record = call.scene, [view.camera for view in call.views]
+    record = call.scene, call.source.tensors
     moving = tuple(name for name in names if plain(name) not in UNDIFFERENTIATED)
     if not moving or not (has_tangents(record) or (torch.is_grad_enabled() and differentiable(record))):
         return images
@@ -54,7 +53,7 @@ def render_aovs(call: RenderCall, names: tuple[str, ...], channels: Tensor | Non
 
 
 def quantities_of(call: RenderCall, names: tuple[str, ...], attached: bool = False) -> dict[str, Tensor]:
-    """The images of quantities by the samples of a call.
+    """Renders AOVs by the samples of a call.
 
     Of a wavefront only its sums are kept. Where they are attached, quantities are computed again in the backward pass, so
     that a wavefront bounds the memory.
@@ -66,38 +65,38 @@ def quantities_of(call: RenderCall, names: tuple[str, ...], attached: bool = Fal
 
     @public_call
     def sums(wavefront: Wavefront) -> tuple[list[Tensor], None]:
-        samples, seen = camera_samples(call, wavefront, 0), integrand_of(call, integrand, wavefront.sensor)
+        samples, seen = camera_samples(call, wavefront, 0), integrand_of_wavefront(call, integrand, wavefront)
         start, weight = started(call, samples), samples.weight
         channels = channels_of(names, lane_values(seen, start, quantities))
-        return deposit(call, wavefront, channels if weight is None else [channel * weight for channel in channels],
-                       samples.place), None
+        return call.sink.deposit(
+            call, wavefront, channels if weight is None else [channel * weight for channel in channels], samples), None
 
     def sums_kept(wavefront: Wavefront) -> tuple[list[Tensor], None]:
         return checkpoint(sums, wavefront, use_reentrant=False, preserve_rng_state=False) if attached else sums(wavefront)
 
-    return by_name(names, developed(call, sums_kept).pixels)
+    return by_name(names, call.sink.gather(call, sums_kept).values)
 
 
 def by_name(names: tuple[str, ...], channels: Tensor) -> dict[str, Tensor]:
-    """The images of quantities, from (B, C, H, W) of all of them."""
+    """Splits (B, C, H, W) channels of all AOVs to images by name."""
     counts = [len(QUANTITIES[plain(name)]) for name in names]
     return {name: image.clone(memory_format=torch.contiguous_format)  # no view, which could not be changed in place
             for name, image in zip(names, channels.split(counts, 1))}
 
 
 def channels_of(names: tuple[str, ...], values: dict[str, surface.Values]) -> list[Tensor]:
-    """The channels of quantities, one after the other, from the values of those that they are about."""
+    """Lists the channels of AOVs, one after the other, from the values of their quantities."""
     return [channel for name in names for channel in moments(name, values[plain(name)])]
 
 
 def moments(name: str, values: surface.Values) -> surface.Values:
-    """The values of a quantity, or of one whose name asks for it their squares."""
+    """The values of a quantity; their squares if the name asks for the second moment."""
     return tuple(value * value for value in values) if name.startswith(SQUARED) else values
 
 
 def lane_values(integrand: Integrand, start: PathState, names: tuple[str, ...], hit: Hit | None = None,
                 L: Vec3 | None = None) -> dict[str, surface.Values]:
-    """Quantities of camera paths by name, (N,) for each channel; attached but for those of whole paths.
+    """AOVs of camera paths by name, (N,) for each channel; attached but for those of whole paths.
 
     Args:
         integrand: of the image.
@@ -107,22 +106,22 @@ def lane_values(integrand: Integrand, start: PathState, names: tuple[str, ...], 
         L: their radiance, likewise.
     """
     fixed, fixed_start = integrand.still(), detached(start)
-    found = {}
+    quantities = {}
     with torch.no_grad():
         hit = first_hit(fixed, fixed_start.ray, 0) if hit is None else hit
         for name in names:
             if name in OF_PATHS:
-                found[name] = path.FUNCTIONS[name](fixed, fixed_start, hit, L)
+                quantities[name] = path.FUNCTIONS[name](fixed, fixed_start, hit, L)
         if fixed.settings.hide_emitters:  # as in Mitsuba they are hidden in the image alone
             hit = first_hit(fixed._replace(settings=fixed.settings._replace(hide_emitters=False)), fixed_start.ray, 0)
     geometric = tuple(name for name in names if name in surface.FUNCTIONS)
     moving = integrand.settings.moving
     if geometric:
         scene = summed(surface.without_materials(integrand.scene))
-        found.update(zip(geometric, integrand.stages(surface_values)(scene, start.ray, hit, geometric, moving)))
+        quantities.update(zip(geometric, integrand.stages(surface_values)(scene, start.ray, hit, geometric, moving)))
     material_names = tuple(name for name in names if name == "albedo" or (
         name == "sh_normal" and material.turns_normals(integrand.scene)))
     if material_names:
-        found.update(zip(material_names, material.material_values(integrand, start, hit, material_names,
-                                                                   found.get("sh_normal"))))
-    return found
+        quantities.update(zip(material_names, material.material_values(integrand, start, hit, material_names,
+                                                                       quantities.get("sh_normal"))))
+    return quantities

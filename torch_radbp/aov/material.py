@@ -1,4 +1,4 @@
-"""What the material at the surface that a camera ray meets adds: its colour, and the normal that an image has turned."""
+"""AOVs of the material at the first hit: its albedo, and the shading normal of normal and bump maps."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from torch_radbp.texture.reader import TextureValue
 
 
 def turns_normals(scene: SceneTensors) -> bool:
-    """True if a material of a scene has normals of its own."""
+    """True if a material of the scene has shading normals of its own (normal or bump map)."""
     return any(appearance.kind.turns_normals for appearance in scene.layout.appearances)
 
 
 def material_values(integrand: Integrand, state: PathState, hit: Hit, names: tuple[str, ...],
                     normals: Values | None) -> tuple[Values, ...]:
-    """Some quantities, one after the other: "albedo", or "sh_normal"; 0 where nothing is met.
+    """The AOV "albedo" or "sh_normal" of camera paths; 0 where nothing is hit.
 
     Args:
         integrand: attached.
@@ -34,7 +34,7 @@ def material_values(integrand: Integrand, state: PathState, hit: Hit, names: tup
         normals: the normals by which surfaces are shaded where no material turns them.
     """
     none = hit.t.new_zeros(hit.t.shape)
-    found = {"albedo": (none, none, none), "sh_normal": normals}
+    quantities = {"albedo": (none, none, none), "sh_normal": normals}
     front, order, queues = queued(integrand, detached(state.ray), hit, False)
     for queue in queues:
         if not queue.event.scatters:
@@ -46,13 +46,13 @@ def material_values(integrand: Integrand, state: PathState, hit: Hit, names: tup
         texture_values = texture_values_at(integrand.scene, integrand.scatterer(queue.event), places)
         for name in names:
             if name == "albedo" or integrand.scatterer(queue.event).kind.turns_normals:
-                own = integrand.stages(material_value)(part, here, texture_values, integrand.settings, name)
-                found[name] = tuple(old.index_copy(0, lanes.long(), new) for old, new in zip(found[name], own))
-    return tuple(found[name] for name in names)
+                values = integrand.stages(material_value)(part, here, texture_values, integrand.settings, name)
+                quantities[name] = tuple(old.index_copy(0, lanes.long(), new) for old, new in zip(quantities[name], values))
+    return tuple(quantities[name] for name in names)
 
 
 def albedo(scene: SceneTensors, arrival: Arrival, texture_values: tuple[TextureValue, ...], settings: Settings) -> Values:
-    """Linear RGB; see `Kind.diffuse_reflectance`."""
+    """The albedo at the first hit, linear RGB; see `Kind.diffuse_reflectance`."""
     si = surface_met(scene, arrival, settings)
     material = material_at(scene, si, texture_values)
     return tuple(material.kind.diffuse_reflectance(material.values, si.wi))
@@ -60,13 +60,13 @@ def albedo(scene: SceneTensors, arrival: Arrival, texture_values: tuple[TextureV
 
 def turned_normal(scene: SceneTensors, arrival: Arrival, texture_values: tuple[TextureValue, ...],
                   settings: Settings) -> Values:
-    """The normal that an image gives, in world space; the surface's own on two-sided materials, as in Mitsuba."""
+    """The shading normal of a normal or bump map, world space; two-sided materials have the surface's, as in Mitsuba."""
     si = surface_met(scene, arrival, settings)
     material = material_at(scene, si, texture_values)
     front_row = lookup(scene.triangles.material, si.prim)
     two_sided = lookup(scene.materials.turned, front_row + scene.materials.count)
-    own = si.frame.n * (1.0 - 2.0 * (~si.front & two_sided).to(si.t.dtype))
-    return tuple(where(two_sided, own, si.frame.to_world(material.kind.shading_normal(material.values, si.wi))))
+    surface_normal = si.frame.n * (1.0 - 2.0 * (~si.front & two_sided).to(si.t.dtype))
+    return tuple(where(two_sided, surface_normal, si.frame.to_world(material.kind.shading_normal(material.values, si.wi))))
 
 
 FUNCTIONS = {"albedo": albedo, "sh_normal": turned_normal}
@@ -75,7 +75,7 @@ FUNCTIONS = {"albedo": albedo, "sh_normal": turned_normal}
 @stage("scene")
 def material_value(scene: SceneTensors, arrival: Arrival, texture_values: tuple[TextureValue, ...], settings: Settings,
                    name: str) -> Values:
-    """One of these quantities, of lanes that meet one appearance.
+    """One AOV of the material, for lanes that hit one appearance.
 
     Args:
         scene: the part that these lanes read.

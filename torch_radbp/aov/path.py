@@ -1,4 +1,4 @@
-"""Quantities of whole paths, or of what their first bounces decide; detached."""
+"""AOVs of whole paths, or of their first bounces; detached."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ def xyz(integrand: Integrand, start: PathState, hit: Hit, L: Vec3 | None) -> Val
 
 
 def hit_anything(integrand: Integrand, start: PathState, hit: Hit, L: Vec3 | None) -> Values:
-    """1 where a surface is seen."""
+    """1 where the camera ray hits a surface, else 0."""
     return (hit.prim >= 0).to(start.pdf.dtype),
 
 
 def alpha(integrand: Integrand, start: PathState, hit: Hit, L: Vec3 | None) -> Values:
-    """1 where a surface or a visible surround is seen, surfaces that light passes straight through left out."""
+    """1 where a surface or visible environment is seen; surfaces that light passes straight through do not count."""
     surrounded = integrand.scene.layout.surround is not None and not integrand.settings.hide_emitters
-    found = torch.full_like(start.pdf, 1.0 if surrounded else 0.0)
+    opacity = torch.full_like(start.pdf, 1.0 if surrounded else 0.0)
     if surrounded or integrand.max_depth == 0:
-        return found,
+        return opacity,
     for bounce in bounces(integrand._replace(max_depth=integrand.max_depth + 1), start, hit=hit):
         if bounce.depth == integrand.max_depth:
             break
         met = bounce.state.lane[bounce.step.hit.prim >= 0]
         passing = passes_through(bounce)
-        found.index_fill_(0, met.long(), 1.0).index_fill_(0, passing.long(), 0.0)
+        opacity.index_fill_(0, met.long(), 1.0).index_fill_(0, passing.long(), 0.0)
         if not len(passing):
             break
-    return found,
+    return opacity,
 
 
 def passes_through(bounce: Bounce) -> Tensor:
-    """The lanes whose light goes on straight, which only happens where a surface lets it pass; int32."""
+    """1 in lanes whose path goes on straight through a surface (null scattering), else 0; int32."""
     after = bounce.vertex.next
     turn = rows(bounce.state.ray.d, bounce.step.order[:bounce.step.scattered]) - after.ray.d
     straight = turn.x.abs() + turn.y.abs() + turn.z.abs() < STRAIGHT

@@ -1,4 +1,4 @@
-"""The quantities of which there are images, by their names in Mitsuba's `aov` and `moment` integrators."""
+"""The AOVs by their names in Mitsuba's `aov` and `moment` integrators."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ SQUARED = "m2_"  # the name of a quantity's second moment begins with it
 
 
 def plain(name: str) -> str:
-    """The quantity that a name is about: "depth" of "depth" and of "m2_depth"."""
+    """The quantity without the prefix of second moments: "depth" for "depth" and for "m2_depth"."""
     return name.removeprefix(SQUARED)
 
 
 def channel_names(name: str, quantity: str) -> list[str]:
-    """The channels of an output in a file, as Mitsuba names them: "nn.X", "nn.Y" and "nn.Z" of the normals "nn"."""
+    """The channel names of an AOV in a file, as in Mitsuba: "nn.X", "nn.Y" and "nn.Z" for the normals "nn"."""
     return [f"{name}.{letter}" for letter in QUANTITIES[plain(quantity)]]
 
 
 def alpha_of_surroundings(names: Iterable[str]) -> UserWarning | None:
-    """The warning that `alpha` is asked for where the image shows the surroundings, and is no mask; or None."""
+    """The warning that `alpha` is no mask where the environment is visible; or None."""
     if "alpha" not in map(plain, names):
         return None
     return UserWarning("the quantity 'alpha' is 1 everywhere, because an emitter surrounds the scene and counts as seen: as "
@@ -36,7 +36,7 @@ def alpha_of_surroundings(names: Iterable[str]) -> UserWarning | None:
 
 
 def checked_names(names: Iterable[str]) -> tuple[str, ...]:
-    """The names of quantities, each once.
+    """Checks the names of AOVs, and drops duplicates.
 
     Raises:
         ValueError: if one is not known, or there is none.

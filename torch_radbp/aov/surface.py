@@ -1,4 +1,4 @@
-"""What is known of the surface that a camera ray meets without its material; attached to the ray and the geometry."""
+"""AOVs of the surface at the first hit, without its material; attached to ray and geometry."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ Values = tuple[Tensor, ...]  # (N,) one for each channel
 
 
 class SeenPoint(NamedTuple):
-    """The point where a camera ray meets a triangle, (N,) each; of no meaning where it meets none."""
+    """The point where a camera ray hits a triangle, (N,) each; undefined where it misses."""
 
     scene: SceneTensors
-    hit: Hit  # its barycentric coordinates slide over the triangle with the ray
+    hit: Hit  # barycentric coordinates are attached to the ray
     e1: Vec3  # edges of the triangle, from its first vertex
     e2: Vec3
     p: Vec3
@@ -40,12 +40,12 @@ class SeenPoint(NamedTuple):
 
     @property
     def uv(self) -> tuple[Vec2, Vec2, Vec2]:
-        """Surface coordinates at the three vertices."""
+        """The surface coordinates (u, v) at the three vertices."""
         return at_corners(self.scene.triangles.vertices.uv, corner_rows(self.scene, self.hit))
 
 
 def sight(scene: SceneTensors, ray: Ray, hit: Hit, moving: bool) -> SeenPoint:
-    """The point where a ray meets a triangle.
+    """The point where a ray hits a triangle, with attached edges, normal and distance.
 
     Args:
         scene: packed with all columns; attached.
@@ -65,13 +65,12 @@ def sight(scene: SceneTensors, ray: Ray, hit: Hit, moving: bool) -> SeenPoint:
 
 
 def _coordinates(seen: SeenPoint) -> Values:
-    """Surface coordinates u and v."""
+    """The AOV "uv": surface coordinates."""
     return tuple(interpolated(seen.uv, seen.hit.u, seen.hit.v))
 
 
 def _tangents(seen: SeenPoint) -> tuple[Vec3, Vec3]:
-    """The derivatives of the position by u and by v on the triangle; where the coordinates do not span it, any orthonormal
-    pair across the normal."""
+    """The AOVs "dp_du" and "dp_dv"; where u and v do not span the triangle, any orthonormal tangents."""
     uv0, uv1, uv2 = seen.uv
     d1, d2 = Vec2(uv1.x - uv0.x, uv1.y - uv0.y), Vec2(uv2.x - uv0.x, uv2.y - uv0.y)
     area = d1.x * d2.y - d1.y * d2.x
@@ -83,12 +82,12 @@ def _tangents(seen: SeenPoint) -> tuple[Vec3, Vec3]:
 
 
 def _number(seen: SeenPoint, which: int) -> Values:
-    """A number of the triangle, floating point: 0 the triangle's in its shape, 1 the shape's."""
+    """The AOV "prim_index" or "shape_index", as a floating-point number."""
     triangles = seen.scene.triangles
-    found = lookup(triangles.numbers[which], seen.hit.prim.clamp_min(0))
+    number = lookup(triangles.numbers[which], seen.hit.prim.clamp_min(0))
     if which == 1 and triangles.instances is not None:  # shapes of groups have the number 0
-        found = found + lookup(triangles.instances.number, seen.hit.instance)
-    return found.to(seen.t.dtype),
+        number = number + lookup(triangles.instances.number, seen.hit.instance)
+    return number.to(seen.t.dtype),
 
 
 FUNCTIONS = {
@@ -105,7 +104,7 @@ FUNCTIONS = {
 
 
 def without_materials(scene: SceneTensors) -> SceneTensors:
-    """The tables of a scene that these quantities read, so that what is compiled for them serves scenes of any materials."""
+    """The scene's tables without materials, so that compiled code serves scenes of any materials."""
     triangles = scene.triangles._replace(
         balls=None, along=None, attributes=(), vertices=scene.triangles.vertices._replace(attributes=()),
         instances=for_lanes(scene.triangles.instances))
@@ -114,7 +113,7 @@ def without_materials(scene: SceneTensors) -> SceneTensors:
 
 @stage("scene")
 def surface_values(scene: SceneTensors, ray: Ray, hit: Hit, names: tuple[str, ...], moving: bool) -> tuple[Values, ...]:
-    """Some quantities, one after the other; 0 where nothing is met. Args as for `sight`."""
+    """Several AOVs of the surface; 0 where nothing is hit. Args as for `sight`."""
     seen, valid = sight(scene, ray, hit, moving), (hit.prim >= 0).to(hit.t.dtype)
     return tuple(tuple(torch.where(hit.prim >= 0, value, 0.0) if name == "depth" else value * valid
                        for value in FUNCTIONS[name](seen)) for name in names)

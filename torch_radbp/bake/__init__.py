@@ -1,4 +1,4 @@
-"""What was found in a form that other programs read: `rb.bake.bitmap` of networks, `rb.bake.mesh` of other shapes.
+"""Optimised textures and shapes in forms that other programs read: `rb.bake.bitmap` of networks, `rb.bake.mesh` of shapes.
 
     scene.body.bsdf.reflectance = rb.bake.bitmap(scene.body.bsdf.reflectance, 512, scene.body)
     rb.save(scene, "found.glb")

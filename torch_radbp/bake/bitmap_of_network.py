@@ -1,4 +1,4 @@
-"""A network in the place of a texture as a bitmap."""
+"""Bakes a network that is used as a texture to a bitmap."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OUTSIDE = 1e-4  # surface coordinates that are taken for those of the border
 @public_call
 def bitmap(texture: NeuralTexture, resolution: int | Sequence[int],
            shape: Surface | trimesh.Trimesh | trimesh.Scene | None = None) -> Bitmap:
-    """The values of a network at the centres of the texels of a bitmap, which other programs can read.
+    """Bakes the values of a network at the centres of texels to a bitmap, which other programs can read.
 
         bsdf = scene.body.bsdf
         bsdf.reflectance = rb.bake.bitmap(bsdf.reflectance, 512, scene.body)
@@ -62,17 +62,17 @@ def bitmap(texture: NeuralTexture, resolution: int | Sequence[int],
     else:
         places = _positions(TensorMesh.of_trimesh(shape) if is_trimesh(shape) else shape, height, width)
     like = next((value for value in texture.module.parameters()), torch.empty(0))
-    function, found = texture.function().with_parameters(list(texture.module.parameters())), []
+    function, values = texture.function().with_parameters(list(texture.module.parameters())), []
     with torch.no_grad():
         for part in places.view(height * width, -1).split(PLACES):
             part = part.to(like)
-            found.append(function.run(part))
-            function.check(found[-1], part)
-    return Bitmap(data=torch.cat(found).view(height, width, -1), wrap_mode="clamp").to(like)
+            values.append(function.run(part))
+            function.check(values[-1], part)
+    return Bitmap(data=torch.cat(values).view(height, width, -1), wrap_mode="clamp").to(like)
 
 
 def _size_of(resolution: int | Sequence[int]) -> tuple[int, int]:
-    """Height and width.
+    """Height and width of a bitmap, from one number or two.
 
     Raises:
         ValueError: unless it is a whole number of at least 1, or two.
@@ -85,7 +85,7 @@ def _size_of(resolution: int | Sequence[int]) -> tuple[int, int]:
 
 
 def _positions(shape: Surface | None, height: int, width: int) -> Tensor:
-    """(H, W, 3) where the surface coordinates of a shape put the texels, float64; errors as of `bitmap`."""
+    """(H, W, 3) world positions of the texels on a shape, by its surface coordinates, float64; errors as of `bitmap`."""
     if shape is None:
         raise ValueError("a network of positions is baked over the surface coordinates of a shape: give the shape, too")
     if not isinstance(shape, Surface):

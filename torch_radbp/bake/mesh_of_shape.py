@@ -1,4 +1,4 @@
-"""Any shape as a mesh of triangles with surface coordinates."""
+"""Bakes any shape to a triangle mesh with surface coordinates."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ GAP = 4  # texels between charts
 
 
 class ShapeTriangles(NamedTuple):
-    """The triangles of a shape in world space, with what they are made of."""
+    """The triangles of a shape in world space, with material and emitter."""
 
     surface: Triangles
     bsdf: BSDF
@@ -32,7 +32,7 @@ class ShapeTriangles(NamedTuple):
 
 @public_call
 def mesh(shape: Shape | trimesh.Trimesh | trimesh.Scene, *, unwrap: bool = False, resolution: int = 1024) -> TensorMesh:
-    """A shape as triangles in world space, with surface coordinates that bitmaps can be baked for.
+    """Bakes a shape to triangles in world space, with surface coordinates for bitmaps.
 
         scene.body = rb.bake.mesh(scene.body)  # an sdfgrid, say; the material stays
 
@@ -69,15 +69,15 @@ def mesh(shape: Shape | trimesh.Trimesh | trimesh.Scene, *, unwrap: bool = False
     surface = body.surface
     if unwrap or surface.uv is None:
         surface = _unwrapped(surface, resolution)
-    found = TensorMesh(vertex_positions=surface.vertices, faces=surface.faces, vertex_normals=surface.normals,
+    baked = TensorMesh(vertex_positions=surface.vertices, faces=surface.faces, vertex_normals=surface.normals,
                        vertex_texcoords=surface.uv, bsdf=body.bsdf, emitter=body.emitter).to(surface.vertices)
     for name, values in surface.attributes:
-        found.add_attribute(name, values)
-    return found
+        baked.add_attribute(name, values)
+    return baked
 
 
 def body_of(shape: Surface | ShapeGroup | Instance) -> ShapeTriangles:
-    """All triangles of a shape, as one surface.
+    """All triangles of a shape, a group or an instance, as one surface.
 
     Raises:
         ValueError: if they have several materials.
@@ -85,16 +85,17 @@ def body_of(shape: Surface | ShapeGroup | Instance) -> ShapeTriangles:
     if isinstance(shape, Surface):
         return ShapeTriangles(shape.oriented()._replace(ball=None), shape.bsdf, shape.emitter)
     group = shape.shapegroup if isinstance(shape, Instance) else shape
-    own, names = list(group.shapes.values()), list(group.shapes)
-    if len({id(each.bsdf) for each in own}) != 1:
+    surfaces, names = list(group.shapes.values()), list(group.shapes)
+    if len({id(each.bsdf) for each in surfaces}) != 1:
         raise ValueError(f"a mesh has one material, and the shapes of the group, {', '.join(names)}, have several or none "
                          f"that they share: bake each by itself, rb.bake.mesh(group.{names[0] if names else 'NAME'})")
-    surface = _joined([each.oriented() for each in own])
-    return ShapeTriangles(instanced(surface, shape.to_world) if isinstance(shape, Instance) else surface, own[0].bsdf, None)
+    surface = _joined([each.oriented() for each in surfaces])
+    surface = instanced(surface, shape.to_world) if isinstance(shape, Instance) else surface
+    return ShapeTriangles(surface, surfaces[0].bsdf, None)
 
 
 def _joined(surfaces: list[Triangles]) -> Triangles:
-    """Several surfaces as one; what only some of them have is left out, but for normals, which flat ones get."""
+    """Joins surfaces to one; attributes that only some have are dropped, but flat ones get normals."""
     if any(each.normals is None for each in surfaces) and any(each.normals is not None for each in surfaces):
         surfaces = [flat_with_normals(each) if each.normals is None else each for each in surfaces]
     starts = torch.tensor([0, *(len(each.vertices) for each in surfaces[:-1])]).cumsum(0).tolist()
@@ -104,15 +105,15 @@ def _joined(surfaces: list[Triangles]) -> Triangles:
 
     attributes = [dict(each.attributes) for each in surfaces]
     shared = [name for name, values in attributes[0].items()
-              if all(name in own and own[name].shape[1] == values.shape[1] for own in attributes)]
+              if all(name in columns and columns[name].shape[1] == values.shape[1] for columns in attributes)]
     return Triangles(torch.cat([each.vertices for each in surfaces]),
                      torch.cat([each.faces + start for each, start in zip(surfaces, starts)]),
                      rows([each.normals for each in surfaces]), rows([each.uv for each in surfaces]),
-                     attributes=tuple((name, torch.cat([own[name] for own in attributes])) for name in shared))
+                     attributes=tuple((name, torch.cat([columns[name] for columns in attributes])) for name in shared))
 
 
 def flat_with_normals(surface: Triangles) -> Triangles:
-    """A surface without normals, whose triangles have vertices and normals of their own."""
+    """A flat surface with face normals at its vertices, which triangles no longer share."""
     corner = surface.faces.flatten()
     first, second, third = surface.vertices[surface.faces].unbind(1)
     normals = torch.nn.functional.normalize(torch.linalg.cross(second - first, third - first), dim=1)
@@ -123,7 +124,7 @@ def flat_with_normals(surface: Triangles) -> Triangles:
 
 
 def _unwrapped(surface: Triangles, resolution: int) -> Triangles:
-    """The surface with charts of xatlas as surface coordinates."""
+    """A surface with charts by xatlas as surface coordinates."""
     try:
         import xatlas
     except ImportError as error:

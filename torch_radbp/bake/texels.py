@@ -1,4 +1,4 @@
-"""Which triangle each texel of a bitmap lies in, by the surface coordinates of a mesh."""
+"""The triangle that contains each texel of a bitmap, by a mesh's surface coordinates."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ REACH = 4.0  # texels around a triangle up to which its plane is continued
 
 
 class TexelPlaces(NamedTuple):
-    """The places of the (H, W) texels of a bitmap on a mesh; row 0 is at v = 0."""
+    """The positions of the (H, W) texels of a bitmap on a mesh; row 0 is at v = 0."""
 
     triangle: Tensor  # (H, W) int64
-    weights: Tensor  # (H, W, 3) float64, of its corners; negative where the texel lies beside the triangle
-    shared: int  # how many texels have their centre in several triangles
+    weights: Tensor  # (H, W, 3) float64, barycentric; negative where the texel is outside of the triangle
+    shared: int  # number of texels whose centre is in several triangles
 
     def of_vertices(self, rows: Tensor, faces: Tensor) -> Tensor:
-        """(H, W, K) of values of vertices, (V, K); faces: (F, 3)."""
+        """Interpolates vertex attributes, (V, K), at texels, (H, W, K); faces: (F, 3)."""
         return (rows[faces[self.triangle]] * self.weights.to(rows)[..., None]).sum(2)
 
 
 def texels_of(uv: Tensor, faces: Tensor, height: int, width: int) -> TexelPlaces:
-    """The triangle that each texel lies in, and of those that lie in none, a triangle nearby.
+    """The triangle that contains each texel, or else one nearby.
 
     Bilinear reading at the borders of a chart mixes texels outside of it. Up to `REACH` texels away these continue the plane
     of the triangle, which leaves the surface right to the border; farther away they repeat what is nearest. A triangle that
@@ -65,13 +65,13 @@ def texels_of(uv: Tensor, faces: Tensor, height: int, width: int) -> TexelPlaces
     distance, (row, column) = torch.from_numpy(distance), torch.from_numpy(nearest).long()
     triangle = triangle[row * width + column]
     place = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    y, x = (torch.where(distance <= REACH, own, other) for own, other in zip(place, (row, column)))
+    y, x = (torch.where(distance <= REACH, coordinate, other) for coordinate, other in zip(place, (row, column)))
     weights = weights_in(corners[triangle.flatten()], x.flatten(), y.flatten())
     return TexelPlaces(triangle, weights.view(height, width, 3), int((count > 1).sum()))
 
 
 def pairs(corners: Tensor, usable: Tensor, height: int, width: int) -> Iterator[tuple[Tensor, Tensor]]:
-    """Triangles and the texels whose centres are in the boxes around them: (P,) each, in parts.
+    """Yields pairs of triangles and texels whose centres are in the triangles' bounding boxes: (P,) each, in parts.
 
     Args:
         corners: (F, 3, 2) x and y, in texels from the centre of the first.
@@ -84,16 +84,16 @@ def pairs(corners: Tensor, usable: Tensor, height: int, width: int) -> Iterator[
     boxes = extent.prod(1) * usable
     part = (boxes.cumsum(0) // PAIRS).tolist()
     triangles = torch.arange(len(corners)).split([part.count(number) for number in sorted(set(part))])
-    for own in triangles:
-        owner = own.repeat_interleave(boxes[own])
-        first = boxes[own].cumsum(0) - boxes[own]
-        number = torch.arange(len(owner)) - first.repeat_interleave(boxes[own])
+    for some in triangles:
+        owner = some.repeat_interleave(boxes[some])
+        first = boxes[some].cumsum(0) - boxes[some]
+        number = torch.arange(len(owner)) - first.repeat_interleave(boxes[some])
         across = extent[owner, 0]
         yield owner, (low[owner, 1] + number // across) * width + low[owner, 0] + number % across
 
 
 def weights_in(corners: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """(P, 3) weights of the corners, (P, 3, 2), of triangles that make these points, inside of them or not."""
+    """(P, 3) barycentric coordinates of points, inside of their triangles, (P, 3, 2), or not."""
     first = corners[:, 0]
     (a, b), (c, d) = ((corners[:, corner] - first).unbind(1) for corner in (1, 2))
     right, down = x - first[:, 0], y - first[:, 1]

@@ -1,4 +1,4 @@
-"""Silhouettes: where an image is discontinuous, so that its derivative has a part that no derivative of radiance has."""
+"""Boundary terms: derivatives from the image's discontinuities, as silhouettes, which derivatives of radiance miss."""
 
 from torch_radbp.boundary.outline import Jumps, Outlines, outlines_of
 from torch_radbp.boundary.rendering import Rendering, rendering_of

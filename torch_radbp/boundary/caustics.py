@@ -1,4 +1,4 @@
-"""Caustics of lights without extent, which paths from the camera cannot find.
+"""Warns of caustics of lights without extent, which paths from the camera cannot find.
 
 Next-event estimation connects a surface with such a light in a straight line, and scattering by a smooth mirror or smooth
 glass never meets it by chance: what it lights by way of those is missing from the image.
@@ -24,7 +24,7 @@ SHORTEST = 3  # depth of the shortest path with a caustic
 
 
 def unfound_caustics(rendering: Rendering) -> SceneWarning | None:
-    """The warning that light of a source without extent reaches surfaces by smooth mirrors or glass, or None.
+    """The warning that a light without extent lights surfaces by way of smooth mirrors or glass, or None.
 
     Looked for by rays from the light, which glass does not bend here.
     """
@@ -44,7 +44,7 @@ def unfound_caustics(rendering: Rendering) -> SceneWarning | None:
 
 
 def delta_lights(rendering: Rendering) -> Iterator[tuple[Emitter, ShadowSource]]:
-    """The emitters without extent, and where or in which direction they are."""
+    """Yields the emitters without extent, with their positions or directions."""
     caster = rendering.caster
     for emitter in rendering.scene.emitters:
         source = emitter.source()
@@ -58,7 +58,7 @@ def delta_lights(rendering: Rendering) -> Iterator[tuple[Emitter, ShadowSource]]
 
 
 def first_on_a_way(rendering: Rendering, source: ShadowSource, kinds: list[list[Kind]], ideal: list[bool]) -> int | None:
-    """The first surface on a way of light by mirrors and glass to a surface that shows it; None: none is found.
+    """The first mirror or glass through which light reaches a surface that shows it; None: none is found.
 
     Args:
         rendering: that is about to start.
@@ -96,10 +96,10 @@ def first_on_a_way(rendering: Rendering, source: ShadowSource, kinds: list[list[
 
 
 def shapes_met(rendering: Rendering, o: Tensor, d: Tensor) -> Tensor:
-    """The numbers of the shapes that rays meet first, (N,) int64; -1: none."""
+    """The shape that each ray hits, (N,) int64; -1: a miss."""
     return _shapes_of(rendering, rendering.caster.intersect(ray_from(o, d)).prim)
 
 
 def _shapes_of(rendering: Rendering, prim: Tensor) -> Tensor:
-    """The numbers of the shapes of triangles, (N,) int64; -1 for -1."""
+    """The shape that each triangle belongs to, (N,) int64; -1 for -1."""
     return torch.where(prim >= 0, rendering.shape_of[prim.clamp_min(0).long()], -1)

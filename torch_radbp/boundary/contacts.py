@@ -1,4 +1,4 @@
-"""Where bodies touch: edges of one that lie on the surface of another.
+"""Contacts: edges of one body that lie on the surface of another.
 
 A cube stands on a floor. Its lower edge is a silhouette for a camera and for a lamp at once: the border of the cube and that
 of its shadow are one line. If the cube rises, a strip of floor comes into view of which a part lies in the shade; if it
@@ -40,15 +40,15 @@ GAP = 1e-5  # share of an edge's length between parts that touch something, up t
 class Resting(NamedTuple):
     """K parts of edges that lie on surfaces of other bodies."""
 
-    corner: Tensor  # (K,) int32, number of the corner opposite the edge in one of its triangles, among all
-    instance: Tensor | None  # (K,) int32 that shows it, as hits count; None: the scene has none
+    corner: Tensor  # (K,) int32, index of the corner opposite the edge in one of its triangles
+    instance: Tensor | None  # (K,) int32, its instance as in a hit; None: the scene has none
     start: Vec3  # (K,) where the part begins, world, float64
     end: Vec3
-    counts: Tensor  # (K,) float64, how much the edge counts there: by half; not at all if it passes through
+    counts: Tensor  # (K,) float64, weight of the edge there: a half, or 0 if it passes through
 
 
 class Contacts(NamedTuple):
-    """Where bodies touch."""
+    """The contacts of bodies: segments on triangles, and parts of edges."""
 
     segments: Segments  # along which triangles at edges pass through what these lie on
     resting: Resting
@@ -56,7 +56,7 @@ class Contacts(NamedTuple):
 
 def contacts_of(geometry: Geometry, touching: Segments, ends: Tensor,
                 edges_of_shape: Callable[[int], Edges]) -> Contacts | None:
-    """The contacts among sides of triangles that lie on other triangles; None: there are none.
+    """Finds the contacts among sides of triangles that lie on other triangles; None: there are none.
 
     Args:
         geometry: of the scene, detached.
@@ -89,7 +89,7 @@ def contacts_of(geometry: Geometry, touching: Segments, ends: Tensor,
 
 
 def across_edges(corner: Tensor, shape: Tensor, edges_of_shape: Callable[[int], Edges]) -> tuple[Tensor, Tensor]:
-    """How many triangles meet at edges, and the vertex opposite in the second one, (K,) int32 each; -1 if there is none.
+    """The number of triangles at each edge, and the vertex opposite in the second one, (K,) int32 each; -1 without one.
 
     Args:
         corner: (K,) int32, opposite the edges, among all corners.
@@ -109,19 +109,19 @@ def across_edges(corner: Tensor, shape: Tensor, edges_of_shape: Callable[[int], 
 
 
 def resting_among(segments: Segments) -> Segments | None:
-    """Those of some segments at which edges lie on surfaces; None: there are none."""
+    """Selects the segments at which edges lie on surfaces; None: there are none."""
     if segments.seen_from is None:
         return None
     return rows(segments, segments.seen_from.rests.nonzero().squeeze(1))
 
 
 def keys_of(corner: Tensor, instance: Tensor | None) -> Tensor:
-    """(N,) int64 numbers that tell apart corners, (N,) int32, and what shows them."""
+    """(N,) int64 keys that distinguish pairs of corner, (N,) int32, and instance."""
     return corner.long() if instance is None else corner.long() * (1 << 31) + instance
 
 
 def has_other_side(key: Tensor, place: Vec3, reach: Tensor) -> Tensor:
-    """True for parts of edges, (N,) bool, of which another part in the same place lies on a surface on the other side.
+    """(N,) bool: parts of edges whose other triangle also lies on a surface, on the other side.
 
     Args:
         key: (N,) of the edges.
@@ -148,12 +148,12 @@ def opposite_corner(segments: Segments) -> Tensor:
 
 
 def rows_of_corner(corners: tuple[Vec3, Vec3, Vec3], number: Tensor) -> Vec3:
-    """The corners of some numbers, (N,) int32, 0 to 2."""
+    """Selects one of three corners for each lane, by its number (N,) int32, 0 to 2."""
     return Vec3(*(torch.where(number == 0, a, torch.where(number == 1, b, c)) for a, b, c in zip(*corners)))
 
 
 def _side_of(plane: tuple[Vec3, Vec3, Vec3], points: tuple[Vec3, ...] | list[Vec3]) -> Tensor:
-    """On which side of the planes of triangles points lie, (N,) float64: 1, -1, or 0 in the plane, or if on both."""
+    """The side of triangles' planes on which points lie, (N,) float64: 1, -1, or 0 in the plane, or for both."""
     normal = cross(plane[1] - plane[0], plane[2] - plane[0])
     scale = torch.stack([part.abs() for point in (*plane, *points) for part in point]).amax(0)
     least = TOUCHING * scale * torch.sqrt(dot(normal, normal))
@@ -163,26 +163,26 @@ def _side_of(plane: tuple[Vec3, Vec3, Vec3], points: tuple[Vec3, ...] | list[Vec
 
 
 def rows_at(column: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
-    """Where entries of a column are among some numbers, (W,) ascending: (K,) int64 their rows, and (K,) which number."""
+    """Finds sorted numbers (W,) in a column: (K,) int64 rows, and (K,) index of the number."""
     which = torch.searchsorted(wanted, column).clamp_max(len(wanted) - 1)
     row = (wanted[which] == column).nonzero().squeeze(1)
     return row, which[row]
 
 
 class EdgeParts(NamedTuple):
-    """P parts of edges, (P,) float64."""
+    """P parts of edges, given by positions along them; (P,) float64."""
 
     start: Tensor  # shares of the edges' lengths
     end: Tensor
-    counts: Tensor  # how much the part counts, less than 1 where it lies on the surface of another body
+    counts: Tensor  # weight of the part, less than 1 where it lies on another body's surface
 
     def weight(self, along: Tensor) -> Tensor:
-        """How much places in some shares of the edges' lengths count, (P,); 0 outside of the parts."""
+        """The weight of points on edges, given by their fractions of the length, (P,); 0 outside of the parts."""
         return torch.where((along >= self.start) & (along <= self.end), self.counts, 0.0)
 
 
 def parts_of_edges(a: Vec3, b: Vec3, resting: Resting, edge: Tensor) -> tuple[Tensor, EdgeParts]:
-    """The parts of edges that lie on something, and those that lie on nothing.
+    """Divides edges into parts that lie on a surface and parts that do not.
 
     Args:
         a, b: (K,) the ends of edges, world.
@@ -217,7 +217,7 @@ def parts_of_edges(a: Vec3, b: Vec3, resting: Resting, edge: Tensor) -> tuple[Te
 
 def edges_in_parts(geometry: Geometry, edges: Edges, instance: Tensor | None,
                    resting: Resting) -> tuple[Tensor, EdgeParts] | None:
-    """Edges, of which some are in parts, since a part of them lies on other surfaces; None: none are.
+    """Divides the edges of an outline where parts of them lie on other surfaces; None: none do.
 
     Args:
         geometry: of the scene, detached.

@@ -1,4 +1,4 @@
-"""Curves inside of triangles at which an image jumps, and places on them as a camera sees them.
+"""Discontinuity curves inside of triangles (rims of shading normals, clipping planes), and samples on them.
 
 Where interpolated shading normals n turn away from the viewer at e before the triangle does, a surface goes black: the image
 jumps along the *rim* n . (e - p) = 0. The near and the far plane of a camera cut surfaces, along other curves.
@@ -64,13 +64,13 @@ Level = Callable[[Camera, Vec3, Vec3 | None, Vec2 | None], Tensor]
 
 
 class TriangleLevel(NamedTuple):
-    """The six numbers F_ij of a level on triangles, (N,) each."""
+    """A quadratic level function on triangles by its six numbers F_ij, (N,) each."""
 
     corner: tuple[Tensor, Tensor, Tensor]  # F_00, F_11, F_22
     side: tuple[Tensor, Tensor, Tensor]  # F_01, F_02, F_12
 
     def crosses(self, margin: Tensor | float) -> Tensor:
-        """True if the level may be 0 somewhere in the triangle, or be so where it differs by a margin; (N,) bool."""
+        """(N,) bool: the level may vanish somewhere in the triangle, or come within a margin of 0."""
         numbers = (*self.corner, *self.side)
         below, above = numbers[0] < margin, numbers[0] > -margin
         for number in numbers[1:]:
@@ -78,32 +78,32 @@ class TriangleLevel(NamedTuple):
         return below & above
 
     def gradient(self, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
-        """What the level changes by with the barycentric coordinates of the second and of the third corner."""
+        """The derivatives of the level by the barycentric coordinates of the second and the third corner."""
         (f0, f1, f2), (f01, f02, f12), w = self.corner, self.side, 1.0 - u - v
         at_0, at_1, at_2 = w * f0 + u * f01 + v * f02, w * f01 + u * f1 + v * f12, w * f02 + u * f12 + v * f2
         return 2.0 * (at_1 - at_0), 2.0 * (at_2 - at_0)
 
 
 class OnTriangle(NamedTuple):
-    """Places of curves on triangles, (N,) each."""
+    """Points of curves on triangles, (N,) each."""
 
     u: Tensor  # barycentric coordinates: of the second corner
     v: Tensor  # of the third
-    pace: Tensor  # t / |f_t|, for each step of what s is picked by; 0 where a line does not meet the curve
+    pace: Tensor  # t / |f_t|, for each step of the sampled s; 0 where a line does not meet the curve
 
 
 class OnFilm(NamedTuple):
-    """Places on curves of triangles as a camera sees them, (N,) each."""
+    """Points on curves of triangles as a camera sees them, (N,) each."""
 
     p: Vec3  # world
     film: Vec2  # pixels
     normal: Vec2  # m, times the pace
     drift: Tensor  # -det(J), times the pace
-    uphill: Vec2  # u and v by which the level rises by one, at the fastest
+    uphill: Vec2  # step in u and v by which the level rises by one, along its gradient
 
 
 def _facing(camera: Camera, p: Vec3, n: Vec3, aperture: Vec2 | None) -> Tensor:
-    """The level that is 0 on rims: positive where the viewer is on the side of the shading normal.
+    """The level function of rims: positive where the viewer is on the side of the shading normal.
 
     A rim along an edge is moved into one of its two triangles, by next to nothing.
     """
@@ -112,12 +112,12 @@ def _facing(camera: Camera, p: Vec3, n: Vec3, aperture: Vec2 | None) -> Tensor:
 
 
 def beyond_near(camera: Camera, p: Vec3, n: None, aperture: Vec2 | None) -> Tensor:
-    """The level that is 0 on the near plane."""
+    """The level function that vanishes on the camera's near plane."""
     return camera.kind.beyond_planes(camera.lens, p)[0]
 
 
 def beyond_far(camera: Camera, p: Vec3, n: None, aperture: Vec2 | None) -> Tensor:
-    """The level that is 0 on the far plane."""
+    """The level function that vanishes on the camera's far plane."""
     return camera.kind.beyond_planes(camera.lens, p)[1]
 
 
@@ -126,7 +126,7 @@ LEVELS: dict[int, Level] = {RIM: _facing, NEAR: beyond_near, FAR: beyond_far}
 
 @stage("geometry", "sight")
 def crosses(geometry: Geometry, sight: Sight, faces: Faces, kinds: tuple[int, ...]) -> tuple[Tensor, ...]:
-    """True for triangles in which there may be a curve of a kind, in view from somewhere on the lens; (F,) bool for each.
+    """For each kind of curve, (F,) bool: triangles that may contain one in view from somewhere on the lens.
 
     Args:
         geometry: of the scene, detached.
@@ -150,7 +150,7 @@ def crosses(geometry: Geometry, sight: Sight, faces: Faces, kinds: tuple[int, ..
 
 @stage("geometry", "sight")
 def contour_length(geometry: Geometry, sight: Sight, faces: Faces, kind: int) -> tuple[Tensor, Tensor]:
-    """The lengths on the film of curves in triangles, in view and on the whole, by some lines through each; (F,) pixels.
+    """The lengths of curves in triangles on the film, in view and in total, estimated by some lines; (F,) pixels.
 
     Args: as for `crosses`, and one kind.
     """
@@ -173,7 +173,7 @@ def contour_length(geometry: Geometry, sight: Sight, faces: Faces, kind: int) ->
 @stage("geometry", "sight", "faces", "lot")
 def contour_place(geometry: Geometry, sight: Sight, faces: Faces, lot: Lot, count: Tensor, lane: Tensor,
                   kind: int) -> Places:
-    """Places on the curves of one kind, in proportion to lengths on the film.
+    """Samples curves of one kind, in proportion to their lengths on the film.
 
     Args:
         geometry, sight, faces, kind: as for `contour_length`.
@@ -206,8 +206,7 @@ def contour_place(geometry: Geometry, sight: Sight, faces: Faces, lot: Lot, coun
 
 
 def from_apex(geometry: Geometry, sight: Sight, faces: Faces, kind: int) -> tuple[Between, Tensor]:
-    """The vertices of triangles, first one at which the sign of the level differs from that at the other two, if any; and
-    (F,) int32 which one it is."""
+    """The vertices of triangles, first the one whose level differs in sign from the others'; and (F,) int32 which."""
     first, second, third = between = faces.between(geometry)
     level = net(geometry, sight.camera, between, faces.instance, kind, middle(sight, geometry, between))
     a, b, c = (torch.sign(value) for value in level.corner)
@@ -218,12 +217,12 @@ def from_apex(geometry: Geometry, sight: Sight, faces: Faces, kind: int) -> tupl
 
 
 def geometry_number(geometry: Geometry, between: Between) -> Tensor:
-    """(F,) some float64 number of each triangle."""
+    """(F,) a float64 tensor with an entry for each triangle, as a template."""
     return lookup(geometry.triangles.vertices.p.x, between.first).double()
 
 
 def middle(sight: Sight, geometry: Geometry, between: Between) -> Vec2 | None:
-    """The middle of the lens, for each of some triangles; None: rays meet in a point."""
+    """The centre of the lens, repeated for each triangle; None: a pinhole."""
     if not sight.camera.kind.has_aperture:
         return None
     half = torch.full_like(geometry_number(geometry, between), 0.5)
@@ -232,7 +231,7 @@ def middle(sight: Sight, geometry: Geometry, between: Between) -> Vec2 | None:
 
 def net(geometry: Geometry, camera: Camera, between: Between, instance: Tensor | None, kind: int,
         aperture: Vec2 | None) -> TriangleLevel:
-    """The numbers F_ij of a level: its values at the corners, and what those in the middle of the sides follow from."""
+    """The level function's six numbers F_ij on triangles, from its values at corners and in the middle of sides."""
     p = positions(geometry, between, instance)
     n = vertex_normals(geometry, between, instance) if kind == RIM else (None,) * 3
     level = LEVELS[kind]
@@ -242,7 +241,7 @@ def net(geometry: Geometry, camera: Camera, between: Between, instance: Tensor |
 
 
 def _met(level: TriangleLevel, along: Tensor) -> list[OnTriangle]:
-    """The two places, at most, where the lines from first corners to points of the opposite sides meet a curve.
+    """The at most two intersections of a curve with lines from the first corner to points of the opposite side.
 
     Args:
         level: of triangles.
@@ -275,7 +274,7 @@ class OnView:
         self.net = net(geometry, camera, between, instance, kind, aperture)
 
     def at(self, place: OnTriangle) -> OnFilm:
-        """Where places of the curves are seen, and how these run there."""
+        """The image of points on the curves, with the curve's course there."""
         camera, corners, aperture = self.camera, self.corners, self.aperture
         p = interpolated(corners, place.u, place.v)
         of_u, of_v = velocities_on_film(camera, p, [corner - corners[0] for corner in corners[1:]], aperture)
@@ -287,28 +286,28 @@ class OnView:
 
 
 def astride(camera: Camera, seen: OnFilm, aperture: Vec2 | None) -> Vec2:
-    """How far apart from a rim, u and v, the shading normal is surely turned to the viewer; on the other side away."""
+    """The step, in u and v, across a rim after which the shading normal surely faces the viewer; its negative: away."""
     towards = camera.kind.towards(camera.lens, seen.p, aperture)
     reach = seen.uphill * (ASTRIDE * torch.sqrt(dot(towards, towards)))
     return reach * (FARTHEST_ASTRIDE / torch.sqrt(reach.x * reach.x + reach.y * reach.y)).clamp_max(1.0)
 
 
 def glued(triangle: Tensor, apex: Tensor, u: Tensor, v: Tensor) -> Glued:
-    """Points of triangles whose barycentric coordinates u and v are those of the second and third vertex from the apex."""
+    """Points fixed to triangles, from u and v that count from the vertex `apex`."""
     w = 1.0 - u - v
     return Glued(triangle, torch.where(apex == 0, u, torch.where(apex == 1, w, v)),
                  torch.where(apex == 0, v, torch.where(apex == 1, u, w)))
 
 
 def in_window(camera: Camera, film: Vec2, normal: Vec2) -> Tensor:
-    """True for places in view that stand for a piece of a curve; (N,) bool."""
+    """(N,) bool: samples in view that stand for a piece of a curve."""
     reach, squared = camera.film.kernel.radius, normal.x * normal.x + normal.y * normal.y
     across = (film.x >= -reach) & (film.x <= camera.film.columns + reach)
     return across & (film.y >= -reach) & (film.y <= camera.film.rows + reach) & torch.isfinite(squared) & (squared > 0.0)
 
 
 def level_at(geometry: Geometry, camera: Camera, places: Places, kind: int) -> Tensor:
-    """The level at places of its curve, fixed to their triangles; (N,) attached, of value 0 but for rounding."""
+    """The level function at samples on its curve, fixed to their triangles; (N,) attached, 0 up to rounding."""
     n = None
     if kind == RIM:
         n = interpolated(vertex_normals(geometry, places.between, places.instance), places.u, places.v)

@@ -1,4 +1,4 @@
-"""Where edges are creases: two surfaces meet there that are shaded differently."""
+"""Creases: edges where two surfaces meet that are shaded differently."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SHADED = -1  # none, but that the light of a lamp may end there: inside of smoot
 
 
 def creases(edges: Edges, triangles: TriangleTable, shape: Tensor | None) -> Tensor:
-    """Where edges are creases; see `Outline.crease`.
+    """Classifies edges as creases; see `Outline.crease`.
 
     Args:
         edges: of triangles of this table.
@@ -24,7 +24,7 @@ def creases(edges: Edges, triangles: TriangleTable, shape: Tensor | None) -> Ten
         shape: (T,) int32, that each triangle belongs to; None: all to the same.
     """
     def of_both(column: Tensor) -> tuple[Tensor, Tensor]:
-        """What a column of all triangles says of the two at each edge."""
+        """Gathers a column of the triangle table for both triangles at each edge."""
         return tuple(rows(column, torch.div(corner, 3, rounding_mode="floor")) for corner in edges.corner[:2])
 
     known = (edges.count == 2) if not triangles.attributes else torch.zeros_like(edges.count, dtype=torch.bool)

@@ -1,4 +1,4 @@
-"""The order of edges in a tree: those near each other together."""
+"""The order of edges in a tree, by position."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ GROUP = 8  # edges below each of the last nodes
 
 
 class EdgeSlots(NamedTuple):
-    """The edges in the order of a tree, and the vertices of their triangles; (S,) int32 each."""
+    """The edges in the order of a tree, with the vertices of their triangles; (S,) int32 each."""
 
     edge: Tensor  # -1: none
-    vertices: tuple[Tensor, ...]  # rows of the scene's vertices: the edge's a and b, and those opposite of it
-    instance: Tensor | None  # that shows them, as hits count; None: the scene has none
+    vertices: tuple[Tensor, ...]  # the edge's a and b, and the vertices opposite
+    instance: Tensor | None  # instance as in a hit; None: the scene has none
 
 
 def slots_of(body: Tensor, points: Tensor) -> Tensor:
-    """Edges in the order of the tree, (S,) int32, S a power of 2; -1: none.
+    """The order of edges in the tree, (S,) int32, S a power of 2; -1: an empty slot.
 
     Each body has a node of its own: room for a power of 2 of edges, at a multiple of that, the largest first. In it edges
     are halved again and again along the axis on which they lie farthest apart.

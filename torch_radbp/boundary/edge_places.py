@@ -1,4 +1,4 @@
-"""Places on edges, as a camera sees them."""
+"""Samples on edges as a camera sees them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ ASKANCE = 1e-2  # cosine between line of sight and interpolated normal at the ed
 
 @stage("geometry", "sight")
 def edge_weight(geometry: Geometry, sight: Sight, outline: Outline) -> Tensor:
-    """How often edges are picked, (E,) float64: by the pixels of their length in view, those that may jump less by less.
+    """The sampling weights of edges, (E,) float64: their visible length in pixels, less for weak discontinuities.
 
     Args:
         geometry: of the scene, detached.
@@ -60,7 +60,7 @@ def edge_weight(geometry: Geometry, sight: Sight, outline: Outline) -> Tensor:
 
 
 def jump_of_creases(outline: Outline, a: Vec3, b: Vec3, opposite: Sequence[Vec3]) -> Tensor:
-    """How much of a jump edges may be that are no silhouettes, (E,) float64 in [0, 1]; 0: none.
+    """A bound of the discontinuity at edges that are no silhouettes, (E,) float64 in [0, 1]; 0: none.
 
     Args:
         outline: (E,).
@@ -75,8 +75,7 @@ def jump_of_creases(outline: Outline, a: Vec3, b: Vec3, opposite: Sequence[Vec3]
 
 
 def folds(a: Vec3, b: Vec3, opposite: Sequence[Vec3]) -> tuple[Tensor, Tensor]:
-    """Half of the difference of the normals of the two triangles at edges, (E,) float64, 0 where they lie in a plane; then
-    the same with one of them turned round."""
+    """Half the difference of the two triangles' normals at edges, (E,) float64; and the same with one normal flipped."""
     here, there = (unit_normal(b - a, tip - a) for tip in opposite[:2])  # of two that are alike on opposite sides
     apart = [0.5 * torch.sqrt(dot(difference, difference)) for difference in (here + there, here - there)]
     return tuple(torch.where(half > COPLANAR, half, 0.0) for half in apart)
@@ -84,7 +83,7 @@ def folds(a: Vec3, b: Vec3, opposite: Sequence[Vec3]) -> tuple[Tensor, Tensor]:
 
 @stage("geometry", "sight", "outline", "lot")
 def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, place: Tensor) -> Places:
-    """Places on an outline as a camera sees it, in proportion to lengths on the film.
+    """Samples an outline in proportion to its length on the film.
 
     Args:
         geometry, sight, outline: as for `edge_weight`.
@@ -126,17 +125,17 @@ def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, pla
 
 
 class Sheet(NamedTuple):
-    """A triangle at each of some edges, (N,)."""
+    """One of the triangles at sampled edges, as a camera sees it next to the sample; (N,)."""
 
-    point: Glued  # the place, next to the edge
-    ahead: Tensor  # how far it goes ahead of the edge on the film, of any scale
-    nearness: Tensor  # how fast it comes nearer to the viewer with the distance from the edge on the film, likewise
-    depth: Tensor  # how far it reaches from the place along the line of sight
+    point: Glued  # a point of the triangle next to the sample
+    ahead: Tensor  # how far it extends ahead of the edge on the film, not normalised
+    nearness: Tensor  # derivative of its nearness by the distance from the edge on the film, likewise
+    depth: Tensor  # its extent along the line of sight
 
 
 def sheet_at(geometry: Geometry, sight: Sight, corners: tuple[Vec3, Vec3, Vec3], corner: Tensor, instance: Tensor | None,
              p: Vec3, film: Vec2, normal: Vec2, aperture: Vec2 | None) -> Sheet:
-    """A triangle at each of some places on edges.
+    """The triangle at each of some samples on edges, and its course on the film.
 
     Args:
         corners: the ends of the edge, and what lies opposite.
@@ -172,7 +171,7 @@ def sheet_at(geometry: Geometry, sight: Sight, corners: tuple[Vec3, Vec3, Vec3],
 
 def facing_at(geometry: Geometry, triangle: Tensor, between: Between, instance: Tensor | None, share: Tensor,
               towards: Vec3) -> Tensor:
-    """The cosines between lines of sight and interpolated normals at edges, (N,); of flat triangles 1.
+    """The cosines between lines of sight and interpolated normals at edges, (N,); 1 for flat triangles.
 
     Args:
         triangle: (N,) int32.
@@ -188,8 +187,7 @@ def facing_at(geometry: Geometry, triangle: Tensor, between: Between, instance: 
 
 
 def _in_order(sheets: list[Sheet], silhouette: Tensor, known: Tensor) -> tuple[Glued, Glued]:
-    """What is seen of two triangles at edges behind and ahead of these: at silhouettes, (N,) bool, the one that hides the
-    other on both sides; unknown where not `known`, (N,) bool."""
+    """The visible triangles behind and ahead of edges: at silhouettes the nearer one twice; unknown where not `known`."""
     one, two = sheets
     nearer, first = one.nearness >= two.nearness, one.ahead <= two.ahead
     found = []

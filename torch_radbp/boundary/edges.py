@@ -1,4 +1,4 @@
-"""The edges of triangle meshes, and which triangles meet there."""
+"""The edges of triangle meshes, with the triangles that meet there."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ MOST_MEETING = 8  # triangles at an edge that are told apart
 
 
 class Edges(NamedTuple):
-    """E edges of a mesh, and the triangles that meet there: of more than `MOST_MEETING` only so many."""
+    """E edges of a mesh, and the triangles at each, at most `MOST_MEETING`."""
 
     a: Tensor  # (E,) int32, one end, a row of the mesh's vertices, of the first triangle
     b: Tensor  # (E,) the other
-    opposite: tuple[Tensor, ...]  # (E,) int32 each, the third vertex of each triangle; of fewer, the first again
-    corner: tuple[Tensor, ...]  # (E,) int32 each, its number among all corners, three of each triangle in order
-    count: Tensor  # (E,) int32, how many triangles meet
-    alike: Tensor  # (E,) bool: the first two of them run along it in the same direction, so that one is turned round
-    seam: Tensor | None  # (E,) bool: these have not the same vertices there; None: nowhere
+    opposite: tuple[Tensor, ...]  # (E,) int32 each, third vertex of each triangle; with fewer triangles the first repeats
+    corner: tuple[Tensor, ...]  # (E,) int32 each, index of that corner among all corners
+    count: Tensor  # (E,) int32, number of triangles at the edge
+    alike: Tensor  # (E,) bool: the first two triangles run along it in the same direction, so that one is flipped
+    seam: Tensor | None  # (E,) bool: those two have different vertices there; None: nowhere
 
 
 def joined_edges(parts: Sequence[Edges]) -> Edges:
-    """All of several edges."""
+    """Joins several sets of edges."""
     most = max(len(part.corner) for part in parts)
     return parts[0] if len(parts) < 2 else joined_records([padded(part, most) for part in parts])
 
 
 def padded(edges: Edges, most: int) -> Edges:
-    """Edges with columns for so many triangles, or more."""
+    """Pads edges to columns for at least `most` triangles."""
     opposite, corner = (column + column[:1] * (most - len(column)) for column in (edges.opposite, edges.corner))
     return edges._replace(opposite=opposite, corner=corner)
 
 
 def spread(counts: Sequence[int], device: torch.device) -> Tensor | None:
-    """The triangles whose edges are examined: all those of small shapes, a fixed random sample of those of large ones.
+    """The triangles whose edges are examined: all of small shapes, a fixed random sample of large ones.
 
     This bounds the work. A large mesh with a single silhouette edge is rare, and the sample may miss that edge.
 
@@ -68,7 +68,7 @@ def spread(counts: Sequence[int], device: torch.device) -> Tensor | None:
 
 
 def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> Edges:
-    """The edges of a mesh, or of some of its triangles.
+    """Finds the edges of a mesh, or of some of its triangles.
 
     Vertices at the same place count as one, and an edge ends at those of its first triangle: others may be of shapes that
     touch it and move otherwise. Degenerate triangles are skipped; an edge of one triangle ends at every vertex that lies on
@@ -125,21 +125,21 @@ def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> E
 
 
 class Sides(NamedTuple):
-    """The H sides of triangles, (H,)."""
+    """H sides of triangles, each by its end vertices and the opposite corner; (H,)."""
 
-    low: Tensor  # int32, the vertices at their ends, the lesser one
+    low: Tensor  # int32, its end with the lesser index
     high: Tensor
-    forward: Tensor  # bool: the triangle runs along it from there to here
-    corner: Tensor  # int32, number of the corner that lies opposite
+    forward: Tensor  # bool: the triangle runs along it from `low` to `high`
+    corner: Tensor  # int32, index of the opposite corner
 
 
 def sides_between(start: Tensor, end: Tensor, corner: Tensor) -> Sides:
-    """The sides that run between some vertices, (H,) int32, opposite some corners."""
+    """The sides between given vertices, (H,) int32, opposite given corners."""
     return Sides(torch.minimum(start, end), torch.maximum(start, end), start < end, corner)
 
 
 def _beside(sides: Sides, border: Tensor, wanted: Tensor) -> Tensor:
-    """(B,) bool: which of some borders, (B,) int64 sides, have an end of one that is `wanted`, (H,) bool of all sides."""
+    """(B,) bool: boundary sides, (B,) int64, that share a vertex with a `wanted` side, (H,) bool."""
     low, high, own = sides.low[border].long(), sides.high[border].long(), wanted[border]
     ends = torch.zeros(int(high.max()) + 1 if len(high) else 0, dtype=torch.bool, device=low.device)
     ends[low[own]] = ends[high[own]] = True
@@ -147,7 +147,7 @@ def _beside(sides: Sides, border: Tensor, wanted: Tensor) -> Tensor:
 
 
 def _sides_of(faces: Tensor) -> Sides:
-    """The sides of the triangles among some, (F, 3) int32, that are not degenerate."""
+    """The sides of those triangles, (F, 3) int32, that are not degenerate."""
     number = torch.arange(0, 3 * len(faces), 3, dtype=torch.int32, device=faces.device)
     one, two, three = faces.unbind(1)
     proper = (one != two) & (two != three) & (three != one)
@@ -166,16 +166,16 @@ def _sides_of(faces: Tensor) -> Sides:
 
 
 class Meeting(NamedTuple):
-    """The sides that are one edge, of E edges."""
+    """E edges as groups of coinciding sides."""
 
-    low: Tensor  # (E,) int32, its vertices
+    low: Tensor  # (E,) int32, its ends
     high: Tensor
-    side: tuple[Tensor, ...]  # (E,) int32 each; where there are fewer, the first again
-    count: Tensor  # (E,) int32, of sides
-    every: Tensor  # (H,) int32, all sides, edge by edge
+    side: tuple[Tensor, ...]  # (E,) int32 each, sides at the edge; with fewer the first repeats
+    count: Tensor  # (E,) int32, number of sides
+    every: Tensor  # (H,) int32, all sides, sorted by edge
 
     def of(self, wanted: Tensor) -> Meeting:
-        """Those edges of which a side is `wanted`, (H,) bool."""
+        """Selects the edges with at least one `wanted` side, (H,) bool."""
         last = self.count.cumsum(0)
         found = torch.cat([wanted.new_zeros(1, dtype=torch.int64), rows(wanted, self.every).cumsum(0)])
         keep = found[last] > found[last - self.count]
@@ -184,7 +184,7 @@ class Meeting(NamedTuple):
 
 
 def _met(sides: Sides, vertices: int) -> Meeting:
-    """Which sides of triangles meet, in the order of their vertices, of which there are so many."""
+    """Groups sides by their vertices into edges."""
     order, low, high = in_order(sides.low, sides.high, vertices)
     begins = torch.ones_like(sides.forward)
     begins[1:] = (low[1:] != low[:-1]) | (high[1:] != high[:-1])
@@ -197,7 +197,7 @@ def _met(sides: Sides, vertices: int) -> Meeting:
 
 
 def ends_of_side(flat: Tensor, label: Tensor, corner: Tensor, edges: Meeting) -> list[Tensor]:
-    """The vertices of triangles where edges end, (E,) int32 each; where the edge is a piece of a side, the edge's.
+    """The vertices at the ends of edges in given triangles, (E,) int32 each; for a piece of a side the edge's own.
 
     Args:
         flat: (3 F,) int32, the vertices at all corners.
@@ -211,13 +211,13 @@ def ends_of_side(flat: Tensor, label: Tensor, corner: Tensor, edges: Meeting) ->
 
 
 def sides_ends(flat: Tensor, corner: Tensor) -> tuple[Tensor, Tensor]:
-    """The vertices of the sides opposite corners, (E,) int32 each; args as for `ends_of_side`."""
+    """The end vertices of the sides opposite given corners, (E,) int32 each; args as for `ends_of_side`."""
     return (rows(flat, corner + torch.where(corner % 3 == 2, -2, 1).int()),
             rows(flat, corner + torch.where(corner % 3 == 0, 2, -1).int()))
 
 
 def have_same_ends(flat: Tensor, one: Tensor, two: Tensor) -> Tensor:
-    """True if the sides opposite two corners each, (E,) int32, of triangles have the same vertices; (E,) bool.
+    """(E,) bool: the sides opposite two corners, (E,) int32 each, have the same vertices.
 
     Args:
         flat: (3 F,) int32, the vertices at all corners.
@@ -227,7 +227,7 @@ def have_same_ends(flat: Tensor, one: Tensor, two: Tensor) -> Tensor:
 
 
 def touching(cells: tuple[Tensor, Tensor], faces: Tensor, vertices: Tensor) -> Tensor:
-    """The triangles with at least two corners at the places of the given vertices; ascending rows of `faces`."""
+    """The triangles with at least two corners at the positions of given vertices; ascending rows of `faces`."""
     touched = torch.zeros(len(cells[0]), dtype=torch.bool, device=faces.device)
     for cell in cells:
         slot = ((cell * HASH) >> 32) & (SLOTS - 1)  # cells may share a slot: a few more triangles do no harm

@@ -1,4 +1,4 @@
-"""The triangles inside of which an image may jump, in the world."""
+"""Triangles in the world inside of which the image may be discontinuous."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from torch_radbp.tensors.lookup import lookup
 
 
 class Faces(NamedTuple):
-    """F triangles in the world; functions of lanes read them."""
+    """F triangles in the world, as functions of lanes read them."""
 
     triangle: Tensor  # (F,) int32, rows of the scene's triangles
-    instance: Tensor | None  # (F,) int32 that shows each, as hits count; None: the scene has none
-    share: Tensor | None  # (F,) float64, probability with which a triangle is among these; None: all are
+    instance: Tensor | None  # (F,) int32 instance as in a hit; None: the scene has none
+    share: Tensor | None  # (F,) float64, probability of the triangle's selection; None: all are selected
 
     def between(self, geometry: Geometry) -> Between:
-        """The vertices."""
+        """The vertices of the triangles, as rows of the vertex table."""
         return Between(*lookup(geometry.triangles.corners, self.triangle))
 
     def corners(self, geometry: Geometry) -> Corners:
-        """The vertices in the world, attached; float64."""
+        """The corners of the triangles in the world, attached; float64."""
         return positions(geometry, self.between(geometry), self.instance)
 
 
 def joined_faces(parts: list[Faces]) -> Faces | None:
-    """All of several faces; None: there are none."""
+    """Joins several sets of triangles; None: there are none."""
     if len(parts) < 2:
         return parts[0] if parts else None
     shares = [part.share for part in parts]

@@ -1,4 +1,4 @@
-"""What functions of lanes read to tell where curves lie, at which an image jumps."""
+"""The scene's geometry as functions of lanes read it for boundary terms."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ Corners = tuple[Vec3, Vec3, Vec3]
 
 
 class NormalsOnly(NamedTuple):
-    """As `Layout`."""
+    """A part of `Layout`: whether vertices have shading normals."""
 
     shading_normals: bool
 
 
 class Geometry(NamedTuple):
-    """The triangles of a scene as far as they matter here; attached. In place of `SceneTensors`."""
+    """The triangles of a scene, in place of `SceneTensors`; attached."""
 
     triangles: TriangleTable
     layout: NormalsOnly
 
 
 class _ShownBy(NamedTuple):
-    """What shows vertices of groups, in place of a `Hit`."""
+    """The instance of group vertices, in place of a `Hit`."""
 
     instance: Tensor  # (N,) int32, as hits count
 
 
 class Between(NamedTuple):
-    """Three vertices of a surface, rows of the scene's vertices; (N,) int32."""
+    """Three vertices for each lane, rows of the vertex table; (N,) int32."""
 
     first: Tensor
     second: Tensor
-    third: Tensor  # of a place on an edge the second once more
+    third: Tensor  # for a point on an edge the second again
 
 
 def geometry_of(scene: SceneTensors) -> Geometry:
-    """The geometry of a scene; surface coordinates only if they have derivatives, by which lines of textures slide."""
+    """The geometry of a scene; with surface coordinates only if these are differentiated."""
     triangles = scene.triangles
     vertices = triangles.vertices._replace(attributes=())
     vertices = vertices if any_differentiated(vertices.uv) else vertices._replace(uv=None)
@@ -55,18 +55,18 @@ def geometry_of(scene: SceneTensors) -> Geometry:
 
 
 def point_at(geometry: Geometry, row: Tensor, instance: Tensor | None) -> Vec3:
-    """Vertices, (N,) int32 rows, in the world; attached, float64. `instance`: see `Places`."""
+    """The world positions of vertices, (N,) int32 rows; attached, float64. `instance`: see `Places`."""
     point, = in_world(geometry, (row,), instance)
     return point
 
 
 def positions(geometry: Geometry, between: Between, instance: Tensor | None) -> Corners:
-    """The vertices of triangles in the world, attached; float64."""
+    """The corners of triangles in the world, attached; float64."""
     return in_world(geometry, between, instance)
 
 
 def in_world(geometry: Geometry, vertices: tuple[Tensor, ...], instance: Tensor | None) -> tuple[Vec3, ...]:
-    """Some vertices of each lane, (N,) int32 rows each, in the world; attached, float64.
+    """The world positions of several vertices per lane, (N,) int32 rows each; attached, float64.
 
     Instances place them in float64, too: a triangle's own edges must lie in its plane by whichever way both are computed.
     Were they off by what float32 rounds, points close to them would take them for silhouettes.
@@ -76,12 +76,12 @@ def in_world(geometry: Geometry, vertices: tuple[Tensor, ...], instance: Tensor 
 
 
 def vertex_normals(geometry: Geometry, between: Between, instance: Tensor | None) -> Corners:
-    """The shading normals there, unit length."""
+    """The unit shading normals at the three vertices of triangles."""
     normals = tuple(lookup(geometry.triangles.vertices.n, row) for row in between)
     normals = normals if instance is None else shown_normals(geometry, _ShownBy(instance), normals)
     return tuple(normal.map(torch.Tensor.double) for normal in normals)
 
 
 def largest_coordinate(*points: Vec3) -> Tensor:
-    """The largest coordinate of several points of each lane, by absolute value, by which their rounding grows; (N,)."""
+    """The largest absolute coordinate of several points per lane, which bounds their rounding; (N,)."""
     return functools.reduce(torch.maximum, (max_component(point.map(torch.abs)) for point in points))

@@ -1,4 +1,4 @@
-"""What rays to a curve and beside it say: whether the camera sees the image jump there, and where its paths begin."""
+"""Visibility of discontinuity curves, by rays to and beside their samples, and the paths that start there."""
 
 from __future__ import annotations
 
@@ -26,21 +26,20 @@ MOST = 0.5  # all at most, where coordinates are large and rays lie farther off
 
 
 class Sent(NamedTuple):
-    """Rays to K places, behind and ahead of them, one after the other, and what they meet; (3 K,)."""
+    """Rays to K samples, behind and ahead of the curve, concatenated, and their hits; (3 K,)."""
 
     sample: CameraSample
     hit: Hit
 
     def of(self, way: int, count: Tensor, lane: Tensor) -> tuple[Ray, Hit]:
-        """Those to the places themselves (0), behind (1) or ahead (2) of `count` places, of those number `lane`."""
+        """The rays to the samples (0), behind (1) or ahead (2) of the curve; of `count` samples those in `lane`."""
         return rows((self.sample.ray, self.hit), lane + count * way)
 
 
 @stage("geometry", "places", "sent")
 def in_sight(geometry: Geometry, places: Places, chosen: Tensor, sent: Sent, count: Tensor, lane: Tensor,
              kinds: tuple[int, ...]) -> Tensor:
-    """(K,) float64, 1 for places that nothing hides, by what the rays to them, behind and ahead of them hit; 0 for others;
-    or -1.
+    """(K,) float64, 1 for samples that nothing hides, 0 for hidden ones; -1 for pieces that run back.
 
     A ray to a place on a curve meets a triangle there, or passes by. Where an outline turns back and forth within less than
     rounding, it does not tell which of the pieces it meets, of which only one has a jump. Pieces that run back are known by
@@ -100,7 +99,7 @@ class PathsBeside(NamedTuple):
 @stage("places", "chosen", "sent", "times", "shown")
 def paths_beside(places: Places, chosen: Tensor, sent: Sent, times: Tensor, shown: Tensor, counts: tuple[Tensor, Tensor],
                  lane: Tensor) -> PathsBeside:
-    """The paths that begin behind and ahead of places in sight.
+    """The paths that start behind and ahead of visible samples.
 
     A ray beside a curve may meet another curve, or the surface may end there, which is counted there. So where it is known
     what surface the curve is on, the path begins at the place itself.
@@ -129,17 +128,17 @@ def paths_beside(places: Places, chosen: Tensor, sent: Sent, times: Tensor, show
 
 
 def _goes_on(kind: Tensor) -> Tensor:
-    """True for curves on both sides of which a surface is seen that is near."""
+    """True for kinds of curves on both sides of which a surface nearby is seen."""
     return (kind == CREASE) | (kind >= TEXTURE)
 
 
 def missed(places: Places, distance: Tensor) -> Tensor:
-    """(N,) how far off places rays lie, in units of what is usual; `distance` (N,) of the places."""
+    """(N,) the distance of rays from samples, in units of the usual error; `distance` (N,) of the samples."""
     return apart_at(places.p, distance) / (USUAL * distance.clamp_min(TINY))
 
 
 def rim_in_sight(places: Places, own: list[Tensor], hit: Hit, distance: Tensor) -> Tensor:
-    """(N,) bool: nothing hides the places, if they are on rims.
+    """(N,) bool: rim samples that nothing hides.
 
     Args:
         own: of the rays to them, behind and ahead of them, whether they meet the triangle of the rim.
@@ -151,13 +150,13 @@ def rim_in_sight(places: Places, own: list[Tensor], hit: Hit, distance: Tensor) 
 
 
 def is_one_of(places: Places, hit: Hit) -> Tensor:
-    """(N,) bool: a triangle at the place was hit."""
+    """(N,) bool: rays that hit one of the triangles at the sample."""
     found = (hit.prim >= 0) & ((hit.prim == places.behind.prim) | (hit.prim == places.ahead.prim))
     return found if places.instance is None else found & (hit.instance == places.instance)
 
 
 def hides(geometry: Geometry, ray: Ray, hit: Hit, p: Vec3) -> Tensor:
-    """(N,) bool: the planes of the triangles that rays hit pass between their origins and points by more than rounding.
+    """(N,) bool: a hit triangle's plane lies between the ray's origin and a point beside the ray, by more than rounding.
 
     The lengths of rays do not tell this: right beside a point they meet steep surfaces sooner or later than at the point,
     by the more the farther the viewer.
@@ -174,5 +173,5 @@ def hides(geometry: Geometry, ray: Ray, hit: Hit, p: Vec3) -> Tensor:
 
 
 def past(hit: Hit, distance: Tensor) -> Tensor:
-    """True where nothing is hit up to some distance, (N,) bool."""
+    """(N,) bool: rays that hit nothing up to a given distance."""
     return (hit.prim < 0) | (hit.t > distance)

@@ -1,4 +1,4 @@
-"""Where surfaces pass through each other, or touch: the segments along which triangles of two bodies meet.
+"""Intersections of bodies: the segments along which triangles of two bodies meet or touch.
 
 A body is a shape, or a shape of a group as one instance shows it. Of two bodies whose boxes overlap the triangles are looked
 at that reach into the box of the other, and of these the pairs whose boxes overlap along one axis, found by sorting. How a
@@ -27,7 +27,7 @@ TOUCHING = 1e-6  # of the largest coordinate, by which triangles must reach beyo
 
 
 class Boxes(NamedTuple):
-    """N boxes, by their corners; world, (N,) each."""
+    """N axis-aligned boxes by their corners; world, (N,) each."""
 
     low: Vec3
     high: Vec3
@@ -43,36 +43,36 @@ class Boxes(NamedTuple):
 
 @stage("geometry")
 def boxes_around(geometry: Geometry, faces: Faces) -> Boxes:
-    """The boxes around triangles, (F,); float64. A function of lanes."""
+    """The bounding boxes of triangles, (F,); float64."""
     corners = faces.corners(geometry)
     return Boxes(*(Vec3(*(extreme(extreme(a, b), c) for a, b, c in zip(*corners)))
                    for extreme in (torch.minimum, torch.maximum)))
 
 
 class Pairs(NamedTuple):
-    """N pairs of rows, (N,) int64 each."""
+    """N pairs of row indices, (N,) int64 each."""
 
     one: Tensor
     other: Tensor
 
 
 class Bodies(NamedTuple):
-    """The triangles of all bodies, one body after the other."""
+    """The triangles of all bodies, sorted by body."""
 
     faces: Faces  # (F,)
-    sizes: Tensor  # (B,) int64, how many are those of each
-    moves: Tensor  # (B,) bool, whether each moves: of two bodies that are looked at, one must
+    sizes: Tensor  # (B,) int64, number of triangles of each
+    moves: Tensor  # (B,) bool: it moves; only pairs with a moving body are examined
 
 
 class Met(NamedTuple):
-    """Where bodies meet; None: nowhere."""
+    """The segments along which bodies intersect or touch; None: there are none."""
 
     segments: Segments | None  # along which they pass through each other
-    touching: Segments | None  # sides of triangles that lie on other triangles, of which each segment is a part
+    touching: Segments | None  # parts of sides of triangles that lie on other triangles
 
 
 def intersections(stages: Stages, geometry: Geometry, bodies: Bodies) -> Met:
-    """The segments along which bodies meet. `geometry`: of the scene, detached."""
+    """Finds the segments along which bodies intersect. `geometry`: of the scene, detached."""
     faces, sizes, moves = bodies
     boxes = stages(boxes_around)(geometry, faces)
     around = boxes_of_bodies(boxes, sizes)
@@ -91,7 +91,7 @@ def intersections(stages: Stages, geometry: Geometry, bodies: Bodies) -> Met:
 
 
 def boxes_of_bodies(boxes: Boxes, sizes: Tensor) -> Boxes:
-    """The boxes around bodies, of those of their triangles; of a body without any, an empty one."""
+    """The bounding boxes of bodies, from those of their triangles; a body without any has an empty box."""
     def extreme(way: str, none: float, columns: Vec3) -> Vec3:
         return Vec3(*(torch.segment_reduce(column, way, lengths=sizes, initial=none) for column in columns))
 
@@ -99,7 +99,7 @@ def boxes_of_bodies(boxes: Boxes, sizes: Tensor) -> Boxes:
 
 
 def meeting(bodies: Boxes, moves: Tensor) -> Pairs:
-    """The pairs of bodies of which one moves and whose boxes overlap."""
+    """The pairs of bodies with overlapping boxes of which one moves."""
     found, count = [], len(moves)
     for own in torch.arange(count, device=moves.device).split(max(1, MOST // max(count, 1))):
         meet = rows(bodies, own)
@@ -111,13 +111,13 @@ def meeting(bodies: Boxes, moves: Tensor) -> Pairs:
 
 
 def _expanded(counts: Tensor) -> tuple[Tensor, Tensor]:
-    """For things that there are `counts` of, (N,) int64: which one each is, and its number among those of one."""
+    """Expands counts, (N,) int64, to one row per item: its owner, and its number within the owner."""
     which = torch.repeat_interleave(counts)
     return which, torch.arange(len(which), device=which.device) - (counts.cumsum(0) - counts)[which]
 
 
 def _reaching(boxes: Boxes, bodies: Boxes, first: Tensor, sizes: Tensor, own: Tensor, other: Tensor) -> Pairs:
-    """The triangles of bodies that reach into the boxes of others: which pair of bodies, and which triangle.
+    """The triangles of bodies that reach into the box of another body, as pairs of (pair of bodies, triangle).
 
     Args:
         boxes: of all triangles.
@@ -136,7 +136,7 @@ def _reaching(boxes: Boxes, bodies: Boxes, first: Tensor, sizes: Tensor, own: Te
 
 
 def _candidates(boxes: Boxes, ones: Pairs, others: Pairs, count: int) -> Iterator[Pairs]:
-    """The pairs of triangles whose boxes overlap, in parts.
+    """Yields pairs of triangles with overlapping boxes, in parts.
 
     Args:
         boxes: of all triangles.
@@ -165,32 +165,32 @@ def _candidates(boxes: Boxes, ones: Pairs, others: Pairs, count: int) -> Iterato
 
 
 def _parts_of(counts: Tensor) -> list[int]:
-    """How many things, of which each has so many parts, (N,) int64, are taken together."""
+    """Divides items with counts, (N,) int64, into parts of bounded total."""
     return torch.bincount(torch.div(counts.cumsum(0) - counts, MOST, rounding_mode="floor")).tolist()
 
 
 class Planes(NamedTuple):
-    """N pairs of triangles, and how each lies to the plane of the other."""
+    """N pairs of triangles, with the position of each relative to the other's plane."""
 
     faces: tuple[Faces, Faces]
     corners: tuple[Corners, Corners]
     heights: tuple[Heights, Heights]  # of either triangle's corners above the other's plane
 
     def turned(self) -> Planes:
-        """The same pairs, the second triangle first."""
+        """The same pairs with the triangles exchanged."""
         return Planes(*(part[::-1] for part in self))
 
 
 class Heights(NamedTuple):
-    """How high the corners of N triangles lie above the planes of others."""
+    """The heights of N triangles' corners above the planes of others."""
 
     height: tuple[Tensor, Tensor, Tensor]  # (N,) of any unit
-    least: Tensor  # (N,) below which a corner lies in the plane, of the same unit
-    crosses: Tensor  # (N,) bool: some lie above, some below, by more than that
+    least: Tensor  # (N,) height below which a corner counts as in the plane, same unit
+    crosses: Tensor  # (N,) bool: corners lie on both sides, by more than that
 
 
 def planes_of(geometry: Geometry, faces: Faces, pairs: Pairs) -> Planes:
-    """How the triangles of some pairs lie to each other."""
+    """Computes the position of paired triangles relative to each other's planes."""
     both = rows(faces, pairs.one), rows(faces, pairs.other)
     corners = both[0].corners(geometry), both[1].corners(geometry)
     scale = TOUCHING * torch.stack([column.abs() for corner in corners[0] for column in corner]).amax(0)
@@ -198,19 +198,19 @@ def planes_of(geometry: Geometry, faces: Faces, pairs: Pairs) -> Planes:
 
 
 def segments_between(geometry: Geometry, faces: Faces, pairs: Pairs) -> Segments:
-    """The segments along which pairs of triangles pass through each other, on the first of each."""
+    """The segments along which pairs of triangles intersect, on the first of each."""
     return segments_on(planes_of(geometry, faces, pairs))
 
 
 def segments_on(planes: Planes) -> Segments:
-    """The segments along which pairs of triangles pass through each other, on the first of each."""
+    """The segments along which pairs of triangles intersect, on the first of each."""
     meet = planes.heights[0].crosses & planes.heights[1].crosses
     planes = rows(planes, meet.nonzero().squeeze(1))
     return _segments_along(planes, tuple(own.height for own in planes.heights))
 
 
 def sides_on(planes: Planes) -> Segments:
-    """The parts of sides of the first triangle of each pair that lie on the second one, while its third corner does not.
+    """The parts of the first triangle's sides that lie on the second one, while its third corner does not.
 
     The second triangle reaches to both sides of the plane of the first one, or ends there.
     """
@@ -229,7 +229,7 @@ def sides_on(planes: Planes) -> Segments:
 
 
 def _segments_along(planes: Planes, heights: tuple[tuple[Tensor, Tensor, Tensor], ...]) -> Segments:
-    """The segments that both triangles of pairs have in common, on the first of each.
+    """The segments that both triangles of each pair share, on the first of each.
 
     Args:
         planes: (N,) the pairs.
@@ -250,7 +250,7 @@ def _segments_along(planes: Planes, heights: tuple[tuple[Tensor, Tensor, Tensor]
 
 
 def heights_above(plane: Corners, corners: Corners, least: Tensor) -> Heights:
-    """How triangles lie to planes.
+    """The heights of triangles' corners above planes.
 
     Args:
         plane: the vertices of triangles in these planes.

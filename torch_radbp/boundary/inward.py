@@ -1,4 +1,4 @@
-"""Closed surfaces that face inwards, and so are black from outside."""
+"""Warns of closed surfaces that face inwards, and so are black from outside."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def is_one_sided(shape: Surface) -> bool:
 
 
 def has_negative_volume(triangles: TriangleTable, own: range) -> bool:
-    """True if a surface may enclose a volume, to which it turns its fronts; a quick look without regard to neighbours.
+    """True if a surface may enclose a negative volume: its fronts face inwards; a quick test without regard to neighbours.
 
     Args:
         triangles: of the scene, detached.
@@ -95,5 +95,5 @@ def has_negative_volume(triangles: TriangleTable, own: range) -> bool:
 
 
 def is_closed(vertices: Tensor, faces: Tensor) -> bool:
-    """True if two triangles meet at each edge of a surface; arguments as of `edges_of`."""
+    """True if each edge of a surface has two triangles; arguments as of `edges_of`."""
     return bool((edges_of(vertices, faces).count == 2).all())

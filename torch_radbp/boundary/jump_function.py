@@ -1,4 +1,4 @@
-"""Images of zeros with the derivative of jumps: what is seen at curves, times how these move."""
+"""Zero images with the derivative of discontinuities: the jump in radiance times the motion of curves."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from torch_radbp.tensors.vec import rows
 
 
 class JumpPlaces(NamedTuple):
-    """Places at which the camera sees an image jump."""
+    """Samples on discontinuity curves that the camera sees."""
 
     places: Places  # among others
-    shown: Tensor  # (K,) int32, which
-    strength: tuple[Tensor, ...]  # (K,) float64 of each channel, by how much it is more behind the curve than ahead
-    kinds: tuple[int, ...]  # of curves inside of triangles, that are among the places
+    shown: Tensor  # (K,) int32, indices of the visible ones
+    strength: tuple[Tensor, ...]  # (K,) float64 for each channel: value behind the curve less value ahead
+    kinds: tuple[int, ...]  # kinds of curves inside of triangles among them
 
 
 class JumpFunction(torch.autograd.Function):
-    """An image of zeros as a function of what curves follow, with the derivative of its jumps.
+    """A zero image with the derivative of its discontinuities, as a function of what curves depend on.
 
     How curves follow is found at once, so that nothing of the scene is kept for the backward pass.
     """
@@ -66,7 +66,7 @@ class JumpFunction(torch.autograd.Function):
 
 
 def image_of_jumps(stages: Stages, geometry: Geometry, camera: Camera, jumps: JumpPlaces, shape: tuple[int, int]) -> Tensor:
-    """(C, H, W) zeros with the derivative of jumps, backward.
+    """(C, H, W) zeros with the derivative of discontinuities, for the backward pass.
 
     Args:
         stages: of the call.
@@ -79,7 +79,7 @@ def image_of_jumps(stages: Stages, geometry: Geometry, camera: Camera, jumps: Ju
 
 
 def recorded_jumps(stages: Stages, geometry: Geometry, camera: Camera, jumps: JumpPlaces, shape: tuple[int, int]) -> Tensor:
-    """The same with a derivative that torch records, in either mode."""
+    """(C, H, W) zeros with the derivative of discontinuities, recorded by torch in either mode."""
     geometry = geometry if has_tangents(geometry) else summed(geometry)
     moved = stages(swept)(geometry, camera, jumps.places, jumps.shown, jumps.kinds)
     image = moved.new_zeros(len(jumps.strength), shape[0] * shape[1])

@@ -1,4 +1,4 @@
-"""T-junctions: vertices of a mesh that lie on an edge of another triangle, where the surface goes on without a gap."""
+"""T-junctions: vertices of a mesh on an edge of another triangle, where the surface continues without a gap."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ MOST_PAIRS = 1 << 22  # of edges and vertices that are looked at together
 
 
 def cut_at_vertices(points: Tensor, ends: Tensor, tolerance: float) -> tuple[Tensor, Tensor]:
-    """The pieces of those edges that some of their vertices lie on.
+    """Cuts edges into pieces at vertices that lie on them.
 
     Args:
         points: (V, 3) float64, all vertices.
@@ -34,8 +34,7 @@ def cut_at_vertices(points: Tensor, ends: Tensor, tolerance: float) -> tuple[Ten
 
 
 def vertices_on(points: Tensor, ends: Tensor, tolerance: float) -> tuple[Tensor, Tensor, Tensor]:
-    """The vertices of edges that lie on others of them: (J,) int64 which edge, the share of it before the vertex, and (J,)
-    int64 the vertex. Args as for `cut_at_vertices`."""
+    """Finds vertices on edges: (J,) int64 edges, positions along them, (J,) int64 vertices. Args: as `cut_at_vertices`."""
     height, own = points @ points.new_tensor(OBLIQUE), ends.unique()
     places, order = height[own].sort(stable=True)
     own, of_ends = own[order], height[ends]
@@ -49,7 +48,7 @@ def vertices_on(points: Tensor, ends: Tensor, tolerance: float) -> tuple[Tensor,
 
 def on_edges(points: Tensor, ends: Tensor, own: Tensor, edges: Tensor, first: Tensor, counts: Tensor,
              tolerance: float) -> tuple[Tensor, Tensor, Tensor]:
-    """What `vertices_on` says of some `edges`, each to be compared with `counts` of the vertices `own` from `first` on."""
+    """`vertices_on` for some `edges`, each compared with `counts` of the vertices `own` from `first` on."""
     edge = edges.repeat_interleave(counts)
     place = torch.arange(len(edge), device=edge.device) + (first - (counts.cumsum(0) - counts)).repeat_interleave(counts)
     vertex, (start, end) = own[place], points[ends[:, edge]]

@@ -1,4 +1,4 @@
-"""How curves of the film move that are places of the scene, and the derivative of that by what the places are made of."""
+"""The motion of discontinuity curves on the film, and its derivative by what the curves depend on."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def swept(geometry: Geometry, camera: Camera, places: Places, chosen: Tensor, ki
 
 
 def signed_area(geometry: Geometry, camera: Camera, places: Places, kinds: tuple[int, ...]) -> Tensor:
-    """What `swept` says, up to a constant, of places as they are."""
+    """The swept areas of samples, up to a constant; see `swept`."""
     seen = camera.kind.project(camera.lens, places.at(geometry), places.aperture)
     area = seen.x * camera.film.size_x * places.normal.x + seen.y * camera.film.size_y * places.normal.y
     for kind in kinds:
@@ -47,7 +47,7 @@ def signed_area(geometry: Geometry, camera: Camera, places: Places, kinds: tuple
 
 
 def level_of(geometry: Geometry, camera: Camera, places: Places, kind: int) -> Tensor | None:
-    """The level by which curves of a kind move over triangles, at places fixed to these; None: they do not."""
+    """The level function by which curves of a kind move over triangles, at fixed samples; None: such curves do not."""
     if kind == TEXTURE:
         return None if geometry.triangles.vertices.uv is None else number_of_line(geometry, places)
     if kind == INTERSECTION:
@@ -58,14 +58,14 @@ def level_of(geometry: Geometry, camera: Camera, places: Places, kind: int) -> T
 class Slopes(NamedTuple):
     """The derivatives of swept areas, (K,) each."""
 
-    tables: list[list[TableAdjoint]]  # for each wanted leaf of the geometry, by the numbers that were read from it
-    lens: list[Tensor]  # by each wanted leaf of the camera
+    tables: list[list[TableAdjoint]]  # for each differentiated leaf of the geometry, per entry read
+    lens: list[Tensor]  # for each differentiated leaf of the camera
 
 
 @stage("geometry", "camera", "places")
 def slopes(geometry: Geometry, camera: Camera, wanted: tuple[bool, ...], wanted_of_camera: tuple[bool, ...],
            places: Places, chosen: Tensor, kinds: tuple[int, ...]) -> Slopes:
-    """The derivatives of what `swept` gives.
+    """The derivatives of the swept areas of `swept`.
 
     Args:
         geometry, camera: detached; the rest as for `swept`.
@@ -86,7 +86,7 @@ def slopes(geometry: Geometry, camera: Camera, wanted: tuple[bool, ...], wanted_
 
 
 def by_index(reads: list[TableAdjoint]) -> list[TableAdjoint]:
-    """The adjoints of the reads of a table, those at one index summed in float64."""
+    """Sums the adjoints of a table's look-ups that have one index, in float64."""
     found: dict[int, TableAdjoint] = {}
     for index, adjoint in reads:
         known = found.get(id(index))
@@ -97,7 +97,7 @@ def by_index(reads: list[TableAdjoint]) -> list[TableAdjoint]:
 @stage("camera", "pixels", "film")
 def asked_of_places(camera: Camera, pixels: tuple[Tensor, ...], film: Vec2, strength: tuple[Tensor, ...],
                     chosen: Tensor, slopes: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
-    """The derivative of the loss by numbers that swept areas have some derivatives by, (K,) float64 each.
+    """The loss's derivatives by quantities on which swept areas depend, (K,) float64 each.
 
     Args:
         camera: detached.

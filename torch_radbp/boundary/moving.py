@@ -1,4 +1,4 @@
-"""What moves in a scene, and its triangles."""
+"""What moves in a scene, with its triangles."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ MOST_SHOWN = 1 << 20  # edges of instances of a group that are examined; of more
 
 
 class Moving(NamedTuple):
-    """What moves in the view of a camera."""
+    """Which shapes and instances move in the view of a camera."""
 
-    shapes: tuple[bool, ...]  # each shape, those of groups last
-    instances: tuple[bool, ...]  # each instance, as hits count but from 0
+    shapes: tuple[bool, ...]  # for each shape, those of groups last
+    instances: tuple[bool, ...]  # for each instance
 
 
 def moving_faces(scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Faces | None:
-    """The triangles of all that moves; None: there are none. Args as for `Outlines.of`."""
+    """The triangles of all that moves; None: nothing does. Args as for `Outlines.of`."""
     triangles, firsts = scene.triangles, list(accumulate(counts, initial=0))
     device = triangles.material.device
     instances = triangles.casting_instances
@@ -50,7 +50,7 @@ def moving_faces(scene: SceneTensors, counts: Sequence[int], moving: Moving, gen
 
 def chosen_instances(instances: Instances, group: int, moving: Moving, everywhere: bool, size: int,
                      generator: torch.Generator) -> tuple[Tensor, float]:
-    """The instances of a group that are examined, int64 from 0, and which share they are of those that move.
+    """Selects moving instances of a group, int64 from 0, at random if there are too many; and the fraction selected.
 
     Args:
         instances: of all groups.

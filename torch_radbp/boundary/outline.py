@@ -1,4 +1,4 @@
-"""The edges of triangle meshes at which an image may jump, in the world.
+"""The edges of meshes in the world at which an image may be discontinuous: silhouettes and creases.
 
 An image jumps at a silhouette, where a surface ends or turns away and another appears behind it, and at a crease, where two
 surfaces meet that are shaded differently. Along all other edges, those inside of smoothly shaded surfaces and of planes, it
@@ -42,27 +42,27 @@ from torch_radbp.texture.interleaved import interleaved
 
 
 class Outline(NamedTuple):
-    """E edges of triangles of a scene, in the world; functions of lanes read them."""
+    """E edges of a scene's triangles, in the world, as functions of lanes read them."""
 
-    edges: Edges  # between the scene's vertices
-    instance: Tensor | None  # (E,) int32 that shows each, as hits count; None: the scene has none
-    crease: Tensor  # (E,) int32, how much of a jump an edge may be that is no silhouette: `NONE`, `WHOLE`, `FOLD`, ...
+    edges: Edges  # by rows of the vertex table
+    instance: Tensor | None  # (E,) int32 instance as in a hit; None: the scene has none
+    crease: Tensor  # (E,) int32, discontinuity of an edge that is no silhouette: `NONE`, `WHOLE`, `FOLD`, ...
     folds: bool  # some are `FOLD` or `TURNED`
-    share: Tensor | None  # (E,) float64, probability with which an edge is among these; None: all are
-    parts: EdgeParts | None = None  # (E,) of the edges that are meant; None: these are whole, and lie on nothing
+    share: Tensor | None  # (E,) float64, probability of the edge's selection; None: all are selected
+    parts: EdgeParts | None = None  # (E,) the part of each edge; None: whole edges, which lie on no other surface
     slots: EdgeSlots | None = None  # of everything, see `edge_order.slots_of`
 
 
 class Jumps(NamedTuple):
-    """Where the image of a view may jump."""
+    """The discontinuity curves of a view."""
 
     outline: Outline | None  # edges; None: there are none
-    faces: Faces | None  # triangles inside of which it may
+    faces: Faces | None  # triangles that may contain curves
     segments: Segments | None  # straight curves inside of triangles
 
 
 class OutlinedMesh(NamedTuple):
-    """The edges of some triangles, and what they depend on."""
+    """The edges of some triangles, cached with what they depend on."""
 
     corners: tuple[Tensor, Tensor, Tensor]  # of all triangles of the scene
     smooth: Tensor | None  # of all triangles of the scene
@@ -71,14 +71,14 @@ class OutlinedMesh(NamedTuple):
 
 
 class MeshShown(NamedTuple):
-    """The edges of some triangles, and what shows them."""
+    """The edges of a mesh, and the instances that show it."""
 
     mesh: Outline | None  # without instances, never written into; None: there are none
     chosen: Tensor | None  # (C,) int64, instances from 0; None: it is in the world
-    part: float  # which share these are of those that are meant
+    part: float  # fraction of the moving instances that were selected
 
     def equals(self, other: MeshShown) -> bool:
-        """True if the other shows the same."""
+        """True if the other has the same edges and instances."""
         return self.mesh is other.mesh and self.part == other.part and _unchanged(self.chosen, other.chosen)
 
     def outline(self, instanced: bool) -> Outline:
@@ -94,14 +94,14 @@ class MeshShown(NamedTuple):
 
 
 class Shown(NamedTuple):
-    """The edges of all that moves, and what they depend on."""
+    """The edges of all that moves, cached with what they depend on."""
 
     meshes: list[MeshShown]
     outline: Outline | None
 
 
 class Outlines:
-    """Finds outlines, and remembers the edges of meshes whose triangles have not changed."""
+    """Finds outlines, and caches the edges of meshes whose triangles have not changed."""
 
     def __init__(self) -> None:
         self.known: dict[object, OutlinedMesh] = {}
@@ -112,7 +112,7 @@ class Outlines:
         self.passing = Passing()
 
     def of_views(self, rendering: Rendering, call: RenderCall, seed: int) -> list[Jumps]:
-        """Where each view of a call may jump: at all shapes where the camera moves, at those that move where it does not.
+        """The discontinuity curves of each view: at all shapes if its camera moves, else at moving shapes.
 
         Args:
             rendering: the call's.
@@ -143,7 +143,7 @@ class Outlines:
 
     def faces_of(self, scene: SceneTensors, counts: Sequence[int], moving: Moving,
                  generator: torch.Generator) -> Faces | None:
-        """The triangles of all that moves, found anew only if there are others; args as for `of`."""
+        """The triangles of all that moves, cached; args as for `of`."""
         key, known = key_of(scene, counts), self.faces.get(moving)
         if known is not None and known[0] == key:
             return known[1]
@@ -153,7 +153,7 @@ class Outlines:
         return faces
 
     def edges_expected(self, triangles: int) -> int:
-        """How many edges everything has, of so many triangles: as many as last time, or at most."""
+        """The expected number of edges of so many triangles: that of last time, or the greatest possible."""
         return self.sizes[1] if self.sizes is not None and self.sizes[0] == triangles else 3 * triangles
 
     def of_everything(self, rendering: Rendering, call: RenderCall, seed: int) -> Outline | None:
@@ -174,7 +174,7 @@ class Outlines:
         return found._replace(slots=self.order_of(scene, found, body))
 
     def order_of(self, scene: SceneTensors, outline: Outline, body: Tensor) -> EdgeSlots:
-        """The slots of all edges, found anew only if these have changed; `body`: (E,) whose they are."""
+        """The edges in the order of their tree, cached; `body`: (E,) body of each edge."""
         edges, instance = outline.edges, outline.instance
         tables = (edges.a, edges.b, body, *edges.opposite)
         if self.order is None or len(tables) != len(self.order[0]) or not all(map(_unchanged, tables, self.order[0])):
@@ -185,7 +185,7 @@ class Outlines:
         return self.order[1]
 
     def of(self, scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Outline | None:
-        """The edges of all that moves; None: there are none.
+        """The edges of all that moves; None: nothing does.
 
         Args:
             scene: detached.
@@ -208,7 +208,7 @@ class Outlines:
         return known.outline
 
     def crossing(self, rendering: Rendering, call: RenderCall, seed: int) -> Segments | None:
-        """Where bodies pass through each other, or through themselves, of which one moves or has points that may slide.
+        """The segments along which bodies intersect each other or themselves, if one moves or its points may slide.
 
         None: nowhere. Args as for `of_views`.
         """
@@ -219,11 +219,11 @@ class Outlines:
         return joined_segments(self.passing.segments(rendering, call, wanted, meshes, edges_of_shape, seed))
 
     def edges_of_shape(self, scene: SceneTensors, counts: Sequence[int]) -> Callable[[int], Edges]:
-        """A function that gives the edges of one shape by its number; args as for `of`."""
+        """A function that returns the edges of a shape by its number; args as for `of`."""
         return lambda number: self.mesh(scene.triangles, counts, (number,)).edges
 
     def of_bodies(self, scene: SceneTensors, counts: Sequence[int], moving: Moving) -> list[MeshOfBodies]:
-        """The edges of all that moves, each once; args as for `of`."""
+        """The edges of all that moves, without copies for instances; args as for `of`."""
         triangles, instances = scene.triangles, scene.triangles.casting_instances
         parts = [(self.mesh(triangles, counts, in_the_world(scene, counts, moving)), -1)]
         if instances is not None:
@@ -234,7 +234,7 @@ class Outlines:
         return [MeshOfBodies(outline.edges, group) for outline, group in parts if outline is not None]
 
     def of_meshes(self, rendering: Rendering, call: RenderCall) -> list[Outline]:
-        """The edges of all shapes of the world, and of each group, in the frames of their vertices."""
+        """The edges of all shapes in the world, and of each group in its own frame."""
         triangles, counts = call.still_scene.triangles, rendering.sizes
         instances, firsts = triangles.casting_instances, list(accumulate(rendering.sizes, initial=0))
         starts = [firsts[-1]] if instances is None else [int(first) for first in instances.first_triangle]
@@ -252,7 +252,7 @@ class Outlines:
         return MeshShown(mesh, *chosen_instances(instances, group, moving, everywhere, len(mesh.crease), generator))
 
     def mesh(self, triangles: TriangleTable, counts: Sequence[int], shapes: tuple[int, ...]) -> Outline | None:
-        """The edges of some shapes, found anew only if triangles of the scene have changed; None: there are none."""
+        """The edges of some shapes, cached while triangles are unchanged; None: there are none."""
         known = self.known.get(shapes)
         tables, reads = (*triangles.corners, triangles.smooth), tuple(
             column is not None for column in (triangles.vertices.n, triangles.vertices.uv))
@@ -282,7 +282,7 @@ KNOWN: WeakKeyDictionary[Scene, Outlines] = WeakKeyDictionary()
 
 
 def in_the_world(scene: SceneTensors, counts: Sequence[int], moving: Moving) -> tuple[int, ...]:
-    """The numbers of the shapes that move, but for those of groups; args as for `Outlines.of`."""
+    """The numbers of moving shapes outside of groups; args as for `Outlines.of`."""
     instances = scene.triangles.casting_instances
     last = sum(counts) if instances is None else int(instances.first_triangle[0])
     starts = accumulate(counts[:-1], initial=0)
@@ -290,7 +290,7 @@ def in_the_world(scene: SceneTensors, counts: Sequence[int], moving: Moving) -> 
 
 
 def of_group(instances: Instances, counts: Sequence[int], moving: Moving, group: int) -> tuple[tuple[int, ...], bool, bool]:
-    """The numbers of the shapes of a group, whether one of them moves, and whether one of its instances does."""
+    """The numbers of a group's shapes, whether one of these moves, and whether one of its instances does."""
     first, last = (int(instances.first_triangle[group + side]) for side in (0, 1))
     members = tuple(number for number, start in enumerate(accumulate(counts[:-1], initial=0)) if first <= start < last)
     shows = slice(int(instances.first_instance[group]), int(instances.first_instance[group + 1]))
@@ -298,12 +298,12 @@ def of_group(instances: Instances, counts: Sequence[int], moving: Moving, group:
 
 
 def moving_in(rendering: Rendering) -> Moving:
-    """What moves of itself, whatever cameras do."""
+    """What moves by parameters of the scene, apart from cameras."""
     return Moving(tuple(map(bool, rendering.movers)), rendering.moving_instances)
 
 
 def moving_or_sliding(rendering: Rendering) -> Moving | None:
-    """What moves, or has points that may slide if something moves; None: nothing moves."""
+    """What moves, or has points that may slide when something moves; None: nothing moves."""
     moving = moving_in(rendering)
     if not any(moving.shapes) and not any(moving.instances) and not any(rendering.camera_movers):
         return None
@@ -311,7 +311,7 @@ def moving_or_sliding(rendering: Rendering) -> Moving | None:
 
 
 def in_parts(scene: SceneTensors, outline: Outline | None, resting: Resting | None) -> Outline | None:
-    """An outline whose edges are in parts where they lie on other surfaces; `resting`: None: none do."""
+    """Divides an outline where edges lie on other surfaces; `resting`: None: none do."""
     found = None if outline is None or resting is None else edges_in_parts(
         geometry_of(scene), outline.edges, outline.instance, resting)
     return outline if found is None else rows(outline._replace(folds=None), found[0])._replace(
@@ -319,17 +319,17 @@ def in_parts(scene: SceneTensors, outline: Outline | None, resting: Resting | No
 
 
 def outlines_of(scene: Scene) -> Outlines:
-    """The outlines of a scene, which all that render it share."""
+    """The outlines of a scene, shared by all that render it."""
     return KNOWN.setdefault(scene, Outlines())
 
 
 def _unchanged(table: Tensor | None, known: Tensor | None) -> bool:
-    """True if a table, or its absence, is what it was; tables are never written into."""
+    """True if a table, or its absence, is unchanged; tables are never written into."""
     return table is known if table is None or known is None else same_values(table, known)
 
 
 def joined_outlines(parts: Sequence[Outline]) -> Outline | None:
-    """All edges of several outlines."""
+    """Joins the edges of several outlines."""
     if len(parts) < 2:
         return parts[0] if parts else None
     shares = [part.share for part in parts]

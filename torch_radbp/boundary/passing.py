@@ -1,4 +1,4 @@
-"""Where bodies pass through each other or through themselves, or touch, found anew only if something has moved."""
+"""Intersections of bodies with each other or with themselves, cached while nothing moves."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ MOST_KNOWN = 4  # selections of what moves for which bodies are remembered
 
 
 class CachedIntersections(NamedTuple):
-    """Where bodies pass through each other, and what that depends on."""
+    """Cached intersections of bodies, with what they depend on."""
 
     key: tuple  # of the bodies
-    bodies: Bodies | None  # None: there are less than two
-    place: tuple[Tensor, ...]  # of vertices and instances; (): not yet known
-    segments: Segments | None  # where they touch, too
-    resting: Resting | None = None  # edges that lie on others
+    bodies: Bodies | None  # None: fewer than two
+    place: tuple[Tensor, ...]  # of vertices and instances; (): not computed yet
+    segments: Segments | None  # contacts included
+    resting: Resting | None = None  # edges that lie on other surfaces
 
 
 class ShownByAll(NamedTuple):
-    """Where bodies pass through themselves, in all places, and what that depends on."""
+    """Cached self-intersections of bodies at all instances, with what they depend on."""
 
     key: tuple  # of the bodies
-    found: FoundOnce  # in the first place of each
+    found: FoundOnce  # at the first instance of each body
     segments: Segments | None
 
 
 class Passing:
-    """Finds where bodies pass through each other and through themselves."""
+    """Finds the intersections of bodies with each other and with themselves."""
 
     def __init__(self) -> None:
         self.known: dict[Moving, CachedIntersections] = {}
@@ -61,7 +61,7 @@ class Passing:
 
     def segments(self, rendering: Rendering, call: RenderCall, moving: Moving, meshes: Sequence[MeshOfBodies],
                  edges_of_shape: Callable[[int], Edges], seed: int) -> list[Segments]:
-        """The segments of all that moves, each in parts that may be none.
+        """The segments of intersections of all that moves, in several sets.
 
         Args:
             rendering: the call's.
@@ -77,7 +77,7 @@ class Passing:
 
     def of_single(self, rendering: Rendering, call: RenderCall, scene: SceneTensors, moving: Moving,
                   meshes: Sequence[MeshOfBodies], seed: int) -> Segments | None:
-        """Those of bodies that pass through themselves; args as for `segments`, and the scene of the call, detached."""
+        """The segments of self-intersections; args as for `segments`, and the detached scene of the call."""
         may = [crosses and own for crosses, own in zip(rendering.self_crossing, with_groups(rendering, moving))]
         if not meshes or not any(may):
             return None
@@ -96,7 +96,7 @@ class Passing:
 
     def of_pairs(self, rendering: Rendering, call: RenderCall, moving: Moving, edges_of_shape: Callable[[int], Edges],
                  seed: int) -> CachedIntersections:
-        """Where two bodies each pass through each other, or touch; args as for `segments`."""
+        """The intersections and contacts of pairs of bodies; args as for `segments`."""
         scene, generator = call.still_scene, torch.Generator("cpu").manual_seed(seed % (1 << 63))
         instances, key = scene.triangles.instances, key_of(scene, rendering.sizes)
         known = self.known.get(moving)
@@ -119,14 +119,14 @@ class Passing:
 
 
 def key_of(scene: SceneTensors, counts: Sequence[int]) -> tuple:
-    """Equal of scenes with the same triangles and instances, wherever these are; `counts`: as for `Outlines.of`."""
+    """A key that is equal for scenes with the same triangles and instances, whatever their poses."""
     casting = scene.triangles.casting_instances
     return scene.device, tuple(counts), None if casting is None else (
         *casting.first_triangle.tolist(), *casting.first_instance.tolist())
 
 
 def remember(known: dict[Moving, Any], moving: Moving, found: Any) -> None:
-    """Keeps what is known of a selection of what moves, and forgets the oldest of many."""
+    """Caches what was found for a selection of moving bodies, and drops the oldest entries."""
     known.pop(moving, None)
     known[moving] = found
     if len(known) > MOST_KNOWN:
@@ -141,7 +141,7 @@ def with_groups(rendering: Rendering, moving: Moving) -> list[bool]:
 
 
 def bodies_of(scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Bodies | None:
-    """All bodies, and which of them move; None: there are less than two. Args as for `Outlines.of`."""
+    """All bodies, and which of them move; None: fewer than two. Args as for `Outlines.of`."""
     faces = moving_faces(scene, counts, Moving(*((True,) * len(part) for part in moving)), generator)
     if faces is None:
         return None

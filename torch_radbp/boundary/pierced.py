@@ -1,4 +1,4 @@
-"""Where bodies pass through themselves: the segments along which their triangles meet, found by rays along their edges.
+"""Self-intersections of bodies: segments along which their triangles meet, found by rays along edges.
 
 A segment along which two triangles meet ends where an edge of one of them pierces the other one. So rays along all edges of
 a body find each segment twice, once from either end. Of many edges some are looked at, in each rendering others, which count
@@ -33,27 +33,27 @@ MOST_PIERCED = 64  # triangles that are looked for along one edge
 
 
 class BodyEdges(NamedTuple):
-    """The E edges of all bodies that are asked about, in the world."""
+    """The E edges in the world of bodies that may intersect themselves."""
 
     edges: Edges
-    instance: Tensor | None  # (E,) int32 that shows each, as hits count; None: the scene has none
+    instance: Tensor | None  # (E,) int32 instance as in a hit; None: the scene has none
 
 
 class Probes(NamedTuple):
-    """N edges that are looked at."""
+    """N edges that are selected for a test of self-intersection."""
 
     edge: Tensor  # (N,) int64, which
-    share: float  # how often one edge is among them, in the mean
+    share: float  # probability of an edge's selection
 
 
 def edges_looked_at(call: RenderCall) -> int:
-    """How many edges are looked at in one rendering, if there are so many."""
+    """The greatest number of edges that are examined in one rendering."""
     paths = call.spp * max(view.width * view.height for view in call.views)
     return max(FEWEST, min(MOST, paths // SHARE))
 
 
 def probes(count: int, most: int, generator: torch.Generator) -> Probes:
-    """Some of so many edges, spread evenly; `generator`: picks them where there are more than `most`; on the CPU."""
+    """Selects edges, spread evenly; `generator`: picks them if there are more than `most`; on the CPU."""
     if count <= most:
         return Probes(torch.arange(count, device="cpu"), 1.0)
     steps = torch.arange(most, dtype=torch.float64, device="cpu")
@@ -63,7 +63,7 @@ def probes(count: int, most: int, generator: torch.Generator) -> Probes:
 
 @stage("geometry", "bodies")
 def ray_along_edge(geometry: Geometry, bodies: BodyEdges, chosen: Tensor) -> Ray:
-    """Rays along some edges, in the dtype of the scene: from one end, t = 0, to the other, t = 1.
+    """Rays along edges, in the dtype of the scene: from one end, t = 0, to the other, t = 1.
 
     Args:
         geometry: of the scene, detached.
@@ -78,7 +78,7 @@ def ray_along_edge(geometry: Geometry, bodies: BodyEdges, chosen: Tensor) -> Ray
 
 def self_intersections(caster: RayCaster, stages: Stages, geometry: Geometry, bodies: BodyEdges, looked_at: Probes,
                        ends: Tensor) -> Segments | None:
-    """The segments along which bodies meet themselves; None: none was found.
+    """Finds the segments along which bodies intersect themselves; None: there are none.
 
     Args:
         caster: of the scene.
@@ -115,7 +115,7 @@ def self_intersections(caster: RayCaster, stages: Stages, geometry: Geometry, bo
 
 
 def once_each(segments: Segments) -> Segments:
-    """Segments of which one may be there several times, or once where an edge pierces another edge; each surely once."""
+    """Removes duplicates of segments, which both ends or two edges may have found."""
     low, high = torch.minimum(segments.triangle, segments.through), torch.maximum(segments.triangle, segments.through)
     pairs = torch.stack([low, high, *(() if segments.instance is None else [segments.instance])])
     found, which = torch.unique(pairs, dim=1, return_inverse=True)
@@ -125,12 +125,12 @@ def once_each(segments: Segments) -> Segments:
 
 
 def shape_of(ends: Tensor, triangle: Tensor) -> Tensor:
-    """The shapes that triangles, (N,) int32, belong to; `ends`: of `self_intersections`."""
+    """The shape of each triangle, (N,) int32; `ends`: of `self_intersections`."""
     return torch.bucketize(triangle, ends.to(triangle.dtype), right=True)
 
 
 def pierced(caster: RayCaster, ray: Ray) -> Iterator[tuple[Tensor, Tensor, Tensor | None]]:
-    """The triangles that rays, (N,), meet up to t = 1: numbers of rays, int64, triangles, int32, and what shows these."""
+    """Yields the triangles that rays, (N,), cross up to t = 1: ray indices, int64, triangles, int32, and instances."""
     lane = caster.occluded(ray, torch.ones_like(ray.o.x)).nonzero().squeeze(1)
     passed, last = torch.zeros_like(ray.o.x[lane]), torch.full_like(lane, -1)
     for _ in range(MOST_PIERCED):

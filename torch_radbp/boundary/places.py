@@ -1,4 +1,4 @@
-"""Places on the film at which an image jumps, and where they lie on the surfaces of the scene."""
+"""Samples on discontinuity curves of the film, with their positions on the scene's surfaces."""
 
 from __future__ import annotations
 
@@ -47,58 +47,58 @@ SILHOUETTE, CREASE, RIM, NEAR, FAR, TEXTURE, INTERSECTION = range(7)
 
 
 class Glued(NamedTuple):
-    """Points of triangles, (N,) each."""
+    """Points of triangles, fixed at barycentric coordinates, (N,) each."""
 
-    prim: Tensor  # int32, as hits count; -1: it is not known which
-    u: Tensor  # barycentric weight of the second vertex; of the triangle, not of what it is glued to
-    v: Tensor  # of the third
+    prim: Tensor  # int32, as in a hit; -1: unknown
+    u: Tensor  # barycentric coordinate of the second vertex
+    v: Tensor  # and of the third
 
 
 class Places(NamedTuple):
-    """N places on curves at which an image jumps, in one view; float64 where not said otherwise, detached."""
+    """N samples on discontinuity curves, in one view; float64 where not said otherwise, detached."""
 
     kind: Tensor  # (N,) int32: SILHOUETTE, CREASE, ...
     between: Between
-    instance: Tensor | None  # (N,) int32 that shows these vertices, as hits count; None: the scene has none
-    u: Tensor  # (N,) barycentric coordinates: of the second vertex
-    v: Tensor  # of the third
+    instance: Tensor | None  # (N,) int32 instance as in a hit; None: the scene has none
+    u: Tensor  # (N,) barycentric coordinate of the second vertex
+    v: Tensor  # and of the third
     p: Vec3  # world
     film: Vec2  # pixels from the upper left corner of the window
-    normal: Vec2  # across the curve on the film; as long as the piece of it that the place stands for, pixels
-    side: Tensor  # 1 where the surface lies ahead on the film, on a rim its front; -1 where it lies behind
-    drift: Tensor  # what the curve moves along its normal where its level changes by one at a fixed place; 0 on edges
-    depth: Tensor  # how far the triangles at the curve reach from the place along the line of sight, world
-    behind: Glued  # what lies right behind the curve on the film, on an outline the surface that ends there
-    ahead: Glued  # right ahead, likewise
-    through: Tensor  # (N,) int32, the triangle that passes through there; -1: none
-    shown_by: Tensor | None  # (N,) int32, the instance that shows that, as `instance`
+    normal: Vec2  # normal of the curve on the film; its length is that of the piece of curve per sample, pixels
+    side: Tensor  # 1 where the surface (on a rim its front) lies ahead on the film; -1 where it lies behind
+    drift: Tensor  # motion of the curve along its normal per unit of its level function; 0 on edges
+    depth: Tensor  # extent of the triangles at the curve along the line of sight, world
+    behind: Glued  # point right behind the curve on the film, on the surface that ends there
+    ahead: Glued  # point right ahead of it
+    through: Tensor  # (N,) int32, triangle that intersects there; -1: none
+    shown_by: Tensor | None  # (N,) int32, its instance
     key: LaneKey  # of random numbers
     aperture: Vec2 | None  # as of `CameraKind.sample_ray`
-    counts: Tensor  # (N,) bool: in some pixel
-    slope: Vec2  # on lines of textures what their numbers change by with the surface coordinates, else 0
+    counts: Tensor  # (N,) bool: it contributes to a pixel
+    slope: Vec2  # on texture lines the derivative of the line's number by uv, else 0
 
     def at(self, geometry: Geometry) -> Vec3:
-        """The places in the world, glued to their triangles; attached, float64."""
+        """The world positions of the samples, fixed to their triangles; attached, float64."""
         return interpolated(positions(geometry, self.between, self.instance), self.u, self.v)
 
 
 class Sight(NamedTuple):
-    """What a view shows, as functions of lanes read it; detached."""
+    """A view as functions of lanes read it for boundary terms; detached."""
 
     camera: Camera
     eye: Eye
-    frustum: Frustum  # around what counts, in the view or beyond it by what the filter reaches
-    seed: SampleKey  # of the random numbers of places
-    lamps: tuple[Eye, ...]  # see `terminators.lamps_of`
+    frustum: Frustum  # around all that contributes to pixels, filter margin included
+    seed: SampleKey  # key of the samples' random numbers
+    lamps: tuple[Eye, ...]  # emitters as viewpoints, see `terminators.lamps_of`
 
 
 def sight_of(view: View, lamps: tuple[Eye, ...]) -> Sight:
-    """What a detached view shows of a scene with these lamps."""
+    """The `Sight` of a detached view, of a scene with these lamps."""
     return Sight(view.camera, *known_view(view.camera, view.width, view.height), view.sample_keys[1], lamps)
 
 
 def eye_and_frustum(camera: Camera, width: int, height: int) -> tuple[Eye, Frustum]:
-    """From where a detached camera sees images of so many pixels, and what contains all that counts there."""
+    """The viewpoint of a detached camera, and the frustum of an image of width x height pixels."""
     film, reach = camera.film, camera.film.kernel.radius
     with torch.inference_mode(False):  # they may be kept, for renderings that are differentiated
         x, y = (torch.stack([(crop - reach) / size, (crop + pixels + reach) / size]).double()
@@ -112,12 +112,12 @@ known_view = functools.lru_cache(maxsize=16)(eye_and_frustum)
 
 
 def taken_by(stages: Stages, size: int) -> int:
-    """The bytes that places take by such stages, if they take `size` in plain torch."""
+    """The bytes that samples take, if they take `size` in plain torch."""
     return int(size * (FUSED if stages.is_compiled else 1.0))
 
 
 class PlaceNumbers(NamedTuple):
-    """The random numbers of some places."""
+    """The random numbers of samples on discontinuity curves."""
 
     key: LaneKey
     along: Tensor  # (N,) in [0, 1)
@@ -125,7 +125,7 @@ class PlaceNumbers(NamedTuple):
 
 
 def place_numbers(sight: Sight, place: Tensor, salt: int) -> PlaceNumbers:
-    """The random numbers of places, (N,) int32; curves of another kind have another salt."""
+    """The random numbers of samples, (N,) int32; each kind of curve has its own salt."""
     salted = SampleKey(hash32(sight.seed.seed ^ (SALT + salt)), sight.seed.shared)
     lanes = lane_key(salted, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
     along, aperture = fine_unit(random_bits(bounce_key(lanes, CAMERA_COUNTER), ALONG)), None
@@ -136,9 +136,7 @@ def place_numbers(sight: Sight, place: Tensor, salt: int) -> PlaceNumbers:
 
 
 def place_counts(lengths: Sequence[float], call: RenderCall, view: View) -> list[int]:
-    """How many places are sampled on curves of each kind: as many as a pixel has samples for each pixel of length, but all
-    together no more than a share of the paths of the image, beside whose part of a gradient's variance that of the places
-    is small (`python -m benchmarks.primary --noise`).
+    """The number of samples for each kind of curve: as many per pixel of length as a pixel has samples, but limited.
 
     Args:
         lengths: of the curves of each kind on the film, pixels.
@@ -150,21 +148,21 @@ def place_counts(lengths: Sequence[float], call: RenderCall, view: View) -> list
 
 
 class Lot(NamedTuple):
-    """What W things are picked by, in proportion to weights."""
+    """A discrete distribution over W items, for stratified sampling."""
 
     weight: Tensor  # (W,) float64, not normalised
     total: Tensor  # (W,) its running sum
-    step: Tensor  # () what one place stands for
+    step: Tensor  # () weight per sample
     last: Tensor  # () int64, W - 1
 
 
 def lot_of(weight: Tensor, count: int, total: Tensor) -> Lot:
-    """What `count` places are picked by, of weights, (W,), and their running sum."""
+    """The distribution for `count` samples from weights, (W,), and their running sum."""
     return Lot(weight, total, total[-1] / count, torch.full((), len(weight) - 1, dtype=torch.int64, device=weight.device))
 
 
 def picked(lot: Lot, place: Tensor, along: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Picks one thing for each of N places, in order.
+    """Samples one item for each of N samples, in order (stratified).
 
     Args:
         lot: what is picked.
@@ -182,14 +180,14 @@ def picked(lot: Lot, place: Tensor, along: Tensor) -> tuple[Tensor, Tensor, Tens
 
 
 def on_film(camera: Camera, p: Vec3, aperture: Vec2 | None) -> Vec2:
-    """Where world points are seen, pixels from the upper left corner of the window."""
+    """Projects world points to the film, pixels from the upper left corner of the window."""
     film = camera.film
     place = camera.kind.project(camera.lens, p, aperture)
     return Vec2(place.x * film.size_x - film.crop_x, place.y * film.size_y - film.crop_y)
 
 
 def length_in_view(sight: Sight, a: Vec3, b: Vec3) -> Tensor:
-    """The lengths in view of lines from a to b, (N,) points of the world; float64 pixels, seen from the middle of a lens.
+    """The visible lengths of lines from a to b, (N,) world points; float64 pixels, from the centre of the lens.
 
     They are those by which lines are picked, and need not be exact.
     """
@@ -202,7 +200,7 @@ def length_in_view(sight: Sight, a: Vec3, b: Vec3) -> Tensor:
 
 
 def velocities_on_film(camera: Camera, p: Vec3, directions: Sequence[Vec3], aperture: Vec2 | None) -> list[Vec2]:
-    """How fast points are seen to move, pixels, that move in some directions; (N,) each, by the derivative of `on_film`."""
+    """The velocities on the film, pixels, of points that move in given directions; (N,) each."""
     def velocity(direction: Vec3, coordinate: int) -> Tensor:
         with torch.enable_grad():
             step = (0.0 * p.x).requires_grad_()
@@ -213,7 +211,7 @@ def velocities_on_film(camera: Camera, p: Vec3, directions: Sequence[Vec3], aper
 
 
 def counts_somewhere(camera: Camera, place: Vec2) -> Tensor:
-    """True for points of the film that count in a pixel; (N,) bool."""
+    """(N,) bool: points of the film that contribute to a pixel."""
     found = torch.zeros_like(place.x, dtype=torch.bool)
     for _, count in camera.film.around(place):
         found = found | (count != 0.0)
@@ -221,12 +219,12 @@ def counts_somewhere(camera: Camera, place: Vec2) -> Tensor:
 
 
 def unknown(like: Tensor) -> Glued:
-    """Points of which nothing is known, as many as a (N,) tensor has entries."""
+    """Unknown points on triangles, one for each entry of a (N,) tensor."""
     return Glued(torch.full_like(like, -1, dtype=torch.int32), torch.zeros_like(like), torch.zeros_like(like))
 
 
 def depth_of(camera: Camera, p: Vec3, vertices: Sequence[Vec3], aperture: Vec2 | None) -> Tensor:
-    """How far some vertices, (N,) each, lie from places p along the lines of sight through these; (N,) world."""
+    """The extent of vertices, (N,) each, from points p along their lines of sight; (N,) world."""
     towards = camera.kind.towards(camera.lens, p, aperture)
     away = torch.zeros_like(p.x)
     for vertex in vertices:
@@ -236,7 +234,7 @@ def depth_of(camera: Camera, p: Vec3, vertices: Sequence[Vec3], aperture: Vec2 |
 
 @stage("sight", "places", "chosen")
 def rays_beside(sight: Sight, places: Places, chosen: Tensor, count: Tensor, lane: Tensor, cones: bool) -> CameraSample:
-    """Rays to places on curves, then rays behind, then rays ahead of the curves: three for each place.
+    """Camera rays to samples, then behind, then ahead of the curves: three for each sample.
 
     Args:
         sight: of the places.
@@ -269,5 +267,5 @@ def rays_beside(sight: Sight, places: Places, chosen: Tensor, count: Tensor, lan
 
 
 def apart_at(p: Vec3, distance: Tensor) -> Tensor:
-    """How far off places `p` on either side of a curve lie, world units; `distance` (N,) from where the rays start."""
+    """The offset of points on either side of a curve at `p`, world units; `distance` (N,) from the ray's origin."""
     return torch.maximum(APART * distance, ROUNDED * max_component(p.map(torch.abs)))

@@ -1,4 +1,4 @@
-"""What the jumps of an image add to its derivative: the boundary term of primary visibility.
+"""The boundary term of primary visibility: derivatives from discontinuities that the camera sees directly.
 
 Where the radiance L jumps along a curve of the film, and the curve moves by v, a pixel that counts points of the film by h
 changes by
@@ -77,14 +77,14 @@ Evaluate = Callable[[Integrand, PathState, Hit], tuple[Tensor, ...]]
 
 
 class SeenByCamera(NamedTuple):
-    """What camera paths see that may jump."""
+    """The quantities along camera paths that may be discontinuous."""
 
-    turns: tuple[bool, ...]  # for each channel, whether it differs between the two sides of a surface
-    evaluate: Evaluate  # gives the channels, detached
+    turns: tuple[bool, ...]  # for each channel, whether the two sides of a surface differ
+    evaluate: Evaluate  # computes the channels, detached
 
 
 class ExaminedView(NamedTuple):
-    """A view that is looked at for jumps."""
+    """A view whose discontinuities are sampled."""
 
     stages: Stages
     geometry: Geometry | Any  # detached; prepared for the stages
@@ -93,7 +93,7 @@ class ExaminedView(NamedTuple):
 
 
 def moves(call: RenderCall) -> bool:
-    """True if a vertex, a shading normal, an instance or a camera has derivatives, or a line of a texture slides."""
+    """True if a vertex, shading normal, instance or camera is differentiated, or a line of a texture slides."""
     vertices, instances = call.scene.triangles.vertices, call.scene.triangles.instances
     slide = any_differentiated(vertices.uv) and any(
         isinstance(part, Texture) and part.jumps() for part in call.module.modules())
@@ -102,7 +102,7 @@ def moves(call: RenderCall) -> bool:
 
 
 def bytes_of_jumps(call: RenderCall) -> int:
-    """What curves at which the images of a call jump, and places on them, take of memory where curves are long."""
+    """The bytes for discontinuity curves and samples on them, if curves are long."""
     triangles, paths = len(call.scene.triangles.material), call.spp * max(view.width * view.height for view in call.views)
     instances = call.scene.triangles.instances
     triangles += 0 if instances is None else min(MOST_SHOWN, triangles * len(instances.number))
@@ -113,7 +113,7 @@ def bytes_of_jumps(call: RenderCall) -> int:
 
 
 def image_jumps(call: RenderCall, jumps: list[Jumps | None]) -> Tensor:
-    """(B, 3, H, W) zeros whose derivative is what jumps contribute to the image; `jumps`: of each view."""
+    """(B, 3, H, W) zeros whose derivative is that of the image's discontinuities; `jumps`: of each view."""
     def radiance(integrand: Integrand, start: PathState, hit: Hit) -> tuple[Tensor, ...]:
         return tuple(trace(integrand, start, hit=hit))
 
@@ -121,7 +121,7 @@ def image_jumps(call: RenderCall, jumps: list[Jumps | None]) -> Tensor:
 
 
 def jumps_of_views(call: RenderCall, jumps: list[Jumps | None], seen: SeenByCamera) -> Tensor:
-    """(B, C, H, W) zeros with the derivative of jumps in C channels."""
+    """(B, C, H, W) zeros with the derivative of discontinuities in C channels."""
     still = call.still()
     lamps = lamps_of(still)
     return torch.stack([jumps_of_view(call, still, number, own, seen, lamps) for number, own in enumerate(jumps)])
@@ -129,7 +129,7 @@ def jumps_of_views(call: RenderCall, jumps: list[Jumps | None], seen: SeenByCame
 
 def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps | None, seen: SeenByCamera,
                   lamps: tuple[Eye, ...]) -> Tensor:
-    """(C, H, W) of view `number`.
+    """(C, H, W) zeros with the derivative of discontinuities, for view `number`.
 
     Args:
         call, seen: as for `jumps_of_views`.
@@ -155,7 +155,7 @@ def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps
 
 
 def _places_of(call: RenderCall, number: int, viewed: ExaminedView, jumps: Jumps, rims: bool) -> list[Places]:
-    """Places on all curves at which view `number` may jump; `rims`: those of shading normals are among them."""
+    """Samples all discontinuity curves of view `number`; `rims`: those of shading normals included."""
     stages, found = viewed.stages, []
     if jumps.outline is not None:
         found.append(lines_in_view(viewed, jumps.outline, stages(edge_weight), stages(edge_place)))
@@ -171,22 +171,22 @@ def _places_of(call: RenderCall, number: int, viewed: ExaminedView, jumps: Jumps
 
 
 class InView(NamedTuple):
-    """Places in a view, of which some are asked about."""
+    """Samples on a view's discontinuity curves, prepared for compiled functions."""
 
     places: Places
     table: Places | Any  # the same, prepared for the stages
-    kinds: tuple[int, ...]  # of curves inside of triangles that move on these, among them
+    kinds: tuple[int, ...]  # kinds of moving curves inside of triangles among them
 
 
 class CurvesInView(NamedTuple):
-    """Curves of one kind in a view."""
+    """The discontinuity curves of one kind that a view sees."""
 
-    length: float  # on the film, of those that may jump less counted as less, pixels
-    places: Callable[[int], Places]  # so many, in proportion to lengths
+    length: float  # on the film, pixels; weak discontinuities count less
+    places: Callable[[int], Places]  # samples so many points in proportion to length
 
 
 def lines_in_view(viewed: ExaminedView, lines: Outline | Segments, weigh: Callable, place: Callable) -> CurvesInView | None:
-    """What is seen of straight lines; None: nothing.
+    """The visible straight curves of a view; None: there are none.
 
     Args:
         viewed: from where.
@@ -205,7 +205,7 @@ def lines_in_view(viewed: ExaminedView, lines: Outline | Segments, weigh: Callab
 
 
 def contours_in_view(viewed: ExaminedView, faces: Faces, kind: int, crossed: Tensor) -> CurvesInView | None:
-    """What is seen of the curves of one kind inside of triangles, `crossed` (K,) int32 among them; None: nothing."""
+    """The visible curves of one kind inside of triangles, `crossed` (K,) int32 among them; None: there are none."""
     stages, geometry, sight, camera = viewed
     if not len(crossed):
         return None
@@ -226,13 +226,13 @@ def contours_in_view(viewed: ExaminedView, faces: Faces, kind: int, crossed: Ten
 
 
 def lanes(count: int, like: Tensor) -> Tensor:
-    """0, 1, ..., (count,) int32."""
+    """The int32 tensor 0, 1, ..., (count,)."""
     return torch.arange(count, dtype=torch.int32, device=like.device)
 
 
 def strengths(call: RenderCall, integrand: Integrand, viewed: ExaminedView, places: Places,
               seen: SeenByCamera) -> JumpPlaces | None:
-    """The places of which the camera sees the jump, and by how much what is seen changes there; None: no place counts.
+    """The visible samples, and the discontinuity of what is seen there; None: there are none.
 
     Args:
         call: without derivatives.
@@ -262,15 +262,14 @@ def strengths(call: RenderCall, integrand: Integrand, viewed: ExaminedView, plac
 
 
 def _kinds_of(places: Places) -> tuple[int, ...]:
-    """The kinds of curves inside of triangles that move on these, among some places."""
+    """The kinds of moving curves inside of triangles among some samples."""
     counts = torch.bincount(places.kind, minlength=INTERSECTION + 1).tolist()
     return tuple(kind for kind in (RIM, NEAR, FAR, TEXTURE, INTERSECTION) if counts[kind])
 
 
 def differences(call: RenderCall, integrand: Integrand, viewed: ExaminedView, found: InView, asked: Tensor,
                 seen: SeenByCamera) -> tuple[Tensor, Tensor]:
-    """Of some places, `asked` (M,) int32, those that nothing hides, (K,) int32, and what is seen behind less what is seen
-    ahead of the curve, (C, K) float64; the rest as for `strengths`."""
+    """Of samples `asked` (M,) int32: the visible ones, (K,) int32, and values behind less values ahead, (C, K) float64."""
     stages, geometry, sight, _ = viewed
     places, table, kinds = found
     sent = torch.full((), len(asked), dtype=torch.int32, device=asked.device)

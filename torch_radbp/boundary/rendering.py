@@ -1,4 +1,4 @@
-"""The rendering that is about to start, and what moves in it."""
+"""The rendering that is about to start, and what moves in it, for boundary terms and warnings."""
 
 from __future__ import annotations
 
@@ -40,42 +40,42 @@ class Rendering:
     """The rendering that is about to start."""
 
     scene: Scene  # with the parameters of this rendering
-    looks: Sequence[tuple[View, Lens]]  # for each place from which a sensor looks
-    caster: RayCaster  # of the scene as it is now
+    looks: Sequence[tuple[View, Lens]]  # for each viewpoint of each sensor
+    caster: RayCaster  # of the current scene
     sampling: str  # "detached", "hybrid" or "attached"
     cache: PackCache  # of this rendering
-    instances: Instances | None  # of the scene as it is now
-    primary: bool  # derivatives have what edges in view contribute
-    shadows: bool  # and what borders of shadows do
+    instances: Instances | None  # of the current scene
+    primary: bool  # boundary terms of edges in view are computed
+    shadows: bool  # boundary terms of shadows are computed
     max_depth: int  # of paths, as the renderer has it
-    tensors: SceneTensors  # of the scene as it is now, attached
+    tensors: SceneTensors  # of the current scene, attached
 
     @property
     def has_area(self) -> bool:
-        """True if pixels have an area, which edges sweep; False: what is seen are single rays."""
+        """True if pixels have an area that edges sweep; False for single rays."""
         return all(view.camera.kind.has_area for view, _ in self.looks)
 
     @cached_property
     def sensors(self) -> list[Sensor]:
-        """The sensors; one that looks from several places is there several times."""
+        """The sensors, repeated for each viewpoint that they have."""
         return [view.sensor for view, _ in self.looks]
 
     @cached_property
     def sights(self) -> list[CameraSight]:
-        """What each of `sensors` sees."""
+        """The camera and film of each of `sensors`."""
         return [whole_sight(view, lens) for view, lens in self.looks]
 
     @cached_property
     def camera_movers(self) -> list[list[str]]:
-        """For each of `sensors`, its parameters with derivatives."""
+        """For each of `sensors`, its differentiated parameters."""
         return [self.moving(sensor) for sensor in self.sensors]
 
     def materials(self) -> list[tuple[BSDF, Kind]]:
-        """The materials, one for each side, and how they scatter."""
+        """The materials, one for each side, with their kinds."""
         return list(self.cache.made(MATERIALS).described)
 
     def moving(self, plugin: Plugin, attributes: Sequence[str] | None = None) -> list[str]:
-        """The full names of those attributes of a plugin, or of all, that have derivatives in this rendering."""
+        """The full names of differentiated attributes of a plugin, among some or all."""
         def find() -> list[str]:
             asked = [name for name in (plugin.domains() if attributes is None else attributes)
                      if asks_for_derivatives(getattr(plugin, name, None))]
@@ -84,14 +84,14 @@ class Rendering:
         return find() if isinstance(plugin, Sensor) else self.known((plugin, attributes), find)
 
     def known(self, key: Hashable, find: Callable[[], Any]) -> Any:
-        """What a function found in the last rendering if the scene, but for its sensors, has the same attributes; or now."""
+        """The result of `find`, cached while the scene (sensors aside) has the same attributes."""
         facts, key = self.cache.facts(self.scene), (Rendering, key, torch.is_grad_enabled())
         if key not in facts:
             facts[key] = find()
         return facts[key]
 
     def turning(self, bsdf: BSDF, kind: Kind) -> list[str]:
-        """The names of those textures of a material that have derivatives and turn directions which carry them."""
+        """The names of a material's differentiated textures on which differentiated directions depend."""
         slots, textures = turning_values(kind, self.sampling), bsdf.textures()
         return [texture_name(self.scene, textures[slot]) for slot in slots
                 if any(map(asks_for_derivatives, textures[slot].sources()))]
@@ -108,12 +108,12 @@ class Rendering:
 
     @cached_property
     def shapes(self) -> list[Surface]:
-        """All shapes of the scene, those of groups among them."""
+        """All shapes of the scene, those of groups included."""
         return self.known("shapes", lambda: self.scene.shapes)
 
     @cached_property
     def sizes(self) -> list[int]:
-        """The number of triangles of each shape; the caster has them in the order of the shapes."""
+        """The number of triangles of each shape, in the order of the caster's triangles."""
         return [len(shape.faces) for shape in self.cache.made(PLACED)]
 
     def placed(self, number: int) -> PlacedShape:
@@ -122,12 +122,12 @@ class Rendering:
 
     @cached_property
     def shape_of(self) -> Tensor:
-        """The number of the shape of each triangle of the caster, (T,) int64; a hit counts those of a group once."""
+        """The shape of each triangle of the caster, (T,) int64; a hit counts those of a group once."""
         return torch.repeat_interleave(torch.tensor(self.sizes, device=self.caster.faces.device))
 
     @cached_property
     def seen(self) -> ShownTriangles:
-        """The triangles in the world; of groups of many, those of some instances."""
+        """The triangles in the world; of groups with many instances those of some."""
         sizes = self.sizes
         if self.instances is None:
             return ShownTriangles(self.caster.vertices, self.caster.faces, sizes)
@@ -138,17 +138,17 @@ class Rendering:
 
     @cached_property
     def moving_instances(self) -> tuple[bool, ...]:
-        """Whether each instance moves by a pose of its own, in the order in which hits count them."""
+        """For each instance, whether its own pose is differentiated, in the order of hits."""
         return tuple(bool(self.moving(instance, MOVE_SHAPES)) for instances in self.scene.groups.values()
                      for instance in instances)
 
     @cached_property
     def movers(self) -> list[list[str]]:
-        """For each shape, the parameters that move it, of those with derivatives; its own and those of its instances."""
+        """For each shape, the differentiated parameters that move it; its own and those of its instances."""
         return self.known("movers", self.found_movers)
 
     def found_movers(self) -> list[list[str]]:
-        """`movers`, looked for."""
+        """For each shape, the differentiated parameters that move it; computed, for the cached `movers`."""
         of_groups = {group: [name for instance in instances for name in self.moving(instance, MOVE_SHAPES)]
                      for group, instances in self.scene.groups.items()}
         return [[*self.moving(shape, MOVE_SHAPES), *(of_groups[id(instances[0].shapegroup)] if instances else ())]
@@ -156,8 +156,7 @@ class Rendering:
 
     @cached_property
     def self_crossing(self) -> list[bool]:
-        """For each shape, whether it may be a part of something that passes through itself: a mesh, or a group that an
-        instance shows."""
+        """For each shape, whether it may belong to a body that intersects itself: a mesh, or an instanced group."""
         members = Counter(id(instances[0].shapegroup) for instances in self.scene.shown_by if instances)
         return [shape.may_cross_itself or bool(instances) and members[id(instances[0].shapegroup)] > 1
                 for shape, instances in zip(self.shapes, self.scene.shown_by)]
@@ -177,18 +176,18 @@ class Rendering:
 
     @cached_property
     def sliders(self) -> list[list[str]]:
-        """For each shape, the parameters that move only its surface coordinates, of those with derivatives."""
+        """For each shape, the differentiated parameters that move only its surface coordinates."""
         return [self.moving(shape, ("vertex_texcoords",)) for shape in self.shapes]
 
     @cached_property
     def turners(self) -> list[list[str]]:
-        """For each shape, the parameters that turn only its shading normals, of those with derivatives."""
+        """For each shape, the differentiated parameters that turn only its shading normals."""
         return [self.moving(shape, ("vertex_normals",)) for shape in self.shapes]
 
 
 def rendering_of(call: RenderCall, scene: Scene, sampling: str, cache: PackCache, primary: bool, shadows: bool,
                  max_depth: int) -> Rendering:
-    """What a call is about to render; without edges in view where pixels have no area. Args as of `Rendering`.
+    """The rendering of a call; boundary terms of edges in view are off if pixels have no area. Args as of `Rendering`.
 
     In view counts what is in any window of a film: what is said once is to hold for all.
     """
@@ -199,7 +198,7 @@ def rendering_of(call: RenderCall, scene: Scene, sampling: str, cache: PackCache
 
 
 def whole_sight(view: View, lens: Lens) -> CameraSight:
-    """What the whole film of a view sees through a lens."""
+    """The camera and whole film of a view, through one lens."""
     film, whole = view.camera.film, view.sensor.film.window()
     crop_x, crop_y = (film.size_x.new_tensor(float(span.first)) for span in (whole.columns, whole.rows))
     camera = view.camera._replace(lens=lens, film=film._replace(crop_x=crop_x, crop_y=crop_y))
@@ -207,7 +206,7 @@ def whole_sight(view: View, lens: Lens) -> CameraSight:
 
 
 class ShownTriangles(NamedTuple):
-    """Triangles in the world, in the order of the shapes that they belong to."""
+    """Triangles in the world, in the order of their shapes."""
 
     vertices: Tensor  # (V, 3)
     faces: Tensor  # (T, 3) int32
@@ -215,20 +214,20 @@ class ShownTriangles(NamedTuple):
 
 
 def listed(names: Iterable[str]) -> str:
-    """Names in running text: `a` and `b`; of many only the first."""
+    """Joins names in running text: `a` and `b`; of many only the first."""
     quoted = [f"`{name}`" for name in dict.fromkeys(names)]
     more = len(quoted) - MOST_NAMES
     return " and ".join(quoted if more <= 0 else [*quoted[:MOST_NAMES], f"{more} other{'s' * (more > 1)}"])
 
 
 def texture_name(scene: Scene, texture: Texture) -> str:
-    """The name of a texture in the scene, or of the parameter that it stands for."""
+    """The scene's name of a texture, or of the parameter that it stands for."""
     owner, attribute = getattr(texture, "place", (texture, ""))
     return f"{scene.name_of(owner)}.{attribute}".rstrip(".")
 
 
 def asks_for_derivatives(value) -> bool:
-    """True if an attribute is a tensor with respect to which this rendering is differentiated, backward or forward."""
+    """True if an attribute is a tensor that is differentiated, backward or forward."""
     if not isinstance(value, Tensor):
         return False
     return (value.requires_grad and torch.is_grad_enabled()) or tangent_of(value) is not None

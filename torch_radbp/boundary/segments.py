@@ -1,4 +1,4 @@
-"""Straight curves inside of triangles at which an image jumps, and places on them as a camera sees them.
+"""Straight discontinuity curves inside of triangles (texture lines, intersections), and samples on them.
 
 They are lines at which textures jump, and lines along which other triangles pass through. Both lie on a triangle as a
 segment with fixed barycentric coordinates. Where a *level* changes at a fixed place by df, the line moves as `contour.py`
@@ -39,35 +39,35 @@ IN_PLANE = 1e-6  # share of the largest coordinate up to which viewers lie in a 
 
 
 class SeenFrom(NamedTuple):
-    """From where S segments are seen, float64 but for the last."""
+    """The sides from which S segments are visible, float64 but for the last."""
 
-    side: Tensor  # of the triangle that the segment is in: 1, -1; 0: from either
-    side_of_through: Tensor  # of the triangle that passes through, likewise
-    rests: Tensor  # (S,) bool: an edge lies on a surface there that it does not pass through
+    side: Tensor  # of the segment's triangle: 1, -1; 0: both
+    side_of_through: Tensor  # of the intersecting triangle, likewise
+    rests: Tensor  # (S,) bool: an edge lies on the surface there, without passing through
 
 
 class Segments(NamedTuple):
-    """S segments inside of triangles; functions of lanes read them. Places are (u, v), barycentric, float64."""
+    """S segments inside of triangles, as functions of lanes read them; barycentric (u, v), float64."""
 
     triangle: Tensor  # (S,) int32
-    instance: Tensor | None  # (S,) int32 that shows each, as hits count; None: the scene has none
+    instance: Tensor | None  # (S,) int32 instance as in a hit; None: the scene has none
     start: Vec2  # (S,)
     end: Vec2  # (S,)
-    aside: Vec2  # (S,) a step across, after which a place lies surely on one side; 0: it is not known
-    rise: Vec2  # (S,) of lines of textures what their number changes by with u and v, else 0
-    slope: Vec2  # (S,) and with the surface coordinates
-    through: Tensor  # (S,) int32, the triangle that passes through there; -1: none does, a texture jumps
-    shown_by: Tensor | None  # (S,) int32, the instance that shows that
-    share: Tensor | None  # (S,) float64, how often a segment is among these, in the mean; None: once
-    seen_from: SeenFrom | None = None  # None: each from everywhere
+    aside: Vec2  # (S,) step across it to a point surely on one side; 0: unknown
+    rise: Vec2  # (S,) for texture lines the derivative of the line's number by u and v, else 0
+    slope: Vec2  # (S,) and by the surface coordinates
+    through: Tensor  # (S,) int32, intersecting triangle; -1: none, a texture line
+    shown_by: Tensor | None  # (S,) int32, its instance
+    share: Tensor | None  # (S,) float64, expected number of the segment's selections; None: 1
+    seen_from: SeenFrom | None = None  # None: visible from everywhere
 
     def corners(self, geometry: Geometry) -> Corners:
-        """The vertices of the triangles, world, float64."""
+        """The corners of the segments' triangles, world, float64."""
         return positions(geometry, Between(*lookup(geometry.triangles.corners, self.triangle)), self.instance)
 
 
 def joined_segments(parts: list[Segments]) -> Segments | None:
-    """All of several segments; None: there are none."""
+    """Joins several sets of segments; None: there are none."""
     if len(parts) > 1 and any(part.seen_from is not None for part in parts):
         parts = [part if part.seen_from is not None else part._replace(seen_from=from_everywhere(part)) for part in parts]
     if len(parts) > 1 and any(part.share is not None for part in parts):
@@ -76,14 +76,14 @@ def joined_segments(parts: list[Segments]) -> Segments | None:
 
 
 def from_everywhere(segments: Segments) -> SeenFrom:
-    """That segments are seen from everywhere."""
+    """The `SeenFrom` of segments that are visible from all sides."""
     none = torch.zeros_like(segments.start.x)
     return SeenFrom(none, none, torch.zeros_like(none, dtype=torch.bool))
 
 
 @stage("geometry", "sight")
 def segment_weight(geometry: Geometry, sight: Sight, segments: Segments) -> Tensor:
-    """The lengths of segments in view, (S,) float64 pixels.
+    """The visible lengths of segments, (S,) float64 pixels.
 
     Args:
         geometry: of the scene, detached.
@@ -99,7 +99,7 @@ def segment_weight(geometry: Geometry, sight: Sight, segments: Segments) -> Tens
 
 @stage("geometry", "sight", "segments", "lot")
 def segment_place(geometry: Geometry, sight: Sight, segments: Segments, lot: Lot, place: Tensor) -> Places:
-    """Places on segments, in proportion to lengths on the film.
+    """Samples segments in proportion to their lengths on the film.
 
     Args:
         geometry, sight, segments: as for `segment_weight`.
@@ -142,7 +142,7 @@ def segment_place(geometry: Geometry, sight: Sight, segments: Segments, lot: Lot
 
 
 def faces_viewer(geometry: Geometry, segments: Segments, corners: Corners, towards: Callable[[Vec3], Vec3]) -> Tensor:
-    """True for segments that are seen from where the viewer is, (N,) bool; not from within planes, but for rounding.
+    """(N,) bool: segments on sides that face the viewer; not from within a plane, up to rounding.
 
     Args:
         geometry: of the scene, detached.
@@ -161,23 +161,23 @@ def faces_viewer(geometry: Geometry, segments: Segments, corners: Corners, towar
 
 
 def place_of(geometry: Geometry, triangle: Tensor, instance: Tensor | None) -> Corners:
-    """The vertices of triangles, (N,) int32, in the world, attached; of some triangle where it is -1."""
+    """The corners of triangles, (N,) int32, in the world, attached; of any triangle for -1."""
     return positions(geometry, Between(*lookup(geometry.triangles.corners, triangle.clamp_min(0))), instance)
 
 
 def height_above(corners: Corners, p: Vec3) -> Tensor:
-    """How high points lie above the planes of triangles, in units of twice their areas; (N,) attached."""
+    """The height of points above the planes of triangles, in units of twice their areas; (N,) attached."""
     return dot(cross(corners[1] - corners[0], corners[2] - corners[0]), p - corners[0])
 
 
 def heights_by(passed: Corners, corners: Corners) -> Vec2:
-    """What `height_above` triangles that pass through others changes by with the coordinates u and v of these; (N,)."""
+    """The derivatives, by u and v on triangles, of the height above intersecting triangles; (N,)."""
     upright = cross(passed[1] - passed[0], passed[2] - passed[0])
     return Vec2(*(dot(upright, corner - corners[0]) for corner in corners[1:]))
 
 
 def number_of_line(geometry: Geometry, places: Places) -> Tensor:
-    """The number that is an integer on the lines of textures, up to a constant, at places fixed to triangles; attached."""
+    """The number of the texture line through each sample, up to a constant, at fixed points of triangles; attached."""
     uv = [lookup(geometry.triangles.vertices.uv, row) for row in places.between]
     x, y = (sum(getattr(corner, axis).double() * weight for corner, weight in zip(
         uv, (1.0 - places.u - places.v, places.u, places.v))) for axis in ("x", "y"))
@@ -185,7 +185,7 @@ def number_of_line(geometry: Geometry, places: Places) -> Tensor:
 
 
 def drift_of(rise: Vec2, pace: list[Vec2], normal: Vec2) -> Tensor:
-    """What lines move along their normals on the film where their levels change by one; (N,).
+    """The motion of lines along their normals on the film per unit of their level; (N,).
 
     Args:
         rise: what the levels change by with the coordinates u and v.
@@ -200,7 +200,7 @@ def drift_of(rise: Vec2, pace: list[Vec2], normal: Vec2) -> Tensor:
 
 
 def zero_crossings(f0: Tensor, f1: Tensor, f2: Tensor) -> tuple[Vec2, Vec2]:
-    """The two places on the sides of triangles where a linear function, given at the corners, is 0; barycentric.
+    """The two points on the sides of triangles where a linear function, given at the corners, vanishes; barycentric.
 
     They are one if it is 0 in a corner alone, or nowhere.
     """

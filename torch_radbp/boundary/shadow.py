@@ -1,4 +1,4 @@
-"""Edges that cast a shadow whose border lies in view of a camera."""
+"""Edges whose shadow borders lie in view of a camera, for warnings."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ APART = 1e-4  # distance from the edge at which a ray starts, as a share of the 
 
 
 class Shadows(NamedTuple):
-    """S points in view on borders of shadows."""
+    """S visible points on shadow borders."""
 
     edge: Tensor  # (S,) int64, the edge that casts the shadow
     receiver: Tensor  # (S,) int64, the triangle on which the shadow falls
-    seen: Tensor  # (views, S) bool, by which cameras
+    seen: Tensor  # (views, S) bool: seen by that camera
 
 
 def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Tensor, axis: Tensor,
                     sights: Sequence[CameraSight], own: Tensor | None = None) -> Shadows:
-    """The shadows that a light casts into some views. A shadow hidden behind a surface counts as seen.
+    """Finds shadow borders of a light in some views; those hidden behind surfaces included.
 
     Args:
         edges: of the scene.
@@ -68,7 +68,7 @@ def shadows_in_view(edges: Edges, vertices: Tensor, caster: RayCaster, light: Te
 
 
 def viewpoint(place: Tensor, vertices: Tensor) -> Tensor:
-    """The position of a light, (3,); one that is a direction is put far away from a mesh.
+    """A position for a light, (3,); a directional one is moved far away from the mesh.
 
     Args:
         place: (4,) homogeneous: a position, or with 0 at the end the direction towards it; float64.

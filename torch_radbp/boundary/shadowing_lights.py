@@ -1,4 +1,4 @@
-"""The lights whose shadows have borders that a derivative may lack; see `warning.py`."""
+"""Lights whose shadow borders a derivative may lack; see `warning.py`."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ CLOSED = 1e-3  # ratio of the sum of area-weighted normals to the area below whi
 
 
 class ShadowingLight(NamedTuple):
-    """A light that casts shadows with a border."""
+    """A light that casts shadows with borders."""
 
     place: Tensor  # (4,) homogeneous: the position, or middle, of the light; or with 0 at the end the direction towards it
-    axis: Tensor  # (3,) it shines only into directions on this side; 0: into all
+    axis: Tensor  # (3,) it shines only into this half space; 0: into all directions
     shape: Shape | None  # that emits the light
-    moving: list[str]  # the parameters that move it, of those with derivatives
+    moving: list[str]  # the differentiated parameters that move it
 
 
 def lights_of(rendering: Rendering) -> Iterator[ShadowingLight]:
-    """All lights with a position or a direction."""
+    """Yields all lights with a position or a direction."""
     scene, caster = rendering.scene, rendering.caster
     for emitter in scene.emitters:
         source = emitter.source()
@@ -45,13 +45,13 @@ def lights_of(rendering: Rendering) -> Iterator[ShadowingLight]:
 
 
 def _scattering(rendering: Rendering) -> Tensor:
-    """The triangles of the caster, (T,) bool, whose material scatters light into more than single directions."""
+    """(T,) bool: triangles of the caster with a material that has smooth lobes."""
     smooth = [any(bsdf.kind().smooth for bsdf in one_sided([shape.bsdf])) for shape in rendering.shapes]
     return torch.tensor(smooth, device=rendering.shape_of.device)[rendering.shape_of]
 
 
 def soft_shadows(rendering: Rendering, cameras: list[list[str]]) -> set[str]:
-    """The parameters that move what hides a part of the sky, or what it is hidden from, in view.
+    """The parameters that move occluders of the environment, or the surfaces below, in view.
 
     Args:
         rendering: that is about to start.
@@ -68,6 +68,6 @@ def soft_shadows(rendering: Rendering, cameras: list[list[str]]) -> set[str]:
 
 
 def some_lights(lights: list[ShadowingLight]) -> list[ShadowingLight]:
-    """At most `MOST_LIGHTS` of the lights that move and as many of the others, spread over the scene."""
+    """Selects at most `MOST_LIGHTS` moving lights and as many others, spread over the scene."""
     groups = [light for light in lights if light.moving], [light for light in lights if not light.moving]
     return [light for group in groups for light in group[::max(1, -(-len(group) // MOST_LIGHTS))]]

@@ -1,4 +1,4 @@
-"""Edges that are silhouettes for a camera and lie in its view."""
+"""Silhouette edges in the view of a camera."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MARGIN = 1e-4  # left out at the border of the image, as a share of its size: a 
 
 
 class CameraSight(NamedTuple):
-    """The view of one sensor."""
+    """The camera and film of one sensor."""
 
     camera: Camera  # detached
     width: int  # of its crop window, pixels
@@ -25,25 +25,25 @@ class CameraSight(NamedTuple):
 
 
 class Eye(NamedTuple):
-    """Where things are seen from, () float64 each: homogeneous, a position, or with w = 0 the direction towards it."""
+    """A viewpoint, () float64 each: homogeneous, a position, or with w = 0 the direction towards it."""
 
     place: Vec3
     w: Tensor
-    radius: Tensor | None = None  # about the position, within which an edge may be seen from anywhere; None: 0
+    radius: Tensor | None = None  # of a ball around it from anywhere in which an edge may be seen; None: 0
 
     @staticmethod
     def of(place: Tensor, radius: Tensor | None = None) -> Eye:
-        """The eye at a (4,) homogeneous place."""
+        """The viewpoint at a (4,) homogeneous position."""
         x, y, z, w = place.double().unbind()
         return Eye(Vec3(x, y, z), w, radius)
 
     def towards(self, p: Vec3) -> Vec3:
-        """From the eye to (N,) points, of any length."""
+        """Vectors from the viewpoint to (N,) points, of any length."""
         return p * self.w - self.place
 
 
 def silhouettes_in_view(edges: Edges, vertices: Tensor, sight: CameraSight) -> Tensor:
-    """The edges at which the image is discontinuous, unless something hides them.
+    """(E,) bool: silhouette edges in view, whether hidden or not.
 
     Args:
         edges: of the mesh.
@@ -61,14 +61,14 @@ def silhouettes_in_view(edges: Edges, vertices: Tensor, sight: CameraSight) -> T
 
 
 def outlines_seen(edges: Edges, vertices: Tensor, place: Tensor) -> Tensor:
-    """The edges that are silhouettes from a (4,) homogeneous place, as of `Eye`; (E,) bool. Args as for the above."""
+    """(E,) bool: edges that are silhouettes from a (4,) homogeneous viewpoint, as of `Eye`. Args as for the above."""
     p, eye = Vec3.of(vertices), Eye.of(place)
     a, b, *opposite = (rows(p, end) for end in (edges.a, edges.b, *edges.opposite))
     return is_silhouette(a, b, opposite, eye.towards(a))
 
 
 def is_silhouette(a: Vec3, b: Vec3, opposite: Sequence[Vec3], towards: Vec3, radius: Tensor | None = None) -> Tensor:
-    """True if all triangles at an edge lie on one side of it, as an eye sees it, or may do so from nearby; (N,) bool.
+    """(N,) bool: all triangles at an edge lie on one side of it as seen from a viewpoint, or may do so from nearby.
 
     That is so for the single triangle at the rim of a surface, and for two triangles of which one is seen from the front
     and the other from behind. The orientation of triangles does not matter: two neighbours in a plane always lie on
@@ -97,7 +97,7 @@ def is_silhouette(a: Vec3, b: Vec3, opposite: Sequence[Vec3], towards: Vec3, rad
 
 
 def crosses_view(a: Vec3, b: Vec3, sight: CameraSight) -> Tensor:
-    """True if part of a segment is in the camera's view; (N,) bool.
+    """(N,) bool: part of a segment is in the camera's view.
 
     Args:
         a, b: (N,) the ends, float64, world space.
@@ -109,5 +109,5 @@ def crosses_view(a: Vec3, b: Vec3, sight: CameraSight) -> Tensor:
 
 
 def limits(crop: Tensor, size: Tensor, pixels: int) -> Tensor:
-    """The positions on the image of the borders of a window, less a margin; (2,) float64."""
+    """The borders of a window on the image, enlarged by a margin; (2,) float64."""
     return torch.stack([(crop + share * pixels) / size for share in (MARGIN, 1.0 - MARGIN)]).double()

@@ -1,4 +1,4 @@
-"""Single bodies that may pass through themselves: each mesh once, however many instances show it.
+"""Self-intersections of single bodies: each mesh once, however many instances show it.
 
 Where triangles of a mesh meet does not depend on the pose of what shows them: what one instance of a group has, all have. So
 as long as vertices stay where they are, in the frame of their group, the curves are found once and looked for no more.
@@ -32,33 +32,33 @@ class MeshOfBodies(NamedTuple):
     """The edges of some shapes of the world, or of all of a group."""
 
     edges: Edges
-    group: int  # which; -1: of the world
+    group: int  # its index; -1: of the world
 
 
 class FoundOnce(NamedTuple):
-    """Where bodies pass through themselves, and what that depends on."""
+    """Cached self-intersections of bodies, with what they depend on."""
 
-    vertices: tuple[Tensor, ...]  # positions of the scene's, those of groups in the frames of these
-    seed: int | None  # by which edges were chosen; None: all were looked at
-    segments: Segments | None  # of groups as their first instances show them
+    vertices: tuple[Tensor, ...]  # vertex positions, those of groups in their own frames
+    seed: int | None  # seed by which edges were selected; None: all were examined
+    segments: Segments | None  # of groups at their first instances
 
 
 class Looked(NamedTuple):
-    """Bodies that are looked at, and what was found last."""
+    """The bodies that are tested for self-intersection, with the last result."""
 
     meshes: tuple[MeshOfBodies, ...]
-    may: list[bool]  # of each shape, whether it may be a part of something that passes through itself
+    may: list[bool]  # for each shape, whether it may belong to a self-intersecting body
     bodies: BodyEdges
-    found: FoundOnce | None  # None: nothing was looked for so far
+    found: FoundOnce | None  # None: not examined yet
 
     def is_of(self, meshes: Sequence[MeshOfBodies], may: list[bool]) -> bool:
-        """True if these meshes, whose edges are never written into, were looked at."""
+        """True if these meshes, whose edges are never written into, were examined."""
         return may == self.may and len(meshes) == len(self.meshes) and all(
             one.edges.a is other.edges.a and one.group == other.group for one, other in zip(meshes, self.meshes))
 
 
 def bodies_once(scene: SceneTensors, counts: Sequence[int], meshes: Sequence[MeshOfBodies], may: list[bool]) -> BodyEdges:
-    """The edges of all bodies that may pass through themselves, of groups as their first instances show them.
+    """The edges of all bodies that may intersect themselves, groups at their first instances.
 
     Args:
         scene: detached.
@@ -77,17 +77,17 @@ def bodies_once(scene: SceneTensors, counts: Sequence[int], meshes: Sequence[Mes
 
 
 def shape_ends(scene: SceneTensors, counts: Sequence[int]) -> Tensor:
-    """(S,) int64, how many triangles there are up to the end of each shape."""
+    """(S,) int64, the end of each shape's triangles."""
     return torch.tensor(list(accumulate(counts)), device=scene.device)
 
 
 def first_shown(scene: SceneTensors, group: int) -> int:
-    """The first instance of a group, as hits count."""
+    """The first instance of a group, as in a hit."""
     return int(scene.triangles.casting_instances.first_instance[group]) + 1
 
 
 def self_crossings(call: RenderCall, scene: SceneTensors, counts: Sequence[int], known: Looked, seed: int) -> FoundOnce:
-    """Where bodies pass through themselves, found anew only if something else may be found than last time.
+    """Finds self-intersections of bodies, cached while vertices and seed are unchanged.
 
     Args:
         call: of which something moves.
@@ -109,7 +109,7 @@ def self_crossings(call: RenderCall, scene: SceneTensors, counts: Sequence[int],
 
 def shown_by_all(segments: Segments | None, scene: SceneTensors, counts: Sequence[int], moving: Moving,
                  seed: int) -> Segments | None:
-    """Segments as all instances that move show them, of those that the first of each group shows.
+    """Copies segments at the first instance of each group to all moving instances.
 
     Args:
         segments: None: there are none.

@@ -1,4 +1,4 @@
-"""Shapes that hide a part of the sky from surfaces in view.
+"""Occluders of the environment for surfaces in view, whose moving borders a derivative may lack.
 
 Light from all around casts soft shadows, without borders on the surface. But the border of what hides the sky lies among the
 directions over which light is summed, and when it moves, so does a jump that derivatives of radiance miss.
@@ -26,15 +26,15 @@ GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
 
 class HiddenSky(NamedTuple):
-    """S rays from points in view that also see the sky, to what hides a part of it."""
+    """S rays from visible points that also see the environment, to occluders of it."""
 
     receiver: Tensor  # (S,) int64, the triangle on which the point lies
-    blocker: Tensor  # (S,) int64, the triangle that the ray meets
+    blocker: Tensor  # (S,) int64, the triangle that the ray hits
     view: Tensor  # (S,) int64, the camera that sees the point
 
 
 def hidden_sky(rendering: Rendering, receives: Tensor) -> HiddenSky:
-    """What hides a part of the sky from points in view.
+    """Finds occluders of the environment for visible points.
 
     Args:
         rendering: that is about to start.
@@ -59,7 +59,7 @@ def hidden_sky(rendering: Rendering, receives: Tensor) -> HiddenSky:
 
 
 def normals_at(rendering: Rendering, hit: Hit, lanes: Tensor) -> Tensor:
-    """Unit geometric normals where some rays hit, world space; (N, 3) float64.
+    """Unit geometric normals at hits of some rays, world space; (N, 3) float64.
 
     Args:
         rendering: that is about to start.
@@ -76,8 +76,7 @@ def normals_at(rendering: Rendering, hit: Hit, lanes: Tensor) -> Tensor:
 
 
 def rays_of(sight: CameraSight) -> tuple[Tensor, Tensor, Tensor]:
-    """Rays through a grid over the image: origins and unit directions, (SIDE^2, 3) float64; and (SIDE^2,) bool: there is
-    such a ray."""
+    """A grid of camera rays: origins and unit directions, (SIDE^2, 3) float64; and (SIDE^2,) bool: the ray exists."""
     film, lens = sight.camera.film, sight.camera.lens
     share = (torch.arange(SIDE, device=film.size_x.device) + 0.5) / SIDE
     y, x = (part.flatten() for part in torch.meshgrid(share * sight.height, share * sight.width, indexing="ij"))
@@ -90,7 +89,7 @@ def rays_of(sight: CameraSight) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def spread_directions(count: int, device: torch.device) -> Tensor:
-    """Directions spread over the sphere, turned from point to point; (count, DIRECTIONS, 3) float64.
+    """Directions spread over the sphere, rotated from point to point; (count, DIRECTIONS, 3) float64.
 
     Reference: Swinbank and Purser 2006, "Fibonacci grids".
     """
@@ -102,7 +101,7 @@ def spread_directions(count: int, device: torch.device) -> Tensor:
 
 
 def directions_at(shown: ShownTriangles, p: Tensor) -> Tensor:
-    """Directions from points to the middles of triangles, of all shapes in turn; (N, AIMED, 3) float64."""
+    """Directions from points to centres of triangles, of all shapes in turn; (N, AIMED, 3) float64."""
     counts = torch.tensor([count for count in shown.counts if count], device=p.device)
     number = torch.arange(len(p) * AIMED, device=p.device)
     shape = number % len(counts)

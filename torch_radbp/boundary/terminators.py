@@ -1,4 +1,4 @@
-"""Edges inside of smoothly shaded surfaces at which the light of a lamp ends.
+"""Edges inside of smoothly shaded surfaces at which a lamp's light ends (shadow terminators).
 
 Interpolated normals go on across an edge between two triangles, but light does not if one of them faces the lamp and the
 other faces away: the latter lies in the shade of the mesh itself. The cosine of the interpolated normal need not be 0 there,
@@ -26,7 +26,7 @@ MOST_LAMPS = 8  # that are told apart; of more, light may end at every edge
 
 
 def lamps_of(call: RenderCall) -> tuple[Eye, ...]:
-    """Where the lamps of a scene are, as eyes that see where their light ends; none where nothing is smoothly shaded.
+    """The lamps of a scene as viewpoints; none if nothing is smoothly shaded.
 
     Lamps on surfaces are balls around all of one kind.
 
@@ -47,7 +47,7 @@ def lamps_of(call: RenderCall) -> tuple[Eye, ...]:
 
 
 def _around(table: EmittingTriangles) -> Eye:
-    """A ball around triangles that emit light."""
+    """A ball around emitting triangles, as an `Eye` (viewpoint)."""
     corners = torch.cat([corner.stack() for corner in table.p]).double()
     low, high = corners.amin(0), corners.amax(0)
     middle = 0.5 * (low + high)
@@ -55,7 +55,7 @@ def _around(table: EmittingTriangles) -> Eye:
 
 
 def light_may_end(lamps: Sequence[Eye], a: Vec3, b: Vec3, opposite: Sequence[Vec3]) -> Tensor:
-    """True where an edge may lie between a triangle that faces a lamp and one that does not; (N,) bool.
+    """(N,) bool: edges that may lie between a triangle facing a lamp and one that does not.
 
     Args:
         lamps: of the scene.

@@ -1,4 +1,4 @@
-"""The edges of a rendering, and what they add to derivatives of its images."""
+"""The boundary terms of a rendering: their edges, and their derivatives."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from torch_radbp.scene import Scene
 
 
 class EdgesOfCall(NamedTuple):
-    """Where images jump; None where that is not asked for, or nothing moves."""
+    """The edges and curves of all boundary terms; None for terms that are off, or if nothing moves."""
 
     in_view: list[Jumps] | None  # of each view
-    casting: Outline | None  # the edges of all that casts shadows
-    crossing: Segments | None  # where surfaces pass through each other, as surfaces see it
-    reflected: Reflected | None  # what is seen by way of mirrors and glass
+    casting: Outline | None  # edges of all shadow casters
+    crossing: Segments | None  # intersections of surfaces, for terms at path vertices
+    reflected: Reflected | None  # for terms by way of mirrors and glass
 
     def added_to(self, images: Tensor, call: RenderCall) -> Tensor:
-        """The images, (B, 3, H, W), with the derivatives of their jumps."""
+        """The images, (B, 3, H, W), with the boundary terms of their derivatives."""
         if self.in_view is not None:
             images = images + image_jumps(call, self.in_view)
         if self.casting is not None:
@@ -45,15 +45,14 @@ class EdgesOfCall(NamedTuple):
 
 
 def bytes_of_edges(call: RenderCall, primary: bool, shadows: bool) -> int:
-    """The most that a call may take of memory for edges in view, and for those that cast shadows, if they are asked for."""
+    """The greatest memory for edges in view, and for shadow-casting edges, as far as these terms are on."""
     in_view = bytes_of_jumps(call) if primary and moves(call) else 0
     reflected = bytes_of_reflections(call) if any(asked_by_way_of_others(call, primary, shadows)) else 0
     return max(in_view, bytes_of_shadows(call) if shadows and slides_over_edges(call) else 0) + reflected
 
 
 def asked_by_way_of_others(call: RenderCall, primary: bool, shadows: bool) -> tuple[bool, bool]:
-    """Whether jumps of what is seen by way of mirrors and glass, and borders of shadows there, are to be looked for; args as
-    for `bytes_of_edges`."""
+    """Whether jumps and shadow borders by way of mirrors and glass are on; args as for `bytes_of_edges`."""
     if not follows_mirrors(call):
         return False, False
     moving = reflections_move(call)
@@ -61,7 +60,7 @@ def asked_by_way_of_others(call: RenderCall, primary: bool, shadows: bool) -> tu
 
 
 def edges_of_call(rendering: Rendering, scene: Scene, call: RenderCall, seed: int) -> EdgesOfCall:
-    """The edges that the terms of a rendering ask for.
+    """Finds the edges that the boundary terms of a rendering need.
 
     Args:
         rendering: the call's.
@@ -79,7 +78,7 @@ def edges_of_call(rendering: Rendering, scene: Scene, call: RenderCall, seed: in
 
 
 def reflected_of(rendering: Rendering, outlines: Outlines, call: RenderCall) -> Reflected | None:
-    """What a rendering asks for by way of mirrors and glass; None: nothing, or nothing moves."""
+    """What the terms by way of mirrors and glass need; None: they are off, or nothing moves."""
     surfaces, shadows = asked_by_way_of_others(call, rendering.primary, rendering.shadows)
     if rendering.sampling == "detached" or not (surfaces or shadows):
         return None

@@ -1,4 +1,4 @@
-"""Where textures jump: the segments that their lines are inside of triangles."""
+"""Discontinuity lines of textures as segments inside of triangles."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ON_EDGE = 1e-6  # of the rise of a triangle, below which a line runs along one o
 
 
 def lines_of_textures(rendering: Rendering) -> list[tuple[JumpLines, ...]]:
-    """For each shape the lines at which textures of its material, or of its light, jump."""
+    """For each shape the discontinuity lines of its material's or emitter's textures."""
     owners = [tuple(filter(None, (shape.bsdf, shape.emitter))) for shape in rendering.shapes]
     known = {owner: tuple(lines for _, texture in textures_of(owner) for lines in texture.jumps())
              for owner in dict.fromkeys(owner for both in owners for owner in both)}
@@ -32,7 +32,7 @@ def lines_of_textures(rendering: Rendering) -> list[tuple[JumpLines, ...]]:
 
 def texture_segments(scene: SceneTensors, faces: Faces, sizes: Sequence[int],
                      lines: Sequence[tuple[JumpLines, ...]]) -> Segments | None:
-    """The segments at which textures jump; None: there are none.
+    """The segments of texture lines on triangles; None: there are none.
 
     Args:
         scene: detached.
@@ -57,12 +57,12 @@ def texture_segments(scene: SceneTensors, faces: Faces, sizes: Sequence[int],
 
 
 def _across(lines: JumpLines, uv: Vec2) -> Tensor:
-    """The number that is an integer on the lines, (N,) float64."""
+    """The number that is an integer on a texture's lines, (N,) float64."""
     return lines.x * uv.x.double() + lines.y * uv.y.double() + lines.z
 
 
 def segments_along(faces: Faces, level: tuple[Tensor, Tensor, Tensor], lines: JumpLines) -> Segments:
-    """The segments inside of triangles at which a level is an integer.
+    """The segments inside of triangles on which a linear level is an integer.
 
     Args:
         faces: (F,).

@@ -1,4 +1,4 @@
-"""Textures on meshes without surface coordinates, which have one value everywhere there."""
+"""Warns of textures on meshes without surface coordinates, where they have one value."""
 
 from __future__ import annotations
 
@@ -27,6 +27,6 @@ def unmapped_textures(rendering: Rendering) -> SceneWarning | None:
 
 
 def varies_with_uv(texture: Texture) -> bool:
-    """True if a texture may have different values at different surface coordinates."""
+    """True if a texture may vary with surface coordinates."""
     of_one_texel = texture.tabulated and not texture.parts() and texture.resolution() == (1, 1)
     return reader_of(texture).needs_uv and not of_one_texel

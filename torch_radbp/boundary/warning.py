@@ -1,4 +1,4 @@
-"""The warnings that a derivative lacks what silhouettes, shadows or jumps of a BSDF contribute.
+"""Warnings about derivatives without the contribution of silhouettes, shadows or discontinuous BSDFs.
 
 The derivative of an image has two parts: that of the radiance inside each surface, and what is gained or lost at the edges
 where one surface ends and another appears behind it. The second part is computed for the edges that the camera sees, see
@@ -41,7 +41,7 @@ OF_RAYS = ("A single ray has no area that they sweep, but a mean over rays, such
 
 
 class SilhouetteWarning(UserWarning):
-    """The derivatives to be computed lack the contribution of silhouettes.
+    """Warning: derivatives lack the contribution of silhouettes or shadow borders.
 
     The image jumps where an outline, or the border of a shadow, moves over a pixel, and what that adds to a derivative is
     not computed. The message names the parameters, and `check_gradient` measures by how much theirs are biased. Each
@@ -50,15 +50,14 @@ class SilhouetteWarning(UserWarning):
 
 
 class JumpWarning(SilhouetteWarning):
-    """The derivatives to be computed lack the contribution of a jump in a BSDF: a silhouette of its microfacets.
+    """Warning: derivatives lack the contribution of a discontinuous BSDF, a silhouette of its microfacets.
 
     The message names the parameters, and which `sampling` has that part if any has; `check_gradient` measures the bias.
     """
 
 
 class JumpWatch:
-    """Examines every rendering for discontinuities that the derivative misses, and for what the image lacks; warns once of
-    each kind."""
+    """Examines renderings for discontinuities that derivatives miss, and light that images lack; warns once of each kind."""
 
     def __init__(self) -> None:
         # Those that have not warned yet.
@@ -73,7 +72,7 @@ class JumpWatch:
         self.placed: set[str] = set()  # those of which it is known how far from the origin they move things
 
     def look(self, rendering: Rendering) -> None:
-        """Warns if the image, or the derivatives to be computed, lack something."""
+        """Examines a rendering, and warns of what image or derivatives lack."""
         due, self.of_images = self.of_images, []
         for look in due:
             self.say(look(rendering))
@@ -88,13 +87,13 @@ class JumpWatch:
                 self.say(warning)
 
     def say(self, warning: Warning | None) -> None:
-        """Warns, unless there is nothing to say or that has been said."""
+        """Issues a warning, unless it is None or was issued before."""
         if warning is not None and str(warning) not in self.said:
             self.said[str(warning)] = warning
             warnings.warn(warning, stacklevel=level_of_the_caller())
 
     def silhouettes_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """The warning about silhouettes of moving shapes and of all shapes if a camera moves, or None.
+        """The warning about silhouettes of moving shapes, or of all shapes if a camera moves, or None.
 
         Hidden silhouettes count as seen.
         """
@@ -109,8 +108,7 @@ class JumpWatch:
                                  f"there. {instead}")
 
     def shadows_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """The warning about shadows that move because a light, the shape that casts them, the shape below or the camera
-        moves, or None.
+        """The warning about shadow borders that move with a light, an occluder, a receiver or the camera, or None.
 
         None where that is computed. Parameters that move silhouettes too are left out. Shadows are searched once for each
         parameter, among rays anew, by casting rays from some of the lights, and towards the sky.
@@ -165,7 +163,7 @@ class JumpWatch:
                                  f"measures how much that matters")
 
     def borders_of_shadows(self, rendering: Rendering, lights: list[ShadowingLight], cameras: list[list[str]]) -> set[str]:
-        """The parameters that move borders of shadows in view, of lights with a position or a direction.
+        """The parameters that move visible shadow borders of lights with a position or a direction.
 
         Args:
             rendering: that is about to start.
@@ -193,7 +191,7 @@ class JumpWatch:
         return missing
 
     def jumps_of_a_bsdf(self, rendering: Rendering) -> JumpWarning | None:
-        """The warning about a BSDF that is discontinuous in its directions while these turn, or None.
+        """The warning about a BSDF that is discontinuous in directions that turn, or None.
 
         Directions without derivatives miss that, and where samples end at the jump those with derivatives do, too; see
         `Kind.jumps` and `Kind.ends`.
@@ -219,7 +217,7 @@ class JumpWatch:
         return JumpWarning(f"{lacking}transmission by GGX facets ends with a jump, at which samples are lost. {instead}")
 
     def edges_slid_over(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """The warning about scattered directions that follow a parameter, and so slide over edges; or None.
+        """The warning about scattered directions that depend on a parameter, and so slide over edges; or None.
 
         Attached directions follow the roughness, the index of refraction or the normals of a surface; those of ideal
         mirrors and of all glass follow the surface itself and the camera, too. That attached directions at other materials
@@ -257,7 +255,7 @@ class JumpWatch:
                                  f"much that matters")
 
     def edges_far_off(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """The warning that edges in view lie so far from the origin that rays miss them, or None.
+        """The warning that edges in view are so far from the origin that rays miss them, or None.
 
         Of each parameter this is looked at once, where the things are that it moves; of a camera's, the whole scene.
         """
@@ -285,7 +283,7 @@ class JumpWatch:
                                  f"cameras and lights included")
 
     def missing(self, rendering: Rendering) -> dict[str, int]:
-        """The parameters that move silhouettes in view, each with the number of edges found; none if that is computed."""
+        """The parameters that move silhouettes in view, with the number of edges; none if these are computed."""
         missing: dict[str, int] = {}
         if rendering.primary:
             return missing
@@ -303,7 +301,7 @@ class JumpWatch:
         return {name: count for name, count in missing.items() if count}
 
     def edges(self, key: object, vertices: Tensor, faces: Tensor, counts: Sequence[int]) -> Edges:
-        """The edges of one or several shapes that are examined; found anew only if the faces have changed.
+        """The examined edges of one or several shapes; cached while the faces are unchanged.
 
         Args:
             key: under which they are remembered.
@@ -318,18 +316,18 @@ class JumpWatch:
 
 
 def number_in_view(edges: Edges, vertices: Tensor, sights: Sequence[CameraSight]) -> int:
-    """The number of silhouettes in some views."""
+    """The number of silhouette edges in some views."""
     return sum(int(silhouettes_in_view(edges, vertices, sight).sum()) for sight in sights)
 
 
 def times_as_far(vertices: Tensor) -> float:
-    """How many times as far from the origin as they are apart vertices, (V, 3), lie; by their largest coordinates."""
+    """The distance of vertices, (V, 3), from the origin relative to their extent; by largest coordinates."""
     low, high = vertices.aminmax(dim=0)
     return float(torch.maximum(low.abs(), high.abs()).max() / (high - low).max().clamp_min(torch.finfo(low.dtype).tiny))
 
 
 def flat(vertices: Tensor) -> bool:
-    """True if all vertices, (V, 3), lie in one plane, so that no ray from one surface meets another."""
+    """True if all vertices, (V, 3), lie in one plane, so that no ray between them hits another."""
     centred = vertices.double() - vertices.double().mean(0)
     squared_extent = torch.linalg.eigvalsh(centred.T @ centred)
     return bool(squared_extent[0] <= FLAT**2 * squared_extent[-1])

@@ -1,4 +1,4 @@
-"""Cameras whose lens projects no direction onto most of the image, so that it is black."""
+"""Warns of cameras whose lens projects no direction onto most of the image."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ FEW = 0.1  # share of the image with a ray below which it is warned of; a whole 
 
 
 def views_without_rays(rendering: Rendering, known: Set[int]) -> SceneWarning | None:
-    """The warning that hardly any pixel of an image has a ray, because of the distortion of the lens; or None.
+    """The warning that hardly any pixel has a ray, because of the lens's distortion; or None.
 
     Args:
         rendering: that is about to start.

@@ -1,4 +1,4 @@
-"""Materials: how light scatters at a surface. Each file is imported, and registers its plugins."""
+"""Materials: how light scatters at a surface. Importing this imports and registers all of its plugins."""
 
 from torch_radbp.plugin.folder import import_files
 

@@ -1,4 +1,4 @@
-"""Two materials in one place, in proportions that may vary over the surface."""
+"""A blend of two materials, in proportions that may vary over the surface."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LARGEST_NUMBER = 1.0 - 2.0**-24
 
 @dataclass(frozen=True)
 class BlendKind(Kind):
-    """Values: weight (a scalar, of the second kind), those of the first kind, those of the second.
+    """A blend of two kinds of BSDF. Values: weight (a scalar, of the second kind), those of the first, those of the second.
 
     The lobe that is chosen is the number of a kind; its own choice is among the parts.
     """
@@ -78,20 +78,20 @@ class BlendKind(Kind):
 
     @property
     def follows(self) -> bool:
-        """True if both kinds do: the densities of their lobes are summed."""
+        """True if hybrid sampling differentiates directions of both kinds: the densities of their lobes are summed."""
         return all(kind.follows or not kind.smooth for kind in (self.first, self.second)) and self.smooth
 
     def numbers(self, of_first: tuple[int, ...], of_second: tuple[int, ...]) -> tuple[int, ...]:
-        """The numbers of values that the two kinds number by themselves."""
+        """Renumbers the parameters of the two nested kinds as parameters of the blend."""
         return *(1 + k for k in of_first), *(1 + self.first.slots + k for k in of_second)
 
     def parts(self, values: Values) -> tuple[Values, Values]:
-        """The values of the first and of the second kind."""
+        """Splits the values into those of the first and of the second kind."""
         end = 1 + self.first.slots
         return values[1:end], values[end:]
 
     def chance_of_second(self, weight: Tensor) -> Tensor:
-        """The probability with which the second kind is sampled: its weight, within `LEAST_CHANCE` of 0 and 1.
+        """The probability of sampling the second kind: its weight, within `LEAST_CHANCE` of 0 and 1.
 
         If the weight is `still`, it is 0 or 1 where the weight is: a kind without weight is not sampled. Surfaces may move
         all the same: where a weight in [0, 1] has one of these values, its derivative by the place is zero. Outside of
@@ -126,24 +126,24 @@ class BlendKind(Kind):
         return LobeChoice(picked.to(chance.dtype), probability, delta, (first, second))
 
     def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
-        first, second = (own_sample(kind, part, wi, own, u, v)
-                         for kind, part, own in zip((self.first, self.second), self.parts(values), choice.parts))
+        first, second = (own_sample(kind, part, wi, part_choice, u, v)
+                         for kind, part, part_choice in zip((self.first, self.second), self.parts(values), choice.parts))
         return where(choice.lobe > 0, second, first)
 
     def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: LobeChoice) -> Tensor | None:
-        first, second = (kind.chance_by_direction(part, wi, wo, own)
-                         for kind, part, own in zip((self.first, self.second), self.parts(values), choice.parts))
+        first, second = (kind.chance_by_direction(part, wi, wo, part_choice)
+                         for kind, part, part_choice in zip((self.first, self.second), self.parts(values), choice.parts))
         return either(choice.lobe > 0, second, first)
 
     def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
         weight, none = values[0].x, Vec3.full(wi.z, 0.0)
-        first, second = (kind.specular(part, wi, own) if kind.delta else none
-                         for kind, part, own in zip((self.first, self.second), self.parts(values), choice.parts))
+        first, second = (kind.specular(part, wi, part_choice) if kind.delta else none
+                         for kind, part, part_choice in zip((self.first, self.second), self.parts(values), choice.parts))
         return where(choice.lobe > 0, second * weight, first * (1.0 - weight))
 
 
 def own_sample(kind: Kind, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
-    """The sample of one kind of several; on the horizon if it cannot be used, or another kind would take it for its own."""
+    """A direction sampled by one of several kinds; on the horizon where it is invalid, or belongs to another kind's lobe."""
     wo = kind.sample(values, wi, choice, u, v)
     if not kind.smooth:
         return wo
@@ -151,12 +151,12 @@ def own_sample(kind: Kind, values: Values, wi: Vec3, choice: LobeChoice, u: Tens
 
 
 def positive_or_one(chance: Tensor) -> Tensor:
-    """A divisor: the chance, or 1 where it is 0."""
+    """A divisor without zeros: the probability, or 1 where it is 0."""
     return torch.where(chance > 0, chance, 1.0)
 
 
 def is_still(weight: Texture) -> bool:
-    """True if the values of a texture are known not to be differentiated; a material does not know what its meshes carry."""
+    """True if a texture's values are certainly not differentiated; mesh attributes may be, unknown to the material."""
     return not reader_of(weight).attributes and not any(map(differentiated, weight.sources()))
 
 
@@ -196,13 +196,13 @@ class BlendBSDF(BSDF):
 
     @property
     def bsdf(self) -> list[BSDF]:
-        """The nested BSDFs, in order."""
+        """The two nested BSDFs, in order."""
         return [self.bsdf_0, self.bsdf_1]
 
     def kind(self) -> Kind:
-        """The scattering functions."""
+        """The functions that evaluate and sample this BSDF."""
         return BlendKind(self.bsdf_0.kind(), self.bsdf_1.kind(), is_still(self.weight))
 
     def textures(self) -> tuple[Texture, ...]:
-        """What the functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return *self.weight_number, *self.bsdf_0.textures(), *self.bsdf_1.textures()

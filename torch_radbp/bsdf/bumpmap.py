@@ -1,4 +1,4 @@
-"""A material whose normals follow from heights above the surface."""
+"""A material whose shading normals follow from a height map (bump map)."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ LIMIT = 1e6  # of heights and of their scale: the squares of slopes are finite i
 
 @dataclass(frozen=True)
 class BumpMapKind(TurnedKind):
-    """Values: the slope of the heights along the surface (see `barycentric_gradients.py`), their scale (a scalar), those of
-    the nested kind.
+    """A bump-mapped kind. Values: slope of the heights (see `barycentric_gradients.py`), scale (a scalar), those of the
+    nested kind.
     """
 
-    own: ClassVar[int] = 2
+    normal_values: ClassVar[int] = 2
 
     def normal(self, values: Values) -> Vec3:
         rise = values[0] * values[1].x
@@ -73,9 +73,9 @@ class BumpMap(BSDF):
         return {"nested_texture": Domain(limit=LIMIT), "scale": NUMBER._replace(limit=LIMIT)}
 
     def kind(self) -> Kind:
-        """The scattering functions."""
+        """The functions that evaluate and sample this BSDF."""
         return BumpMapKind(self.nested_bsdf.kind(), self.flip_invalid_normals, self.use_shadowing_function)
 
     def textures(self) -> tuple[Texture, ...]:
-        """What the functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return *self.slope, *self.scale_number, *self.nested_bsdf.textures()

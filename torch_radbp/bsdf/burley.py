@@ -28,7 +28,7 @@ ROUNDED = 1e-8  # where the root of a channel is rounded off: its slope is infin
 
 
 def check_rates(rates: dict[str, float], needed: str) -> None:
-    """Raises ValueError if a rate of sampling is negative or not finite, or the one that is `needed` is zero."""
+    """Raises ValueError if a lobe's sampling rate is negative or not finite, or the one that is `needed` is zero."""
     for name, rate in rates.items():
         if not (rate > 0 or (rate == 0 and name != needed)) or rate == float("inf"):
             least = "greater than" if name == needed else "at least"
@@ -36,12 +36,12 @@ def check_rates(rates: dict[str, float], needed: str) -> None:
 
 
 def at_least_some(weight: Number) -> Number:
-    """The weight of a lobe when lobes are chosen: `LEAST_SHARE` or more."""
+    """The weight of a lobe for lobe selection: `LEAST_SHARE` or more."""
     return weight.clamp_min(LEAST_SHARE) if isinstance(weight, Tensor) else max(weight, LEAST_SHARE)
 
 
 def square_root(channel: Tensor) -> Tensor:
-    """The square root of a channel, with a finite derivative at zero."""
+    """The square root of a colour channel, with a finite derivative at zero."""
     return channel * torch.rsqrt(channel.clamp_min(0.0) + ROUNDED)
 
 
@@ -64,12 +64,12 @@ def schlick_weight(cos_i: Tensor, eta: Tensor) -> Tensor:
 
 
 def mixed(first: Number, second: Number, share: Number) -> Number:
-    """`first` where the share is 0, `second` where it is 1."""
+    """Linear interpolation: `first` where the share is 0, `second` where it is 1."""
     return first + (second - first) * share
 
 
 def normal_reflectance(eta: Tensor) -> Tensor:
-    """The reflectance of a boundary at normal incidence."""
+    """The Fresnel reflectance of a dielectric boundary at normal incidence."""
     root = (eta - 1.0) / (eta + 1.0)
     return root * root
 
@@ -82,7 +82,7 @@ def tint_of(colour: Vec3) -> Vec3:
 
 
 def facets_of(roughness: Tensor, anisotropic: Number) -> GGX:
-    """The microfacets of a roughness in [0, 1], stretched along u by an anisotropy in [0, 1].
+    """The GGX distribution for a roughness in [0, 1], stretched along u by an anisotropy in [0, 1].
 
     Where a width is below `SMALLEST_ALPHA` it counts as that, with the derivative of a roughness of `SMALLEST_ROUGHNESS`.
     """
@@ -99,7 +99,7 @@ def facets_of(roughness: Tensor, anisotropic: Number) -> GGX:
 
 
 def base_profile(cos_i: Tensor, cos_o: Tensor, cos_d: Tensor, roughness: Tensor, flatness: Tensor | None) -> Tensor:
-    """By how much the diffuse base differs from a Lambertian one: darker at grazing angles, brighter back to the light.
+    """Burley's diffuse base relative to a Lambertian one: darker at grazing angles, brighter back to the light.
 
     Args:
         cos_i, cos_o: of both directions, at least 0.

@@ -25,24 +25,24 @@ SMALLEST = 1e-12
 
 
 class Clearcoat(NamedTuple):
-    """The distribution of the microfacets of a clear coat."""
+    """The microfacet distribution of a clear coat."""
 
     square: Tensor  # (N,) squared roughness, attached
 
     @staticmethod
     def of(gloss: Tensor) -> Clearcoat:
-        """The coat of a gloss in [0, 1]."""
+        """The distribution for a gloss in [0, 1]."""
         roughness = DULL + (GLOSSY - DULL) * gloss
         fixed = roughness.detach()  # of a gloss beyond 1, as finite differences may have it, less than zero
         return Clearcoat((roughness + (fixed.clamp_min(0.5 * GLOSSY) - fixed)).square())
 
     def density(self, m: Vec3) -> Tensor:
-        """Area of microfacets with normal `m` per area of the surface and solid angle of m."""
+        """D(m): area of microfacets with normal `m` per area of the surface and solid angle."""
         spread = m.x * m.x + m.y * m.y + self.square * m.z * m.z
         return (self.square - 1.0) / (math.pi * torch.log(self.square) * spread)
 
     def sample(self, u: Tensor, v: Tensor) -> Vec3:
-        """Microfacet normals with density `density` times cosine."""
+        """Samples microfacet normals with density D(m) times cosine."""
         sine2 = self.square * (torch.exp(-v * torch.log(self.square)) - 1.0) / (1.0 - self.square)
         sine2 = sine2.clamp_min(SMALLEST)
         sine, phi = torch.sqrt(sine2), 2.0 * math.pi * u
@@ -50,5 +50,5 @@ class Clearcoat(NamedTuple):
 
 
 def shadowing(w: Vec3) -> Tensor:
-    """The part of the coat that `w`, above the surface, sees."""
+    """Smith's shadowing of the coat: the fraction of it that is visible from `w`, above the surface."""
     return 2.0 * w.z / (w.z + torch.sqrt(w.z * w.z + SHADOWING * (w.x * w.x + w.y * w.y)))

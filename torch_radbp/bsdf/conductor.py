@@ -1,4 +1,4 @@
-"""Ideal reflection by a metal."""
+"""Ideal reflection by a smooth metal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from torch_radbp.texture.rgb import as_texture
 
 @dataclass(frozen=True)
 class ConductorKind(DeltaKind):
-    """Values: eta, k, specular_reflectance."""
+    """A smooth conductor. Values: eta, k, specular_reflectance."""
 
     @property
     def slots(self) -> int:
@@ -59,9 +59,9 @@ class Conductor(BSDF):
         return {"eta": AMOUNT, "k": AMOUNT, "specular_reflectance": REFLECTANCE}
 
     def kind(self) -> ConductorKind:
-        """The scattering functions."""
+        """The functions that evaluate and sample this BSDF."""
         return ConductorKind()
 
     def textures(self) -> tuple[Texture, ...]:
-        """What the functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return self.eta, self.k, self.specular_reflectance

@@ -1,4 +1,4 @@
-"""The contract between a material and the tracer: what its methods take and return.
+"""Checks of the contract between a material and the path tracer: what its methods take and return.
 
 `Kind` says it; `CheckedKind` holds a kind to it, call by call, and `check_contract` calls each function once on a few lanes.
 Errors name the plugin and the method, where Python's own would name neither.
@@ -24,7 +24,7 @@ ADVICE = "; every lane is another path, and all are computed at once: use torch.
 
 
 class CheckedKind:
-    """A kind whose results are checked, called as the tracer calls it; other attributes are the kind's.
+    """A wrapper around a material's kind that checks the results of every method.
 
     Args:
         kind: of the material.
@@ -43,11 +43,11 @@ class CheckedKind:
         return getattr(self.kind, name)
 
     def where(self, method: str) -> str:
-        """The method in words."""
+        """The name of plugin and method, for messages."""
         return f"the bsdf {self.plugin!r}: {type(self.kind).__name__}.{method}"
 
     def call(self, method: str, *arguments: Any) -> Any:
-        """What a method of the kind returns."""
+        """Calls a method of the kind; what it raises becomes a TypeError that names the method."""
         try:
             return getattr(self.kind, method)(*arguments)
         except torch.OutOfMemoryError:
@@ -59,14 +59,14 @@ class CheckedKind:
             raise TypeError(f"{self.where(method)} raised {type(error).__name__}: {error}{advice}") from error
 
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
-        found = self.call("eval_pdf", values, wi, wo, *((True,) if fixed_lobes else ()))  # asked of discrete lobes alone
-        if not (isinstance(found, tuple) and len(found) == 2):
-            got = f"{len(found)} results" if type(found) is tuple else f"a {type(found).__name__} alone"
+        results = self.call("eval_pdf", values, wi, wo, *((True,) if fixed_lobes else ()))  # asked of discrete lobes alone
+        if not (isinstance(results, tuple) and len(results) == 2):
+            got = f"{len(results)} results" if type(results) is tuple else f"a {type(results).__name__} alone"
             raise TypeError(f"{self.where('eval_pdf')} must return two results, the BSDF times the cosine and the density "
                             f"of `sample`, got {got}")
-        self.check_vector("eval_pdf", "the first result", found[0], wi.z)
-        self.check_lanes("eval_pdf", "the second result, the density,", found[1], wi.z)
-        return found
+        self.check_vector("eval_pdf", "the first result", results[0], wi.z)
+        self.check_lanes("eval_pdf", "the second result, the density,", results[1], wi.z)
+        return results
 
     def eval(self, values: Values, wi: Vec3, wo: Vec3) -> Vec3:
         return self.check_vector("eval", "the result", self.call("eval", values, wi, wo), wi.z)
@@ -78,53 +78,55 @@ class CheckedKind:
         return self.check_vector("sample", "the result", self.call("sample", values, wi, choice, u, v), wi.z)
 
     def choose(self, values: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> LobeChoice:
-        found = self.call("choose", values, wi, choice if self.kind.discrete else None, u, v)
-        if not isinstance(found, LobeChoice):
-            raise TypeError(f"{self.where('choose')} must return a LobeChoice, got a {type(found).__name__}")
-        self.check_lanes("choose", "lobe", found.lobe, wi.z)
-        self.check_lanes("choose", "probability", found.probability, wi.z)
-        if found.delta is not None:
-            self.check_lanes("choose", "delta", found.delta, wi.z.bool())
-        if self.kind.delta and self.kind.smooth and found.delta is None:
+        lobe_choice = self.call("choose", values, wi, choice if self.kind.discrete else None, u, v)
+        if not isinstance(lobe_choice, LobeChoice):
+            raise TypeError(f"{self.where('choose')} must return a LobeChoice, got a {type(lobe_choice).__name__}")
+        self.check_lanes("choose", "lobe", lobe_choice.lobe, wi.z)
+        self.check_lanes("choose", "probability", lobe_choice.probability, wi.z)
+        if lobe_choice.delta is not None:
+            self.check_lanes("choose", "delta", lobe_choice.delta, wi.z.bool())
+        if self.kind.delta and self.kind.smooth and lobe_choice.delta is None:
             raise TypeError(f"{self.where('choose')} must say in `delta` which lanes picked a delta lobe, got None: the "
                             f"kind has both delta and smooth lobes")
-        return found
+        return lobe_choice
 
     def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
         return self.check_vector("specular", "the result", self.call("specular", values, wi, choice), wi.z)
 
-    def check_vector(self, method: str, what: str, found: Any, like: Tensor) -> Vec3:
-        """`found`, if it has three components of the shape and dtype of `like`."""
-        if not all(hasattr(found, component) for component in "xyz"):
-            raise TypeError(f"{self.where(method)}: {what} must be a Vec3, got a {type(found).__name__}"
-                            f"{f' of shape {tuple(found.shape)}' if isinstance(found, Tensor) else ''}")
+    def check_vector(self, method: str, what: str, result: Any, like: Tensor) -> Vec3:
+        """Returns `result` if it is a vector of the shape and dtype of `like`, else raises."""
+        if not all(hasattr(result, component) for component in "xyz"):
+            raise TypeError(f"{self.where(method)}: {what} must be a Vec3, got a {type(result).__name__}"
+                            f"{f' of shape {tuple(result.shape)}' if isinstance(result, Tensor) else ''}")
         for component in "xyz":
-            self.check_lanes(method, f"{component} of {what}", getattr(found, component), like)
-        return found
+            self.check_lanes(method, f"{component} of {what}", getattr(result, component), like)
+        return result
 
-    def check_lanes(self, method: str, what: str, found: Any, like: Tensor) -> Tensor:
-        """`found`, if it is a tensor of the shape and dtype of `like`; of shape () where all lanes have the same number."""
-        if not isinstance(found, Tensor):
+    def check_lanes(self, method: str, what: str, result: Any, like: Tensor) -> Tensor:
+        """Returns `result` if it is a tensor of the shape (or of shape (), if all lanes agree) and dtype of `like`; else
+        raises.
+        """
+        if not isinstance(result, Tensor):
             raise TypeError(f"{self.where(method)}: {what} must be a tensor of one number for each lane, got a "
-                            f"{type(found).__name__}")
-        if found.shape not in (like.shape, ()):
+                            f"{type(result).__name__}")
+        if result.shape not in (like.shape, ()):
             raise ValueError(f"{self.where(method)}: {what} must have shape (N,) as the directions, {tuple(like.shape)}, "
-                             f"got {tuple(found.shape)}")
-        if (found.dtype, found.device) != (like.dtype, like.device) and found.shape != ():
+                             f"got {tuple(result.shape)}")
+        if (result.dtype, result.device) != (like.dtype, like.device) and result.shape != ():
             raise TypeError(f"{self.where(method)}: {what} must be {like.dtype} on {like.device} as the directions, got "
-                            f"{found.dtype} on {found.device}")
-        return found
+                            f"{result.dtype} on {result.device}")
+        return result
 
 
 def checked_kind(bsdf: BSDF) -> CheckedKind:
-    """The kind of a material, held to its contract; raises as `check_described`."""
+    """The kind of a material in a checking wrapper; raises as `check_described`."""
     kind = bsdf.kind()
     check_described(bsdf, kind, bsdf.textures())
     return CheckedKind(kind, material_name(bsdf))
 
 
 def check_described(bsdf: BSDF, kind: Any, textures: Any) -> None:
-    """Checks what a material says of itself: its `kind()` and its `textures()`.
+    """Checks a material's `kind()` and `textures()`.
 
     Raises:
         TypeError: if one is of another type.
@@ -147,12 +149,12 @@ def check_described(bsdf: BSDF, kind: Any, textures: Any) -> None:
 
 
 def material_name(bsdf: BSDF) -> str:
-    """The name under which a material is registered, else that of its class."""
+    """The name under which a material is registered, or that of its class."""
     return bsdf.type or type(bsdf).__name__
 
 
 def check_contract(bsdf: BSDF, kind: Kind, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> None:
-    """Calls each function of a material on a few lanes, once for each kind.
+    """Calls each function of a material on a few lanes, and checks the results; once for each kind.
 
     Args:
         bsdf: the material.
@@ -167,7 +169,7 @@ def check_contract(bsdf: BSDF, kind: Kind, textures: Sequence[Texture], dtype: t
 
 @lru_cache(maxsize=256)
 def call_each(kind: Kind, plugin: str, dtype: torch.dtype, device: torch.device) -> None:
-    """Calls the functions of a kind; raises as the methods of `CheckedKind`."""
+    """Calls each function of a kind on a few lanes; raises as the methods of `CheckedKind`."""
     with torch.no_grad():
         checked, z = CheckedKind(kind, plugin), torch.tensor(COSINES, dtype=dtype, device=device)
         half = torch.full_like(z, HALF)

@@ -1,4 +1,4 @@
-"""Ideal reflection and refraction by glass."""
+"""Ideal reflection and refraction by smooth glass."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from torch_radbp.texture.rgb import as_texture
 
 
 def relative_index(eta: Tensor, side: Tensor) -> Tensor:
-    """Index of refraction of the far side over that of the near side; `eta` is that of the inside over the outside."""
+    """Index of refraction of the far side over that of the near side; `eta`: of the inside over the outside."""
     outside = 0.5 + 0.5 * side
     return outside * eta + (1.0 - outside) / eta
 
 
 def blend(choice: LobeChoice, reflected: Tensor, transmitted: Tensor) -> Tensor:
-    """The value of the chosen lobe: that of reflection or that of transmission."""
+    """Selects the value of the chosen lobe: that of reflection or that of transmission."""
     return reflected + choice.lobe * (transmitted - reflected)
 
 
 def decide(reflectance: Tensor, choice: Tensor) -> LobeChoice:
-    """Chooses reflection with the probability `reflectance`, which is detached."""
+    """Chooses reflection with the detached probability `reflectance`, else transmission."""
     transmits = (choice >= reflectance).to(reflectance.dtype)
     return LobeChoice(transmits, torch.where(choice >= reflectance, 1.0 - reflectance, reflectance))
 
 
 @dataclass(frozen=True)
 class DielectricKind(DeltaKind):
-    """Values: eta (a scalar), specular_reflectance, specular_transmittance.
+    """A smooth dielectric boundary. Values: eta (a scalar), specular_reflectance, specular_transmittance.
 
     Radiance that crosses the boundary is scaled by the squared ratio of the indices.
     Reference: Veach 1997, "Robust Monte Carlo Methods for Light Transport Simulation", section 5.2.
@@ -107,13 +107,13 @@ class Dielectric(BSDF):
 
     @property
     def int_ior(self) -> float:
-        """Index of refraction inside, by the current `eta`."""
+        """Index of refraction inside, from the current `eta`."""
         return float(self.eta.detach()) * self.ext_ior
 
     def kind(self) -> DielectricKind:
-        """The scattering functions."""
+        """The functions that evaluate and sample this BSDF."""
         return DielectricKind()
 
     def textures(self) -> tuple[Texture, ...]:
-        """What the functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return *self.eta_texture, self.specular_reflectance, self.specular_transmittance

@@ -16,7 +16,7 @@ from torch_radbp.texture.rgb import as_texture
 
 @dataclass(frozen=True)
 class DiffuseKind(Kind):
-    """Values: reflectance."""
+    """A Lambertian reflector. Values: reflectance."""
 
     @property
     def slots(self) -> int:
@@ -52,9 +52,9 @@ class Diffuse(BSDF):
         return {"reflectance": REFLECTANCE}
 
     def kind(self) -> DiffuseKind:
-        """The scattering functions."""
+        """The functions that evaluate and sample this BSDF."""
         return DiffuseKind()
 
     def textures(self) -> tuple[Texture, ...]:
-        """What the functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return (self.reflectance,)

@@ -1,4 +1,4 @@
-"""Materials of many parameters, of which those that are absent cost nothing: neither a value nor code."""
+"""Materials with many optional parameters, of which absent ones cost nothing: neither a value nor code."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Number = Tensor | float  # of a parameter that a material does not have: its val
 
 @dataclass(frozen=True)
 class FeaturedKind(Kind):
-    """Values: `always` many that every such material has, then those of the `features`, which are numbers."""
+    """A kind with optional parameters. Values: `always` many fixed ones, then one number for each of the `features`."""
 
     features: tuple[str, ...]
 
@@ -34,25 +34,25 @@ class FeaturedKind(Kind):
         return self.always + len(self.features)
 
     def has(self, name: str) -> bool:
-        """True if the material has a parameter."""
+        """True if the material has an optional parameter."""
         return name in self.features
 
     def number(self, values: Values, name: str) -> Number:
-        """The value of a parameter; 0 without it."""
+        """The value of an optional parameter; 0 if the material lacks it."""
         return values[self.always + self.features.index(name)].x if self.has(name) else 0.0
 
     def places(self, *names: str) -> tuple[int, ...]:
-        """Which values those of some parameters are, without the absent ones."""
+        """The indices, among the values, of some optional parameters, without absent ones."""
         return tuple(self.always + place for place, name in enumerate(self.features) if name in names)
 
 
 def is_needed(texture: Texture) -> bool:
-    """False if a parameter is as good as absent: zero everywhere, and not differentiated."""
+    """False if an optional parameter has no effect: zero everywhere, and not differentiated."""
     return not isinstance(texture, RGB) or differentiated(texture.value) or bool((texture.value != 0).any())
 
 
 def features_of(material: nn.Module, names: Iterable[str], part_of: Mapping[str, str]) -> tuple[str, ...]:
-    """Which parameters are not absent now, in order.
+    """The names of the optional parameters that have an effect now, in order.
 
     Args:
         material: has a texture for each.

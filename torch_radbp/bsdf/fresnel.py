@@ -21,7 +21,7 @@ GREATEST_INDEX = 1e6  # of a conductor: greater numbers count as this one, whose
 
 
 def dielectric_reflectance(cos_i: Tensor, eta: Tensor) -> tuple[Tensor, Tensor]:
-    """Reflectance of a boundary between dielectrics, and the cosine of the refracted direction.
+    """Fresnel reflectance of a boundary between dielectrics, and the cosine of the refracted direction.
 
     Args:
         cos_i: at least 0, between the direction of incidence and the normal on its side.
@@ -38,14 +38,14 @@ def dielectric_reflectance(cos_i: Tensor, eta: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def unpolarised(cos_i: Tensor, cos_t: Tensor, eta: Tensor) -> Tensor:
-    """The reflectance of a boundary between dielectrics, by the cosines of incidence and refraction, not both zero."""
+    """Fresnel reflectance of a dielectric boundary, by the cosines of incidence and refraction, not both zero."""
     perpendicular = (cos_i - eta * cos_t) / (cos_i + eta * cos_t)
     parallel = (eta * cos_i - cos_t) / (eta * cos_i + cos_t)
     return 0.5 * (perpendicular * perpendicular + parallel * parallel)
 
 
 def conductor_reflectance(cos_i: Tensor, eta: Vec3, k: Vec3) -> Vec3:
-    """Reflectance of a conductor seen from vacuum.
+    """Fresnel reflectance of a conductor seen from vacuum.
 
     Args:
         cos_i: between the direction of incidence and the normal, at least 0.

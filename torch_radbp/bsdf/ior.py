@@ -1,4 +1,4 @@
-"""Indices of refraction of named materials, and the attributes of plugins that give one.
+"""Indices of refraction of named materials, and plugin attributes that give one.
 
 All figures are those that Mitsuba 3.9.1 shows for the name, so that a scene gives the same image in both:
 
@@ -99,7 +99,7 @@ CONDUCTORS = {
 
 
 def index_of_refraction(name: str, value: float | str) -> float:
-    """The index that the attribute `name` gives as a number or as the name of one of `DIELECTRICS`.
+    """The index of refraction that the attribute `name` gives, as a number or as the name of one of `DIELECTRICS`.
 
     Raises:
         ValueError: if the material is unknown, or the index is not greater than zero.
@@ -113,7 +113,7 @@ def index_of_refraction(name: str, value: float | str) -> float:
 
 def complex_index(owner: BSDF, material: str, eta: Texture | float | None,
                   k: Texture | float | None) -> tuple[Texture, Texture]:
-    """The textures eta and k of the conductor `owner`: those given, or those of a named metal; "none": a perfect mirror.
+    """The textures eta and k of a conductor: those given, or those of a named metal; "none": a perfect mirror.
 
     Raises:
         ValueError: if the material is unknown or given beside eta or k, or if a value is negative.

@@ -1,4 +1,4 @@
-"""The interface between materials and the tracer: scattering functions on structs of arrays, in the local frame.
+"""The interface between materials and the path tracer: scattering functions in the local shading frame.
 
 A material has two parts. Its `Kind`, a hashable value that names the functions and their static options, is the same at
 every surface point. The values of its `textures` vary, and are handed to the functions as one `Vec3` each (of a scalar only
@@ -43,12 +43,12 @@ Values = tuple[Vec3, ...]
 
 
 class LobeChoice(NamedTuple):
-    """The lobe that was picked; detached."""
+    """The BSDF lobe chosen for sampling; detached."""
 
-    lobe: Tensor  # (N,) its number, floating point; of glass 0 reflects and 1 transmits
-    probability: Tensor  # (N,) with which it is picked
+    lobe: Tensor  # (N,) number of the lobe, floating point; of glass 0 reflects and 1 transmits
+    probability: Tensor  # (N,) of the choice
     delta: Tensor | None = None  # (N,) bool: it is a delta lobe; None: the kind has no other, or none at all
-    parts: tuple[LobeChoice, ...] = ()  # the choices of the kinds that this one holds
+    parts: tuple[LobeChoice, ...] = ()  # the choices of the nested kinds
 
     def is_delta(self, kind: Kind) -> Tensor:
         """(N,) bool: a delta lobe was picked; `kind` is the one that picked it."""
@@ -64,28 +64,28 @@ class Kind(ABC):
 
     delta: ClassVar[bool] = False  # it has delta lobes
     smooth: ClassVar[bool] = True  # it has smooth lobes
-    discrete: ClassVar[bool] = False  # `choose` has a choice
+    discrete: ClassVar[bool] = False  # it chooses among lobes by a random number
     oriented: ClassVar[bool] = False  # anisotropic: turning the surface about its normal makes a difference
     transmits: ClassVar[bool] = False  # light passes to the other side
-    straight: ClassVar[bool] = False  # some of it in the direction in which it came, without scattering
-    turns_normals: ClassVar[bool] = False  # surfaces look as if they had other normals
+    straight: ClassVar[bool] = False  # some of it in the direction in which it came (null scattering)
+    turns_normals: ClassVar[bool] = False  # it shades with other normals than the surface's
     # What `check_bsdf` holds a kind to, and the kinds that it holds; False: the model is not so.
     reciprocal: ClassVar[bool] = True  # f(wi, wo) / n_i^2 = f(wo, wi) / n_o^2 with the indices n of refraction on both sides
     conserves: ClassVar[bool] = True  # no more power leaves than arrives
 
     @property
     def steering(self) -> tuple[int, ...]:
-        """The numbers of those values on which sampled directions depend."""
+        """The indices of the values on which sampled directions depend."""
         return ()
 
     @property
     def bending(self) -> tuple[int, ...]:
-        """The numbers of those values on which the directions that hybrid sampling follows depend."""
+        """The indices of the values on which those directions depend that hybrid sampling differentiates."""
         return self.steering if self.delta or self.follows else ()
 
     @property
     def follows(self) -> bool:
-        """True if hybrid sampling lets directions of the smooth lobes carry derivatives, as it does of delta lobes."""
+        """True if hybrid sampling differentiates sampled directions of the smooth lobes, as it does of delta lobes."""
         return False
 
     @property
@@ -95,36 +95,36 @@ class Kind(ABC):
 
     @property
     def ends(self) -> bool:
-        """True if `sample` loses directions where `eval_pdf` is not zero, so that following directions miss it, too."""
+        """True if `sample` misses directions where `eval_pdf` is not zero; then attached sampling is biased, too."""
         return False
 
     @property
     @abstractmethod
     def slots(self) -> int:
-        """The number of values that the functions take."""
+        """The number of values (textures) that the functions take."""
 
     @abstractmethod
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
-        """BSDF times |cos(wo)|, for radiance, and the density of `sample` over solid angle; of the smooth lobes together.
+        """BSDF times |cos(wo)|, for radiance, and the solid-angle density of `sample`; both of all smooth lobes together.
 
         Both attached; with `fixed_lobes` the density carries no derivative of the probabilities of lobes, but by directions
         if there is a `chance_by_direction`.
         """
 
     def eval(self, values: Values, wi: Vec3, wo: Vec3) -> Vec3:
-        """The first of `eval_pdf`."""
+        """BSDF times |cos(wo)|, for radiance; the first result of `eval_pdf`."""
         return self.eval_pdf(values, wi, wo)[0]
 
     def pdf(self, values: Values, wi: Vec3, wo: Vec3) -> Tensor:
-        """The second of `eval_pdf`."""
+        """The solid-angle density of `sample`; the second result of `eval_pdf`."""
         return self.eval_pdf(values, wi, wo)[1]
 
     @abstractmethod
     def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
-        """A unit vector wo of the chosen lobe, attached. `eval` and `pdf` are zero where it cannot be used."""
+        """Samples a unit vector wo from the chosen lobe, attached. `eval` and `pdf` are zero where it is invalid."""
 
     def choose(self, values: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> LobeChoice:
-        """The lobe, decided by the random number `choice`; `sample` will get the same u and v. Detached.
+        """Chooses a lobe by the random number `choice`; `sample` will get the same u and v. Detached.
 
         `choice` may be None where the kind is not `discrete`.
         """
@@ -139,11 +139,11 @@ class Kind(ABC):
         return None
 
     def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
-        """Weight of the chosen delta lobe, not divided by the choice's probability; attached. Else finite, and not used."""
+        """The weight of the chosen delta lobe, not divided by the choice's probability; attached. Elsewhere any number."""
         raise TypeError(f"{type(self).__name__} has no delta lobe: use eval")
 
     def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
-        """The colour of the material, as Mitsuba's output `albedo` has it; attached.
+        """The albedo of the material, as Mitsuba's AOV `albedo` has it; attached.
 
         By default that of the diffuse material which is as bright when seen from straight above.
         """
@@ -151,12 +151,12 @@ class Kind(ABC):
         return self.eval(values, Vec3(*wi), Vec3(none, none, torch.ones_like(none))) * math.pi
 
     def shading_normal(self, values: Values, wi: Vec3) -> Vec3:
-        """The unit normal that the material has in the local frame if it `turns_normals`; attached."""
+        """The unit normal with which the material shades, in the local frame, if it `turns_normals`; attached."""
         raise TypeError(f"{type(self).__name__} turns no normals")
 
 
 class DeltaKind(Kind):
-    """Ideal specular scattering, into directions that no other sampling strategy finds."""
+    """A kind with delta lobes only: ideal specular scattering, which light sampling cannot find."""
 
     delta: ClassVar[bool] = True
     smooth: ClassVar[bool] = False
@@ -166,11 +166,11 @@ class DeltaKind(Kind):
 
     @abstractmethod
     def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
-        """Weight of the chosen lobe, not divided by the choice's probability; attached."""
+        """Weight of the chosen delta lobe, not divided by the choice's probability; attached."""
 
 
 def choice_among(probabilities: Sequence[Tensor | float], choice: Tensor) -> LobeChoice:
-    """The smooth lobe that a random number picks: number k with the k-th of some probabilities.
+    """Chooses among smooth lobes by a random number: number k with the k-th probability.
 
     Args:
         probabilities: of all lobes; their sum is 1. Detached.
@@ -184,7 +184,7 @@ def choice_among(probabilities: Sequence[Tensor | float], choice: Tensor) -> Lob
 
 
 def on_horizon_unless(usable: Tensor, w: Vec3) -> Vec3:
-    """`w` where `usable` (N,) bool, else the direction on the horizon with its azimuth, for which every kind is black."""
+    """`w` where `usable` (N,) bool, else the direction on the horizon with its azimuth, where every BSDF is zero."""
     fine, level = usable.to(w.z.dtype), w.x * w.x + w.y * w.y
     upright = (level < SMALLEST_LEVEL).to(w.z.dtype)  # has no azimuth
     scale = fine + (1.0 - fine) * (1.0 - upright) * torch.rsqrt(level.clamp_min(SMALLEST_LEVEL))
@@ -192,24 +192,24 @@ def on_horizon_unless(usable: Tensor, w: Vec3) -> Vec3:
 
 
 def chance_of_lobe(chance: Tensor, fixed_lobes: bool) -> Tensor:
-    """The probability of a lobe as part of a density: with its derivative, or without if lobes are fixed."""
+    """The probability of a lobe as a factor of a density; detached if lobes are fixed."""
     return settled(chance) if fixed_lobes else chance
 
 
 def values_for_choice(values: Values) -> Values:
-    """The values by which lobes are chosen: detached, as every choice."""
+    """Detaches the values by which lobes are chosen."""
     return tuple(value.map(settled) for value in values)
 
 
 def either(condition: Tensor, first: Tensor | None, second: Tensor | None) -> Tensor | None:
-    """The first chance where the condition holds, else the second; None stands for one that is 1, and both for None."""
+    """Selects between two probabilities by a condition; None stands for 1, and the result is None if both are."""
     if first is None and second is None:
         return None
     return torch.where(condition, 1.0 if first is None else first, 1.0 if second is None else second)
 
 
 def above(w: Vec3) -> Vec3:
-    """`w` mirrored to the side of the normal: a stand-in that keeps one-sided kinds finite where they are black."""
+    """`w` mirrored to the side of the normal, to keep one-sided kinds finite where they are black."""
     return Vec3(w.x, w.y, w.z.abs())
 
 

@@ -1,4 +1,4 @@
-"""A material with holes."""
+"""A material with holes: an opacity mask."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from torch_radbp.texture.rgb import as_texture
 
 @dataclass(frozen=True)
 class MaskKind(BlendKind):
-    """A blend whose first kind is `null`: the holes have no colour."""
+    """An opacity mask: a blend whose first kind is `null`, so that holes have no colour."""
 
     def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
         return self.second.diffuse_reflectance(self.parts(values)[1], wi)
@@ -52,9 +52,9 @@ class Mask(BSDF):
         return {"opacity": FRACTION}
 
     def kind(self) -> Kind:
-        """The scattering functions."""
+        """The functions that evaluate and sample this BSDF."""
         return MaskKind(NullKind(), self.nested_bsdf.kind(), is_still(self.opacity))
 
     def textures(self) -> tuple[Texture, ...]:
-        """What the functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return *self.opacity_number, *self.nested_bsdf.textures()

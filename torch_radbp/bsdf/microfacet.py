@@ -45,7 +45,7 @@ SQRT_PI = math.sqrt(math.pi)
 
 
 def half_vector(h: Vec3) -> tuple[Vec3, Tensor]:
-    """The unit vector along `h` on the side of the normal, and the squared length of `h`; the normal where h vanishes."""
+    """The GGX distribution of microfacet normals (Trowbridge and Reitz)."""
     squared = dot(h, h)
     vanishes = (squared < SMALLEST_HALF_VECTOR).to(h.z.dtype)
     squared = squared.clamp_min(SMALLEST_HALF_VECTOR)
@@ -61,14 +61,14 @@ class GGX(NamedTuple):
     alpha_v: Tensor
 
     def density(self, m: Vec3) -> Tensor:
-        """Area of microfacets with normal `m` per area of the surface and solid angle of m."""
+        """D(m): area of microfacets with normal `m` per area of the surface and solid angle."""
         area = self.alpha_u * self.alpha_v
         x, y, z = m.x * self.alpha_v, m.y * self.alpha_u, m.z * area
         ratio = area / (x * x + y * y + z * z)
         return ratio * ratio * area * (1.0 / math.pi)
 
     def projected_area(self, w: Vec3) -> Tensor:
-        """Area of microfacets that `w`, above the surface, sees: cos / G1. Positive."""
+        """The area of microfacets visible from `w`, above the surface: cos / G1. Positive."""
         return 0.5 * (w.z + torch.sqrt(w.z * w.z + stretch(self, w)))
 
     def masking(self, w: Vec3) -> Tensor:
@@ -76,7 +76,7 @@ class GGX(NamedTuple):
         return 1.0 / self.projected_area(w)
 
     def sample_visible(self, w: Vec3, u: Tensor, v: Tensor) -> Vec3:
-        """Microfacet normals with density `density` <w, m> / `projected_area`; w on or above the horizon."""
+        """Samples visible microfacet normals, with density D(m) <w, m> / `projected_area`; w on or above the horizon."""
         seen = normalize(Vec3(self.alpha_u * w.x, self.alpha_v * w.y, w.z))
         # A point of the unit sphere's cap above -z of the seen direction; u sin^2 = 1 - z^2, free of cancellation.
         fall = v * (1.0 + seen.z)
@@ -85,25 +85,25 @@ class GGX(NamedTuple):
         return normalize(Vec3(self.alpha_u * h.x, self.alpha_v * h.y, h.z.clamp_min(LEAST_NUMBER)))
 
     def sample(self, u: Tensor, v: Tensor) -> Vec3:
-        """Microfacet normals with density `density` times cosine, whether visible or not."""
+        """Samples microfacet normals with density D(m) times cosine, whether visible or not."""
         radius, phi = torch.sqrt(u / (1.0 - u)), 2.0 * math.pi * v
         return from_slopes(self, Vec2(radius * torch.cos(phi), radius * torch.sin(phi)))
 
 
 class Beckmann(NamedTuple):
-    """The distribution of a surface whose slopes are normally distributed."""
+    """The Beckmann distribution of microfacet normals, whose slopes are normally distributed."""
 
     alpha_u: Tensor  # (N,) roughness along x and y, attached; root mean square slope times sqrt(2)
     alpha_v: Tensor
 
     def density(self, m: Vec3) -> Tensor:
-        """Area of microfacets with normal `m` per area of the surface and solid angle of m."""
+        """D(m): area of microfacets with normal `m` per area of the surface and solid angle."""
         z = m.z.clamp_min(SMALLEST_COSINE)
         x, y, cos2 = m.x / (self.alpha_u * z), m.y / (self.alpha_v * z), z * z
         return torch.exp(-x * x - y * y) / (math.pi * self.alpha_u * self.alpha_v * cos2 * cos2)
 
     def projected_area(self, w: Vec3) -> Tensor:
-        """Area of microfacets that `w`, above the surface, sees: cos / G1, exactly. Positive."""
+        """The area of microfacets visible from `w`, above the surface: cos / G1, exactly. Positive."""
         return visible_area(*polar(self, w)[:2])
 
     def masking(self, w: Vec3) -> Tensor:
@@ -117,7 +117,7 @@ class Beckmann(NamedTuple):
         return smooth / w.z.clamp_min(SMALLEST_COSINE) + (1.0 - smooth) * rational
 
     def sample_visible(self, w: Vec3, u: Tensor, v: Tensor) -> Vec3:
-        """Microfacet normals with density `density` <w, m> / `projected_area`; w on or above the horizon."""
+        """Samples visible microfacet normals, with density D(m) <w, m> / `projected_area`; w on or above the horizon."""
         z, t, e = polar(self, w)
         s = normal_variates(u, v)
         shift = visible_shift(s.x * e.x + s.y * e.y, z, t)
@@ -125,12 +125,12 @@ class Beckmann(NamedTuple):
         return from_slopes(self, Vec2(-x, -y))
 
     def sample(self, u: Tensor, v: Tensor) -> Vec3:
-        """Microfacet normals with density `density` times cosine, whether visible or not."""
+        """Samples microfacet normals with density D(m) times cosine, whether visible or not."""
         return from_slopes(self, normal_variates(u, v))
 
 
 def from_slopes(facets: GGX | Beckmann, slopes: Vec2) -> Vec3:
-    """The normals of facets that lean along u and v by multiples of the roughness."""
+    """Microfacet normals from slopes along u and v in multiples of the roughness."""
     return normalize(Vec3(facets.alpha_u * slopes.x, facets.alpha_v * slopes.y, torch.ones_like(slopes.x)))
 
 
@@ -138,23 +138,23 @@ DISTRIBUTIONS = {"beckmann": Beckmann, "ggx": GGX}
 
 
 def microfacets(distribution: str, alpha_u: Tensor, alpha_v: Tensor) -> Beckmann | GGX:
-    """The distribution called `distribution` with roughness `alpha_u`, `alpha_v`, kept above `SMALLEST_ALPHA`."""
+    """The microfacet distribution called `distribution`, with roughness kept above `SMALLEST_ALPHA`."""
     return DISTRIBUTIONS[distribution](floored(alpha_u), floored(alpha_v))
 
 
 def floored(alpha: Tensor) -> Tensor:
-    """`alpha`, but at least `SMALLEST_ALPHA`, with the derivative of the identity: so an optimiser can leave 0 again."""
+    """Clamps roughness to `SMALLEST_ALPHA`, with the derivative of the identity: so an optimiser can leave 0 again."""
     fixed = alpha.detach()
     return alpha + (fixed.clamp_min(SMALLEST_ALPHA) - fixed)
 
 
 @dataclass(frozen=True)
 class MicrofacetKind(Kind):
-    """A surface of microfacets. Values: alpha, or alpha_u and alpha_v, and three more."""
+    """A surface of microfacets. Values: alpha, or alpha_u and alpha_v, and those of the subclass."""
 
     distribution: str
     anisotropic: bool = False
-    visible: bool = True  # only the normals that are visible from wi are drawn
+    visible: bool = True  # only normals visible from wi are sampled
 
     @property
     def slots(self) -> int:
@@ -169,15 +169,15 @@ class MicrofacetKind(Kind):
         return tuple(range(1 + self.anisotropic))
 
     def facets(self, values: Values) -> Beckmann | GGX:
-        """The distribution of microfacets."""
+        """The distribution of microfacet normals."""
         return microfacets(self.distribution, values[0].x, values[int(self.anisotropic)].x)
 
     def drawn(self, values: Values, w: Vec3, u: Tensor, v: Tensor) -> Vec3:
-        """A microfacet normal, drawn for the direction `w` above the surface; attached."""
+        """Samples a microfacet normal for the direction `w` above the surface; attached."""
         return self.facets(values).sample_visible(w, u, v) if self.visible else self.facets(values).sample(u, v)
 
     def per_area(self, facets: Beckmann | GGX, w: Vec3, cos_i: Tensor, cos_m: Tensor) -> Tensor:
-        """What D(m) <w, m> is multiplied by in the density of the normals that are drawn.
+        """The factor that turns D(m) <w, m> into the density of the sampled normals.
 
         Args:
             facets: of the surface.
@@ -195,7 +195,7 @@ def stretch(facets: Beckmann | GGX, w: Vec3) -> Tensor:
 
 
 def polar(facets: Beckmann, w: Vec3) -> tuple[Tensor, Tensor, Vec2]:
-    """z, t and the azimuth e of `w` with its horizontal part stretched by the roughness.
+    """z, t and the azimuth e of `w` (see the module), with its horizontal part stretched by the roughness.
 
     Next to normal incidence, where e is not defined, t is held and e is shorter than one: the distribution depends on e t
     alone in first order, and the error of second order is less than rounding.
@@ -207,19 +207,19 @@ def polar(facets: Beckmann, w: Vec3) -> tuple[Tensor, Tensor, Vec2]:
 
 
 def visible_area(z: Tensor, t: Tensor) -> Tensor:
-    """A(z / t) of the module's docstring."""
+    """The projected area A(z / t) of the module's docstring."""
     # Detached, because dA/dq is zero at q = z / t.
     q = (z / t).detach()
     return area_below(q, z, t)
 
 
 def area_below(q: Tensor, z: Tensor, t: Tensor) -> Tensor:
-    """A(q) of the module's docstring: a sum of positive terms, free of cancellation."""
+    """The projected area A(q) of microfacets with slopes below q: a sum of positive terms, free of cancellation."""
     return 0.5 * z * torch.erfc(-q) + (0.5 / SQRT_PI) * t * torch.exp(-q * q)
 
 
 def visible_shift(p: Tensor, z: Tensor, t: Tensor) -> Tensor:
-    """q - p <= 0, where a slope p of all slopes becomes the slope q of those that are seen; attached to p, z and t."""
+    """The shift q - p <= 0 from a slope p among all to the slope q among visible ones; attached to p, z and t."""
     below = 0.5 * torch.erfc(-p)
     target = below * visible_area(z, t)
     q = solve_visible_slope(p.detach(), below.detach(), target.detach(), z.detach(), t.detach())
@@ -231,7 +231,7 @@ def visible_shift(p: Tensor, z: Tensor, t: Tensor) -> Tensor:
 
 
 def solve_visible_slope(p: Tensor, below: Tensor, target: Tensor, z: Tensor, t: Tensor) -> Tensor:
-    """q with A(q) = `target`; not for differentiation."""
+    """Solves A(q) = `target` for the slope q; not differentiable."""
     grazing = -torch.sqrt(-torch.where(p > 0, torch.log1p(-0.5 * torch.erfc(p.clamp_min(0.0))), torch.log(below)))
     upper = torch.minimum(p, z / t)
     sine = t * torch.rsqrt(z * z + t * t)
@@ -248,7 +248,7 @@ def solve_visible_slope(p: Tensor, below: Tensor, target: Tensor, z: Tensor, t: 
 
 
 def normal_variates(u: Tensor, v: Tensor) -> Vec2:
-    """Two numbers, each with density exp(-x^2) / sqrt(pi).
+    """Two normal variates, each with density exp(-x^2) / sqrt(pi).
 
     Reference: Box and Muller 1958, "A Note on the Generation of Random Normal Deviates".
     """

@@ -1,4 +1,4 @@
-"""A material whose normals an image gives."""
+"""A material whose shading normals are given by a normal map."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from torch_radbp.texture.rgb import as_texture
 
 @dataclass(frozen=True)
 class NormalMapKind(TurnedKind):
-    """Values: the turned normal as a colour (n + 1) / 2, those of the nested kind."""
+    """A normal-mapped kind. Values: the normal as a colour (n + 1) / 2, those of the nested kind."""
 
-    own: ClassVar[int] = 1
+    normal_values: ClassVar[int] = 1
 
     def normal(self, values: Values) -> Vec3:
         one = torch.ones_like(values[0].x)
@@ -58,9 +58,9 @@ class NormalMap(BSDF):
         return {"normalmap": Domain(limit=1e6)}
 
     def kind(self) -> Kind:
-        """The scattering functions."""
+        """The functions that evaluate and sample this BSDF."""
         return NormalMapKind(self.nested_bsdf.kind(), self.flip_invalid_normals, self.use_shadowing_function)
 
     def textures(self) -> tuple[Texture, ...]:
-        """What the functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return self.normalmap, *self.nested_bsdf.textures()

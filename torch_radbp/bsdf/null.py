@@ -1,4 +1,4 @@
-"""A surface that is not there."""
+"""An invisible surface, which all light passes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torch_radbp.tensors.vec import Vec3
 
 @dataclass(frozen=True)
 class NullKind(DeltaKind):
-    """Takes no values."""
+    """An invisible surface. Takes no values."""
 
     transmits: ClassVar[bool] = True
     straight: ClassVar[bool] = True
@@ -42,9 +42,9 @@ class Null(BSDF):
         super().__init__()
 
     def kind(self) -> NullKind:
-        """The scattering functions."""
+        """The functions that evaluate and sample this BSDF."""
         return NullKind()
 
     def textures(self) -> tuple[Texture, ...]:
-        """What the functions take: nothing."""
+        """The textures whose values those functions take: none."""
         return ()

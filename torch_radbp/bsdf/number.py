@@ -1,4 +1,4 @@
-"""Numbers of a material, handed to the tracer as textures whose channels are all the same."""
+"""Scalar parameters of materials, handed to the path tracer as textures with equal channels."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ class OwnNumber(Colour):
         self.place = (owner, name)  # a tuple, so that the owner is no submodule
 
     def colour(self) -> Tensor:
-        """(), attached."""
+        """The parameter as a () tensor, attached."""
         owner, name = self.place
         return getattr(owner, name)
 
 
 class NumberOf(Texture):
-    """The texture `name` of `owner` read as a number: the mean or the luminance of the colour at each surface point.
+    """The texture `name` of `owner` as a scalar texture: the mean or the luminance of the colour at each surface point.
 
     This is a view: it has the texels, the filter and the coordinates of that texture, and no parameters of its own.
     """
@@ -47,23 +47,23 @@ class NumberOf(Texture):
         return getattr(owner, name)
 
     def texels(self) -> Tensor:
-        """(H, W, 3) the numbers, in all three channels; attached."""
+        """(H, W, 3) texels with the scalar in all three channels; attached."""
         return self.texture.scalars()[..., None].expand(-1, -1, 3)
 
     def colours(self) -> tuple[NumberOf, ...]:
-        """The numbers of a checkerboard."""
+        """The two colours of a checkerboard as scalar textures."""
         return tuple(NumberOf(self.texture, name) for name in self.texture.numbers)
 
     def sources(self) -> tuple[Tensor, ...]:
-        """All tensors that the numbers are computed from, attached."""
+        """All tensors that the scalars are computed from, attached."""
         return self.texture.sources()
 
     def reader(self) -> Reader:
-        """How lanes read it: as they read that texture."""
+        """The reader of the underlying texture, as scalars."""
         return reader_of(self.texture).of_numbers()
 
     def function(self) -> ModuleFunction:
-        """The numbers as a function of the place, if that texture is no table."""
+        """The scalar as a function of the surface point, for textures with computed values."""
         return replace(self.texture.function(), as_number=True)
 
     def __getattr__(self, name: str):
@@ -73,19 +73,19 @@ class NumberOf(Texture):
 
 
 class SlopeOf(NumberOf):
-    """The slope of the texture `name` of `owner`, read as a number, along the surface."""
+    """The slope along the surface of the texture `name` of `owner`, read as a scalar."""
 
     def reader(self) -> Reader:
-        """How lanes read it."""
+        """The reader that evaluates slopes along the surface."""
         return slope_reader(super().reader())
 
     def function(self) -> ModuleFunction:
-        """Its derivative by the place, if that texture is no table."""
+        """The derivative of the scalar along the surface, for textures with computed values."""
         return replace(super().function(), as_slope=True)
 
 
 class ComputedNumbers(Colour):
-    """Three of the numbers that a method of `owner` computes from its parameters, as a constant texture.
+    """Three of the scalars that a method of `owner` computes from its parameters, as a constant texture.
 
     Args:
         owner: the material.
@@ -98,6 +98,6 @@ class ComputedNumbers(Colour):
         self.place, self.first = (owner, method), first  # a tuple, so that the owner is no submodule
 
     def colour(self) -> Tensor:
-        """(3,), attached."""
+        """The three scalars, (3,), attached."""
         owner, method = self.place
         return getattr(owner, method)()[self.first:self.first + 3]

@@ -29,7 +29,7 @@ LEAST_ESCAPE = 1e-3  # of 1 - r R; reached at indices beyond 3.9, where the fit 
 
 
 def diffuse_fresnel_reflectance(eta: Tensor) -> Tensor:
-    """The fraction of diffuse light that a smooth boundary reflects back inside; `eta` is the index inside over outside.
+    """The fraction of diffuse light that a smooth boundary reflects back inside; `eta`: index inside over outside.
 
     By the two fits that Mitsuba uses, the first for eta > 1: right to 0.1 per cent up to 1.5, 0.6 up to 2, 9.5 up to 5. At
     eta = 1, where both should vanish, they differ by 0.0015.
@@ -45,12 +45,12 @@ def diffuse_fresnel_reflectance(eta: Tensor) -> Tensor:
 
 
 def coated(reflectance: Vec3, internal: Tensor, nonlinear: bool) -> Vec3:
-    """The reflectance of a base under a coat that reflects the fraction `internal` back: rho / (1 - r R)."""
+    """The reflectance of a base under a coat that reflects the fraction `internal` back inside: rho / (1 - r R)."""
     return reflectance.map(lambda rho: rho / (1.0 - (rho * internal if nonlinear else internal)).clamp_min(LEAST_ESCAPE))
 
 
 def specular_chance(reflected: Tensor, diffuse: Vec3, specular: Vec3) -> Tensor:
-    """The probability with which the coat is sampled and not the base.
+    """The probability of sampling the coat rather than the base.
 
     Args:
         reflected: (N,) the fraction of the light that the coat reflects, in [0, 1].
@@ -61,7 +61,7 @@ def specular_chance(reflected: Tensor, diffuse: Vec3, specular: Vec3) -> Tensor:
 
 
 def share(reflectance: Vec3) -> Tensor:
-    """The mean of a reflectance, kept above `LEAST_SHARE`."""
+    """The mean of a reflectance's channels, kept above `LEAST_SHARE`."""
     return ((reflectance.x + reflectance.y + reflectance.z) * (1.0 / 3.0)).clamp_min(LEAST_SHARE)
 
 
@@ -73,7 +73,7 @@ def coat_or_base(chance: Tensor, number: Tensor) -> LobeChoice:
 
 @dataclass(frozen=True)
 class PlasticKind(Kind):
-    """Values: eta (a scalar), diffuse_reflectance, specular_reflectance. Lobe 0 is the mirror, lobe 1 the diffuse base."""
+    """Smooth plastic. Values: eta (a scalar), diffuse_reflectance, specular_reflectance. Lobes: 0 mirror, 1 base."""
 
     nonlinear: bool
 
@@ -85,7 +85,7 @@ class PlasticKind(Kind):
         return 3
 
     def chance(self, values: Values, wi: Vec3) -> tuple[Tensor, Tensor]:
-        """The probability of the mirror, and the fraction of the light that passes the coat."""
+        """The probability of choosing the mirror lobe, and the fraction of light that passes the coat."""
         eta, diffuse, specular = values
         reflected, _ = dielectric_reflectance(wi.z.abs(), eta.x)
         return specular_chance(reflected, diffuse, specular), 1.0 - reflected
@@ -157,13 +157,13 @@ class Plastic(BSDF):
 
     @property
     def int_ior(self) -> float:
-        """Index of refraction inside, by the current `eta`."""
+        """Index of refraction inside, from the current `eta`."""
         return float(self.eta.detach()) * self.ext_ior
 
     def kind(self) -> Kind:
-        """The scattering functions."""
+        """The functions that evaluate and sample this BSDF."""
         return PlasticKind(self.nonlinear)
 
     def textures(self) -> tuple[Texture, ...]:
-        """What the functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return *self.eta_texture, self.diffuse_reflectance, self.specular_reflectance

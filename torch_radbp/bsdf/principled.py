@@ -1,4 +1,4 @@
-"""Burley's material for artists."""
+"""Burley's "principled" material for artists."""
 
 from __future__ import annotations
 
@@ -85,24 +85,24 @@ class Principled(BSDF):
                 "eta": NUMBER._replace(low=0.0, low_is_in=False), "specular": NUMBER._replace(low=0.0, high=MOST_SPECULAR)}
 
     def rates(self) -> dict[str, float]:
-        """How often the diffuse base, the main boundary and the clearcoat are sampled, by attribute."""
+        """The sampling rates of the diffuse base, the main boundary and the clearcoat, by attribute."""
         names = "diffuse_reflectance_sampling_rate", "main_specular_sampling_rate", "clearcoat_sampling_rate"
         return {name: getattr(self, name) for name in names}
 
     @property
     def numbers(self) -> dict[str, NumberOf]:
-        """Those textures that are read as numbers, by attribute."""
+        """The textures that are read as scalars, by attribute."""
         return dict(zip(("roughness", *FEATURES), self.views))
 
     def features(self) -> tuple[str, ...]:
-        """The names of those parameters that are not absent now, in order."""
+        """The names of the optional parameters that have an effect now, in order."""
         return features_of(self, FEATURES, PART_OF)
 
     def kind(self) -> PrincipledKind:
-        """The scattering functions."""
+        """The functions that evaluate and sample this BSDF."""
         return PrincipledKind(self.features(), self.eta is None, tuple(self.rates().values()))
 
     def textures(self) -> tuple[Texture, ...]:
-        """What the functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         numbers = self.numbers
         return self.base_color, numbers["roughness"], *self.index_texture, *(numbers[name] for name in self.features())

@@ -61,7 +61,7 @@ LEAST_CHANCE = 1e-12
 
 
 class Microfacet(NamedTuple):
-    """The microfacet that scatters light between two directions, both seen from the side of `wi`."""
+    """The microfacet that scatters light between two directions, both flipped to the side of `wi`."""
 
     m: Vec3  # its normal
     front: Number  # 1 if wi is on the side of the surface's normal, else 0
@@ -75,7 +75,7 @@ class Microfacet(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """How much there is of each part."""
+    """The weights of the parts of a principled material."""
 
     metallic: Number  # M
     dielectric: Number  # 1 - M
@@ -84,17 +84,17 @@ class Weights(NamedTuple):
 
 
 class Chances(NamedTuple):
-    """The probabilities of the diffuse base, the clearcoat and the main boundary."""
+    """The probabilities of choosing the diffuse base, the clearcoat and the main boundary."""
 
     diffuse: Number
     clearcoat: Number
     main: Number
-    refracting: Number  # that a microfacet of the main boundary refracts if it reflects nothing
+    refracting: Number  # that a microfacet of the main boundary refracts rather than reflects
 
 
 @dataclass(frozen=True)
 class PrincipledKind(FeaturedKind):
-    """Values: base_color, roughness, specular or eta, then those of the `features`; numbers but for the first."""
+    """A principled material. Values: base_color, then scalars: roughness, specular or eta, those of the `features`."""
 
     by_specular: bool
     rates: tuple[float, float, float]  # of sampling the diffuse base, the main boundary and the clearcoat
@@ -108,7 +108,7 @@ class PrincipledKind(FeaturedKind):
 
     @property
     def jumps(self) -> bool:
-        """True if it refracts; see `RoughDielectricKind`."""
+        """True if the material refracts; see `RoughDielectricKind`."""
         return self.transmits
 
     @property
@@ -116,11 +116,11 @@ class PrincipledKind(FeaturedKind):
         return (1, 2)[:1 + self.transmits] + self.places("anisotropic", "clearcoat_gloss")
 
     def facets(self, values: Values) -> GGX:
-        """The microfacets of the main boundary."""
+        """The GGX distribution of the main boundary."""
         return facets_of(values[1].x, self.number(values, "anisotropic"))
 
     def coat(self, values: Values) -> Clearcoat:
-        """The microfacets of the clearcoat."""
+        """The microfacet distribution of the clearcoat."""
         return Clearcoat.of(self.number(values, "clearcoat_gloss") + torch.zeros_like(values[1].x))
 
     def index(self, values: Values) -> Tensor:
@@ -129,7 +129,7 @@ class PrincipledKind(FeaturedKind):
         return apart_from_one(eta) if self.transmits else eta
 
     def seen(self, values: Values, wi: Vec3) -> tuple[Vec3, Number, Tensor]:
-        """`wi` from its own side; 1 if that is the side of the normal, else -1; the index of the far side over the near."""
+        """`wi` flipped to the front; 1 if it was in front, else -1; and the relative index of the far side."""
         if not self.transmits:
             return above(wi), 1.0, self.index(values)
         side = side_of(wi)
@@ -153,13 +153,13 @@ class PrincipledKind(FeaturedKind):
                           cos_o.clamp_min(0.0), squared, eta, reflectance)
 
     def weights(self, values: Values) -> Weights:
-        """How much there is of each part."""
+        """The weights of metal, dielectric, glass and diffuse base."""
         metallic, transparent = self.number(values, "metallic"), self.number(values, "spec_trans")
         rest = 1.0 - metallic
         return Weights(metallic, rest, rest * transparent, rest * (1.0 - transparent))
 
     def chances(self, values: Values, front: Number) -> Chances:
-        """The probabilities of lobes on one side."""
+        """The probabilities of choosing each lobe, on one side of the surface."""
         weights, (diffuse, main, clearcoat) = self.weights(values), self.rates
         base = diffuse * at_least_some(weights.diffuse) * front
         coat = 0.25 * clearcoat * at_least_some(self.number(values, "clearcoat")) * front if self.has("clearcoat") else 0.0
@@ -168,18 +168,18 @@ class PrincipledKind(FeaturedKind):
         return Chances(base * scale, coat * scale, main * scale, refracting if self.transmits else 0.0)
 
     def reflectance(self, values: Values, weights: Weights, at: Microfacet) -> Vec3:
-        """What a microfacet of the main boundary reflects."""
+        """The reflectance of a microfacet of the main boundary."""
         colour, tint = values[0], self.number(values, "spec_tint")
         plain = weights.dielectric * (1.0 - tint) * at.reflectance
-        found = Vec3(plain, plain, plain)
+        reflected = Vec3(plain, plain, plain)
         grazing = schlick_weight(at.cos_i, at.eta) if self.has("metallic") or self.has("spec_tint") else None
         if self.has("metallic"):
-            found = found + colour.map(lambda c: mixed(c, 1.0, grazing)) * weights.metallic
+            reflected = reflected + colour.map(lambda c: mixed(c, 1.0, grazing)) * weights.metallic
         if self.has("spec_tint"):
             straight = tint_of(colour) * normal_reflectance(at.eta)
-            found = found + straight.map(lambda c: mixed(c, 1.0, grazing)) * (weights.dielectric * tint)
+            reflected = reflected + straight.map(lambda c: mixed(c, 1.0, grazing)) * (weights.dielectric * tint)
         behind = weights.refracting * at.reflectance
-        return found.map(lambda c: mixed(behind, c, at.front)) if self.transmits else found
+        return reflected.map(lambda c: mixed(behind, c, at.front)) if self.transmits else reflected
 
     def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
         return values[0]
@@ -254,7 +254,7 @@ class PrincipledKind(FeaturedKind):
 
 
 def index_by_specular(specular: Tensor) -> Tensor:
-    """The index of refraction of a boundary that reflects 0.08 `specular` of the light straight from above."""
+    """The relative index of refraction whose reflectance at normal incidence is 0.08 `specular`."""
     fixed = specular.detach()
     root = torch.sqrt(0.08 * (specular + (fixed.clamp_min(LEAST_SPECULAR) - fixed)))
     return 2.0 / (1.0 - root) - 1.0

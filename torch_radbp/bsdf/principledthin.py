@@ -56,9 +56,9 @@ RATES = ("specular_reflectance_sampling_rate", "specular_transmittance_sampling_
 
 @dataclass(frozen=True)
 class PrincipledThinKind(FeaturedKind):
-    """Values: base_color, roughness, then those of the `features`; numbers but for the first."""
+    """A thin principled material. Values: base_color, then scalars: roughness, those of the `features`."""
 
-    rates: tuple[float, ...]  # of sampling the lobes, in order
+    rates: tuple[float, ...]  # sampling rates of the lobes, in order
 
     always: ClassVar[int] = 2
     transmits: ClassVar[bool] = True
@@ -66,12 +66,12 @@ class PrincipledThinKind(FeaturedKind):
 
     @property
     def reciprocal(self) -> bool:
-        """False if it transmits by microfacets: it loses light that they see from their own side, not the same both ways."""
+        """False if the material transmits by microfacets: these lose light that is not the same both ways."""
         return not self.has("spec_trans")
 
     @property
     def ends(self) -> bool:
-        """True if it transmits by microfacets; see the module's docstring."""
+        """True if the material transmits by microfacets; see the module's docstring."""
         return self.has("spec_trans")
 
     @property
@@ -79,12 +79,12 @@ class PrincipledThinKind(FeaturedKind):
         return (1, *self.places("eta", "anisotropic")) if self.has("spec_trans") else ()
 
     def facets(self, values: Values) -> tuple[GGX, GGX]:
-        """The microfacets that reflect, and those that transmit; the latter by Burley 2015, figure 15."""
+        """The GGX distributions of reflection and of transmission; the latter by Burley 2015, figure 15."""
         roughness, anisotropic, eta = values[1].x, self.number(values, "anisotropic"), self.number(values, "eta")
         return facets_of(roughness, anisotropic), facets_of((0.65 * eta - 0.35) * roughness, anisotropic)
 
     def chances(self, values: Values) -> tuple[Number, ...]:
-        """The probabilities of the lobes."""
+        """The probabilities of choosing each lobe."""
         clear, through = self.number(values, "spec_trans"), 0.5 * self.number(values, "diff_trans")
         glossy = 0.5 * at_least_some(clear) if self.has("spec_trans") else 0.0
         base = at_least_some(1.0 - clear)
@@ -134,7 +134,7 @@ class PrincipledThinKind(FeaturedKind):
         return value, pdf
 
     def reflectance(self, values: Values, cosine: Tensor, plain: Tensor) -> Vec3:
-        """What a microfacet reflects, in part with the tint of the colour."""
+        """The reflectance of a microfacet, in part tinted by the base colour."""
         if not self.has("spec_tint"):
             return Vec3(plain, plain, plain)
         eta, tint = self.number(values, "eta"), self.number(values, "spec_tint")
@@ -220,18 +220,18 @@ class PrincipledThin(BSDF):
 
     @property
     def numbers(self) -> dict[str, NumberOf]:
-        """Those textures that are read as numbers, by attribute."""
+        """The textures that are read as scalars, by attribute."""
         return dict(zip(("roughness", *FEATURES), self.views))
 
     def features(self) -> tuple[str, ...]:
-        """The names of those parameters that are not absent now, in order."""
+        """The names of the optional parameters that have an effect now, in order."""
         return features_of(self, FEATURES, PART_OF)
 
     def kind(self) -> PrincipledThinKind:
-        """The scattering functions."""
+        """The functions that evaluate and sample this BSDF."""
         return PrincipledThinKind(self.features(), tuple(getattr(self, name) for name in RATES))
 
     def textures(self) -> tuple[Texture, ...]:
-        """What the functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         numbers = self.numbers
         return self.base_color, numbers["roughness"], *(numbers[name] for name in self.features())

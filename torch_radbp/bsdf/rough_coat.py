@@ -1,4 +1,4 @@
-"""What a rough dielectric coat lets through, and what it reflects back inside.
+"""The transmittance of a rough dielectric coat, and what it reflects back inside.
 
 The fraction T(z) of the light that passes the coat from direction cosine z is, over the microfacets m that are visible,
 
@@ -56,13 +56,13 @@ ROUNDED = 2e-3  # squared cosines of refraction at which sums over microfacets a
 
 
 def abscissa(z: Tensor, alpha: Tensor, eta: Tensor) -> Tensor:
-    """The variable of T's polynomial, in [-1, 1], at direction cosine `z`."""
+    """The variable of the polynomial for T, in [-1, 1], at direction cosine `z`."""
     low, high = variable(torch.zeros_like(z), alpha, eta), variable(torch.ones_like(z), alpha, eta)
     return 2.0 * (variable(z, alpha, eta) - low) / (high - low).clamp_min(SMALLEST_SQUARE) - 1.0
 
 
 def cosine_of(x: Tensor, alpha: Tensor, eta: Tensor) -> Tensor:
-    """The direction cosine at which `abscissa` is `x`."""
+    """The direction cosine at which `abscissa` is `x`: its inverse."""
     low, high = variable(torch.zeros_like(x), alpha, eta), variable(torch.ones_like(x), alpha, eta)
     square = (low + (high - low) * (0.5 + 0.5 * x)).square()
     bend, shadow = smoothing(alpha, eta)
@@ -71,7 +71,7 @@ def cosine_of(x: Tensor, alpha: Tensor, eta: Tensor) -> Tensor:
 
 
 def variable(z: Tensor, alpha: Tensor, eta: Tensor) -> Tensor:
-    """The variable of T's polynomial but for its range; see the module's docstring."""
+    """The variable of the polynomial for T before it is mapped to [-1, 1]; see the module's docstring."""
     bend, shadow = smoothing(alpha, eta)
     cosine2 = z * z - shadow  # times eta^2: of refraction
     size = torch.sqrt(cosine2 * cosine2 + bend * bend)
@@ -81,14 +81,14 @@ def variable(z: Tensor, alpha: Tensor, eta: Tensor) -> Tensor:
 
 
 def smoothing(alpha: Tensor, eta: Tensor) -> tuple[Tensor, Tensor]:
-    """By how much a squared cosine of refraction is smoothed, and 1 - eta^2; of no meaning if the inside is denser."""
+    """The smoothing of the squared cosine of refraction, and 1 - eta^2; without meaning if the inside is denser."""
     thin = eta.clamp_max(1.0)
     shadow = (1.0 - thin * thin).clamp_min(SMALLEST_SQUARE)
     return 2.0 * floored(alpha).clamp_max(1.0) * thin * torch.sqrt(shadow) + SMALLEST_SQUARE, shadow
 
 
 class Coat(NamedTuple):
-    """What a coat lets through, (SUMS,) float64 each: R and the coefficients of T's polynomial, and their derivatives."""
+    """The transmittance of a coat, (SUMS,) float64 each: R and the coefficients of T's polynomial, with derivatives."""
 
     numbers: Tensor
     by_alpha: Tensor
@@ -97,7 +97,7 @@ class Coat(NamedTuple):
 
 @lru_cache(maxsize=128)
 def coat_of(distribution: str, alpha: float, eta: float) -> Coat:
-    """The coat of a roughness and an index of refraction, by quadrature."""
+    """Tabulates the coat of a roughness and an index of refraction, by quadrature."""
     points = np.cos(math.pi * (np.arange(TERMS) + 0.5) / TERMS)
     fit = torch.from_numpy(np.polynomial.chebyshev.chebvander(points, TERMS - 1).T * (2.0 / TERMS))
     fit[0] *= 0.5
@@ -117,7 +117,7 @@ def coat_of(distribution: str, alpha: float, eta: float) -> Coat:
 
 
 def reflectance_inside(distribution: str, alpha: Tensor, eta: Tensor) -> Tensor:
-    """The fraction of the light from all directions inside that the coat reflects back, by Mitsuba's sum; attached.
+    """The fraction of diffuse light inside that the coat reflects back, by Mitsuba's sum; attached.
 
     Args:
         alpha, eta: (1,) float64; eta is the index inside over the one outside.
@@ -135,7 +135,7 @@ def reflectance_inside(distribution: str, alpha: Tensor, eta: Tensor) -> Tensor:
 
 
 def reflectance_upright(distribution: str, alpha: Tensor, eta: Tensor) -> Tensor:
-    """(1,) M(1) of the module's docstring; attached. Arguments as in `reflectance_inside`."""
+    """(1,) the sum M(1) of the module's docstring; attached. Arguments as in `reflectance_inside`."""
     x = (torch.arange(UPRIGHT, dtype=torch.float64, device="cpu") + 0.5) / UPRIGHT
     facets = microfacets(distribution, alpha, alpha)
     m = facets.sample(1.0 - x * x, torch.zeros_like(x))
@@ -144,7 +144,7 @@ def reflectance_upright(distribution: str, alpha: Tensor, eta: Tensor) -> Tensor
 
 
 def unshadowed(distribution: str, alpha: Tensor, cosines: Tensor) -> Tensor:
-    """(M,) S of the module's docstring for these cosines between directions and microfacets; attached.
+    """(M,) S of the module's docstring, for cosines between directions and microfacets; attached.
 
     Args:
         alpha: (1,) float64.
@@ -170,7 +170,7 @@ def escaping(facets: Beckmann | GGX, z: Tensor) -> Tensor:
 
 
 def refracted(distribution: str, alpha: Tensor, eta: Tensor, cosines: Tensor) -> Tensor:
-    """The fraction of the light from some direction cosines that a rough boundary refracts: T; attached.
+    """T, the fraction of light from given direction cosines that a rough boundary refracts; attached.
 
     Args:
         alpha, eta, cosines: (M,) float64; the index on the far side over that on the near side.
@@ -189,7 +189,7 @@ def refracted(distribution: str, alpha: Tensor, eta: Tensor, cosines: Tensor) ->
 
 
 def rounded_reflectance(cosine: Tensor, eta: Tensor) -> tuple[Tensor, Tensor]:
-    """The reflectance of a boundary, and the cosine of refraction.
+    """Fresnel reflectance and cosine of refraction, smoothed at the critical angle, where the slope is infinite.
 
     At the critical angle the slope of the reflectance is infinite; it is rounded off, or sums would have no derivative.
     """
@@ -200,6 +200,6 @@ def rounded_reflectance(cosine: Tensor, eta: Tensor) -> tuple[Tensor, Tensor]:
 
 @lru_cache
 def gauss_legendre(count: int) -> tuple[Tensor, Tensor]:
-    """Nodes and weights of integrals from 0 to 1, (count,) float64 each."""
+    """Nodes and weights of Gauss-Legendre quadrature on [0, 1], (count,) float64 each."""
     x, weight = np.polynomial.legendre.leggauss(count)
     return torch.from_numpy(0.5 * x + 0.5), torch.from_numpy(0.5 * weight)

@@ -19,7 +19,7 @@ from torch_radbp.texture.rgb import as_texture
 
 @dataclass(frozen=True)
 class RoughConductorKind(MicrofacetKind):
-    """Values: alpha, or alpha_u and alpha_v; eta, k, specular_reflectance.
+    """A rough conductor. Values: alpha, or alpha_u and alpha_v; eta, k, specular_reflectance.
 
     Reference: Walter et al. 2007, equations 20, 14 and 24.
     """
@@ -74,9 +74,9 @@ class RoughConductor(BSDF):
         return {**ROUGHNESS, "eta": AMOUNT, "k": AMOUNT, "specular_reflectance": REFLECTANCE}
 
     def kind(self) -> RoughConductorKind:
-        """The scattering functions."""
+        """The functions that evaluate and sample this BSDF."""
         return RoughConductorKind(self.distribution, self.alpha is None, self.sample_visible)
 
     def textures(self) -> tuple[Texture, ...]:
-        """What the functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return *self.rough_numbers, self.eta, self.k, self.specular_reflectance

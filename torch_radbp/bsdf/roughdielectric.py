@@ -19,12 +19,12 @@ from torch_radbp.tensors.vec import Vec3, dot
 
 
 class Microgeometry(NamedTuple):
-    """The microfacet that scatters light between two directions, both seen from the side of `wi`."""
+    """The microfacet that scatters light between two directions, both flipped to the side of `wi`."""
 
     transmits: Tensor  # 0 or 1
-    possible: Tensor  # 0 or 1: a microfacet that faces the viewer does so
+    possible: Tensor  # 0 or 1: such a microfacet exists and faces the viewer
     m: Vec3  # its normal
-    density: Tensor  # of that normal, whether visible or not
+    density: Tensor  # D(m), whether visible or not
     cos_i: Tensor  # between wi and the microfacet
     cos_o: Tensor  # between wo and the microfacet, at least 0
     squared: Tensor  # squared length of the half vector
@@ -34,7 +34,7 @@ class Microgeometry(NamedTuple):
 
 @dataclass(frozen=True)
 class RoughDielectricKind(MicrofacetKind):
-    """Values: alpha, or alpha_u and alpha_v; eta (a scalar), specular_reflectance, specular_transmittance.
+    """Rough glass. Values: alpha, or alpha_u and alpha_v; eta (a scalar), specular_reflectance, specular_transmittance.
 
     With the half vector h = wi + eta wo of refraction, |dm / dwo| = eta^2 |wo.m| / |h|^2 (Walter et al. 2007, equations 17,
     20, 21, 24); in the BSDF for radiance eta^2 cancels. Between equal indices h would vanish and refraction would be ideal,
@@ -58,12 +58,12 @@ class RoughDielectricKind(MicrofacetKind):
 
     @property
     def follows(self) -> bool:
-        """True: with fixed directions derivatives by what bends or moves light are noisier, the more the smoother."""
+        """True: derivatives at fixed directions are noisier, the more the smoother the surface."""
         return True
 
     @property
     def jumps(self) -> bool:
-        """True for GGX; see above."""
+        """True for GGX, whose BSDF is discontinuous; see the class."""
         return self.distribution == "ggx"
 
     def index(self, values: Values, side: Tensor) -> Tensor:
@@ -95,7 +95,7 @@ class RoughDielectricKind(MicrofacetKind):
                 * (density * self.per_area(facets, wi, g.cos_i, g.m.z)))
 
     def reflectance_by_direction(self, values: Values, wi: Vec3, wo: Vec3) -> Tensor:
-        """The reflectance of the microfacet between two directions, attached to these alone."""
+        """The Fresnel reflectance of the microfacet between two directions, attached to the directions alone."""
         return self.microgeometry(values_for_choice(values), wi, wo).reflectance
 
     def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: LobeChoice) -> Tensor:
@@ -121,7 +121,7 @@ class RoughDielectricKind(MicrofacetKind):
 
 
 def apart_from_one(eta: Tensor) -> Tensor:
-    """`eta`, moved away from 1 where it is closer than rounding allows; the derivative is that of the identity."""
+    """`eta` moved away from 1 where it is within rounding of it; the derivative is that of the identity."""
     least = 4.0 * torch.finfo(eta.dtype).eps ** 0.5
     gap = eta.detach() - 1.0
     moved = torch.copysign(gap.abs().clamp_min(least), gap)
@@ -169,9 +169,9 @@ class RoughDielectric(Dielectric):
         return {**ROUGHNESS, **super().domains()}
 
     def kind(self) -> RoughDielectricKind:
-        """The scattering functions."""
+        """The functions that evaluate and sample this BSDF."""
         return RoughDielectricKind(self.distribution, self.alpha is None, self.sample_visible)
 
     def textures(self) -> tuple[Texture, ...]:
-        """What the functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return *self.rough_numbers, *super().textures()

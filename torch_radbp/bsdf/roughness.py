@@ -1,4 +1,4 @@
-"""The attributes that rough materials share: the distribution of their microfacets, and the textures of their roughness."""
+"""Attributes that rough materials share: the microfacet distribution, and the textures of roughness."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ROUGHNESS = dict.fromkeys(("alpha", "alpha_u", "alpha_v"), AMOUNT._replace(floor
 
 
 def check_distribution(distribution: str) -> str:
-    """The name of a distribution, checked.
+    """Checks the name of a microfacet distribution and returns it.
 
     Raises:
         ValueError: if it is unknown.
@@ -24,7 +24,7 @@ def check_distribution(distribution: str) -> str:
 
 def make_rough(owner: BSDF, distribution: str, sample_visible: bool, alpha: Texture | float | None,
                alpha_u: Texture | float | None, alpha_v: Texture | float | None) -> None:
-    """Gives `owner` the attributes of a rough surface: its distribution, and the textures of its roughness.
+    """Sets the attributes of a rough surface on `owner`: its distribution, and the textures of its roughness.
 
     Raises:
         ValueError: if a name is unknown, attributes exclude each other, or a value is out of range.
@@ -55,6 +55,6 @@ def roughness(owner: BSDF, alpha: Texture | float | None, alpha_u: Texture | flo
 
 
 def roughness_numbers(owner: BSDF) -> tuple[NumberOf, ...]:
-    """The roughness of `owner` as the functions take it: numbers, even if its textures are in colour."""
+    """The roughness textures of `owner` as scalars, even if they are in colour."""
     names = ("alpha",) if owner.alpha is not None else ("alpha_u", "alpha_v")
     return tuple(NumberOf(owner, name) for name in names)

@@ -26,7 +26,7 @@ from torch_radbp.tensors.vec import Vec3, attached, dot, where
 
 @dataclass(frozen=True)
 class RoughPlasticKind(MicrofacetKind):
-    """Values: alpha, eta (scalars), `SUMS` numbers that describe the coat, diffuse_reflectance, specular_reflectance.
+    """Rough plastic. Values: alpha, eta (scalars), `SUMS` numbers of the coat, diffuse_reflectance, specular_reflectance.
 
     Lobe 0 is the coat, lobe 1 the diffuse base; they overlap.
     """
@@ -40,7 +40,7 @@ class RoughPlasticKind(MicrofacetKind):
         return 4 + SUMS // 3
 
     def passes(self, values: Values, z: Tensor) -> Tensor:
-        """The fraction of the light from direction cosine `z`, at least 0, that passes the coat: T."""
+        """T, the fraction of light from direction cosine `z` >= 0 that passes the coat."""
         _, *coefficients = (number for value in values[2:-2] for number in value)
         x = abscissa(z, values[0].x, values[1].x)
         last = sum_ = torch.zeros_like(z)
@@ -117,15 +117,15 @@ class RoughPlastic(Plastic):
         return {"alpha": NUMBER._replace(low=0.0, limit=LARGEST_AMOUNT, floor=SMALLEST_ALPHA), **super().domains()}
 
     def coat(self) -> Tensor:
-        """(SUMS,) numbers that describe the coat, attached to `alpha` and `eta`."""
-        found = coat_of(self.distribution, float(self.alpha.detach()), float(self.eta.detach()))
-        numbers, by_alpha, by_eta = (part.to(self.alpha) for part in found)
+        """(SUMS,) the tabulated transmittance of the coat, see `rough_coat`, attached to `alpha` and `eta`."""
+        tabulated = coat_of(self.distribution, float(self.alpha.detach()), float(self.eta.detach()))
+        numbers, by_alpha, by_eta = (part.to(self.alpha) for part in tabulated)
         return attached(numbers, by_alpha * self.alpha + by_eta * self.eta)
 
     def kind(self) -> Kind:
-        """The scattering functions."""
+        """The functions that evaluate and sample this BSDF."""
         return RoughPlasticKind(self.distribution, visible=self.sample_visible, nonlinear=self.nonlinear)
 
     def textures(self) -> tuple[Texture, ...]:
-        """What the functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return *self.coat_textures, self.diffuse_reflectance, self.specular_reflectance

@@ -23,7 +23,7 @@ from torch_radbp.tensors.vec import Vec3
 
 @dataclass(frozen=True)
 class ThinDielectricKind(DeltaKind):
-    """Values: eta (a scalar), specular_reflectance, specular_transmittance. Lobe 0 reflects, lobe 1 transmits."""
+    """Thin glass. Values: eta (a scalar), specular_reflectance, specular_transmittance. Lobes: 0 reflects, 1 transmits."""
 
     discrete: ClassVar[bool] = True
     transmits: ClassVar[bool] = True
@@ -45,7 +45,7 @@ class ThinDielectricKind(DeltaKind):
 
 
 def pane_reflectance(cos_i: Tensor, eta: Tensor) -> Tensor:
-    """The fraction of the light that a pane reflects, in all; see the module's docstring.
+    """The fraction of light that a thin pane reflects, all internal reflections included.
 
     Args:
         cos_i: at least 0, between the direction of incidence and the normal on its side.
@@ -79,5 +79,5 @@ class ThinDielectric(Dielectric):
     """
 
     def kind(self) -> ThinDielectricKind:
-        """The scattering functions."""
+        """The functions that evaluate and sample this BSDF."""
         return ThinDielectricKind()

@@ -1,4 +1,4 @@
-"""Materials whose normals are turned, by a map of normals or of heights.
+"""Materials with perturbed shading normals, by a normal map or a bump map.
 
 With n the turned normal in the frame of the surface, all functions of the nested kind are called with directions in the
 frame around n. Two things are as in Mitsuba:
@@ -33,16 +33,16 @@ FLATTEST = 1e-12  # squared cosine in a tangent
 
 @dataclass(frozen=True)
 class TurnedKind(Kind):
-    """Values: `own` many that give the normal, those of the nested kind."""
+    """A kind with perturbed shading normals. Values: `normal_values` many for the normal, those of the nested kind."""
 
     nested: Kind
     flip: bool
     shadowing: bool
 
-    own: ClassVar[int]
+    normal_values: ClassVar[int]
 
     turns_normals: ClassVar[bool] = True
-    reciprocal: ClassVar[bool] = False  # light is weighted by the cosine to the turned normal
+    reciprocal: ClassVar[bool] = False  # light is weighted by the cosine to the perturbed normal
 
     @property
     def delta(self) -> bool:
@@ -78,15 +78,17 @@ class TurnedKind(Kind):
 
     @property
     def slots(self) -> int:
-        return self.own + self.nested.slots
+        return self.normal_values + self.nested.slots
 
     @property
     def steering(self) -> tuple[int, ...]:
-        return *range(self.own), *(self.own + k for k in self.nested.steering)
+        return *range(self.normal_values), *(self.normal_values + k for k in self.nested.steering)
 
     @property
     def bending(self) -> tuple[int, ...]:
-        return (*range(self.own), *(self.own + k for k in self.nested.bending)) if self.delta or self.follows else ()
+        if not (self.delta or self.follows):
+            return ()
+        return *range(self.normal_values), *(self.normal_values + k for k in self.nested.bending)
 
     @property
     def follows(self) -> bool:
@@ -94,10 +96,10 @@ class TurnedKind(Kind):
 
     @abstractmethod
     def normal(self, values: Values) -> Vec3:
-        """The turned normal in the frame of the surface, of any length; attached."""
+        """The perturbed normal in the frame of the surface, of any length; attached."""
 
     def frame(self, values: Values, wi: Vec3) -> Frame:
-        """The frame around the turned normal, in that of the surface; attached."""
+        """The frame around the perturbed normal, in coordinates of the surface's frame; attached."""
         one, n = torch.ones_like(wi.z), self.normal(values)
         if self.flip:
             sign = 1.0 - 2.0 * (wi.z * dot(wi, n) <= 0).to(wi.z.dtype)
@@ -112,10 +114,10 @@ class TurnedKind(Kind):
         return self.frame(values, wi).n
 
     def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
-        return self.nested.diffuse_reflectance(values[self.own:], self.frame(values, wi).to_local(wi))
+        return self.nested.diffuse_reflectance(values[self.normal_values:], self.frame(values, wi).to_local(wi))
 
     def passes(self, frame: Frame, wo: Vec3, turned: Vec3) -> Tensor:
-        """The part of the light that is kept, in [0, 1]: none if it crosses only one of the two horizons."""
+        """The share of light that is kept, in [0, 1]: 0 if it crosses only one of the two horizons."""
         kept = (wo.z * turned.z > 0).to(wo.z.dtype)
         if not self.shadowing:
             return kept
@@ -125,27 +127,28 @@ class TurnedKind(Kind):
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
         frame = self.frame(values, wi)
         turned = frame.to_local(wo)
-        value, pdf = self.nested.eval_pdf(values[self.own:], frame.to_local(wi), turned, fixed_lobes)
+        value, pdf = self.nested.eval_pdf(values[self.normal_values:], frame.to_local(wi), turned, fixed_lobes)
         return value * self.passes(frame, wo, turned), pdf * (wo.z * turned.z > 0).to(pdf.dtype)
 
     def choose(self, values: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> LobeChoice:
-        return self.nested.choose(values[self.own:], self.frame(values, wi).to_local(wi).detach(), choice, u, v)
+        return self.nested.choose(values[self.normal_values:], self.frame(values, wi).to_local(wi).detach(), choice, u, v)
 
     def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         frame = self.frame(values, wi)
-        turned = self.nested.sample(values[self.own:], frame.to_local(wi), choice, u, v)
+        turned = self.nested.sample(values[self.normal_values:], frame.to_local(wi), choice, u, v)
         wo = frame.to_world(turned)
         return on_horizon_unless(wo.z * turned.z > 0, wo)
 
     def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: LobeChoice) -> Tensor | None:
         frame = self.frame(values, wi)
-        return self.nested.chance_by_direction(values[self.own:], frame.to_local(wi), frame.to_local(wo), choice)
+        return self.nested.chance_by_direction(values[self.normal_values:], frame.to_local(wi), frame.to_local(wo), choice)
 
     def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
         frame = self.frame(values, wi)
         local, number = frame.to_local(wi), torch.full_like(wi.z, 0.5)  # directions of delta lobes depend on no number
-        turned = self.nested.sample(values[self.own:], local, choice, number, number)
-        return self.nested.specular(values[self.own:], local, choice) * self.passes(frame, frame.to_world(turned), turned)
+        turned = self.nested.sample(values[self.normal_values:], local, choice, number, number)
+        light = self.nested.specular(values[self.normal_values:], local, choice)
+        return light * self.passes(frame, frame.to_world(turned), turned)
 
 
 def squared_tangent(w: Vec3) -> Tensor:

@@ -1,4 +1,4 @@
-"""A one-sided material, or two, seen from both sides of a surface."""
+"""A one-sided material, or a pair of them, made two-sided."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torch_radbp.tensors.vec import Vec3, where
 
 @dataclass(frozen=True)
 class TwoSidedKind(Kind):
-    """Values: those of the kind in front, and those of the kind behind if there is another.
+    """A two-sided material. Values: those of the kind in front, and those of the kind behind if it differs.
 
     Inside other materials only: a surface whose material is two-sided itself has a row of the material table for each side,
     and its lanes meet one kind.
@@ -25,7 +25,7 @@ class TwoSidedKind(Kind):
 
     @property
     def sides(self) -> tuple[Kind, ...]:
-        """The kind in front, and the one behind if it is another."""
+        """The kind in front, and the one behind if it differs."""
         return (self.front,) if self.back is None else (self.front, self.back)
 
     @property
@@ -76,30 +76,31 @@ class TwoSidedKind(Kind):
     def follows(self) -> bool:
         return all(side.follows or not side.smooth for side in self.sides) and self.smooth
 
-    def numbers(self, own: list[tuple[int, ...]]) -> tuple[int, ...]:
-        """The numbers of values that the sides number by themselves."""
-        return *own[0], *(self.front.slots + number for numbers in own[1:] for number in numbers)
+    def numbers(self, of_sides: list[tuple[int, ...]]) -> tuple[int, ...]:
+        """Renumbers the parameters of the sides' kinds as parameters of this one."""
+        return *of_sides[0], *(self.front.slots + number for numbers in of_sides[1:] for number in numbers)
 
     def parts(self, values: Values) -> tuple[Values, ...]:
-        """The values of each side."""
+        """Splits the values into those of each side."""
         return (values,) if self.back is None else (values[:self.front.slots], values[self.front.slots:])
 
     def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
         side = side_of(wi)
-        found = [kind.diffuse_reflectance(own, mirrored(wi, side)) for kind, own in zip(self.sides, self.parts(values))]
-        return where(side > 0, found[0], found[-1])
+        of_sides = [kind.diffuse_reflectance(side_values, mirrored(wi, side))
+                    for kind, side_values in zip(self.sides, self.parts(values))]
+        return where(side > 0, of_sides[0], of_sides[-1])
 
     def eval_pdf(self, values: Values, wi: Vec3, wo: Vec3, fixed_lobes: bool = False) -> tuple[Vec3, Tensor]:
         side = side_of(wi)
-        found = [kind.eval_pdf(own, mirrored(wi, side), mirrored(wo, side), fixed_lobes)
-                 for kind, own in zip(self.sides, self.parts(values))]
+        of_sides = [kind.eval_pdf(side_values, mirrored(wi, side), mirrored(wo, side), fixed_lobes)
+                    for kind, side_values in zip(self.sides, self.parts(values))]
         front = side > 0
-        return where(front, found[0][0], found[-1][0]), torch.where(front, found[0][1], found[-1][1])
+        return where(front, of_sides[0][0], of_sides[-1][0]), torch.where(front, of_sides[0][1], of_sides[-1][1])
 
     def choose(self, values: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> LobeChoice:
         side = side_of(wi)
-        parts = tuple(kind.choose(own, mirrored(wi, side), choice, u, v)
-                      for kind, own in zip(self.sides, self.parts(values)))
+        parts = tuple(kind.choose(side_values, mirrored(wi, side), choice, u, v)
+                      for kind, side_values in zip(self.sides, self.parts(values)))
         front, delta = side > 0, [part.is_delta(kind) for kind, part in zip(self.sides, parts)]
         return LobeChoice(torch.where(front, parts[0].lobe, parts[-1].lobe),
                       torch.where(front, parts[0].probability, parts[-1].probability),
@@ -107,25 +108,25 @@ class TwoSidedKind(Kind):
 
     def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         side = side_of(wi)
-        found = [kind.sample(own, mirrored(wi, side), part, u, v)
-                 for kind, own, part in zip(self.sides, self.parts(values), choice.parts)]
-        return mirrored(where(side > 0, found[0], found[-1]), side)
+        of_sides = [kind.sample(side_values, mirrored(wi, side), part, u, v)
+                    for kind, side_values, part in zip(self.sides, self.parts(values), choice.parts)]
+        return mirrored(where(side > 0, of_sides[0], of_sides[-1]), side)
 
     def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: LobeChoice) -> Tensor | None:
         side = side_of(wi)
-        found = [kind.chance_by_direction(own, mirrored(wi, side), mirrored(wo, side), part)
-                 for kind, own, part in zip(self.sides, self.parts(values), choice.parts)]
-        return either(side > 0, found[0], found[-1])
+        of_sides = [kind.chance_by_direction(side_values, mirrored(wi, side), mirrored(wo, side), part)
+                    for kind, side_values, part in zip(self.sides, self.parts(values), choice.parts)]
+        return either(side > 0, of_sides[0], of_sides[-1])
 
     def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
         side, none = side_of(wi), Vec3.full(wi.z, 0.0)
-        found = [kind.specular(own, mirrored(wi, side), part) if kind.delta else none
-                 for kind, own, part in zip(self.sides, self.parts(values), choice.parts)]
-        return where(side > 0, found[0], found[-1])
+        of_sides = [kind.specular(side_values, mirrored(wi, side), part) if kind.delta else none
+                    for kind, side_values, part in zip(self.sides, self.parts(values), choice.parts)]
+        return where(side > 0, of_sides[0], of_sides[-1])
 
 
 def mirrored(w: Vec3, side: Tensor) -> Vec3:
-    """`w` if `side` is 1, mirrored at the surface if it is -1."""
+    """`w` if `side` is 1, mirrored at the surface's plane if it is -1."""
     return Vec3(w.x, w.y, w.z * side)
 
 
@@ -156,7 +157,7 @@ class TwoSided(BSDF):
 
     @property
     def brdf(self) -> list[BSDF]:
-        """The nested BSDFs, as given."""
+        """The one or two one-sided BSDFs that it was made of."""
         return [getattr(self, f"brdf_{number}") for number in range(self.count)]
 
     def sides(self) -> tuple[BSDF, BSDF]:
@@ -164,10 +165,10 @@ class TwoSided(BSDF):
         return self.brdf[0], self.brdf[-1]
 
     def kind(self) -> Kind:
-        """The scattering functions of both sides together, for a material that holds this one."""
+        """The functions of both sides together, for a material that nests this one."""
         front, back = self.sides()
         return TwoSidedKind(front.kind(), None if back is front else back.kind())
 
     def textures(self) -> tuple[Texture, ...]:
-        """What those functions take, in order."""
+        """The textures of this BSDF's parameters, in the order in which its functions take them."""
         return tuple(texture for side in self.brdf for texture in side.textures())

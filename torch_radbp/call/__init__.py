@@ -1,1 +1,1 @@
-"""One call of a renderer: its views, the chunks of its lanes, and the workers that trace them."""
+"""One call of a renderer: its views, the chunks of its lanes, and the threads that trace them."""

@@ -1,4 +1,4 @@
-"""Chunks: the blocks of lanes that are traced together, and how they are dealt out to workers.
+"""Chunks: blocks of lanes that are traced together, and their distribution to threads ("workers").
 
 Which part of an image is dear is not known before: the sky costs one bounce, a mesh below it six. So chunks do not each take
 a part of the image, but all take rows of pixels in turn: workers finish together, and what one chunk needs, all need. Large
@@ -8,7 +8,7 @@ images are rendered in bands, one after the other, so that only the sums of a fe
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -19,16 +19,36 @@ LEAST_LANES = 1 << 17  # of a chunk if the user does not say: below, a second on
 BAND = 1 << 18  # pixels of a band, about
 
 
+class LaneBlock(Protocol):
+    """A block of lanes that is traced together."""
+
+    @property
+    def lanes(self) -> int:
+        """How many there are."""
+
+    @property
+    def group(self) -> int:
+        """Those of one number are traced side by side, one after the other number."""
+
+
+class LaneRange(NamedTuple):
+    """Lanes of no pixels, one after the other."""
+
+    first: int
+    lanes: int
+    group: int = 0
+
+
 class Rows(NamedTuple):
-    """Some rows of pixels of a sensor."""
+    """Some equidistant rows of pixels of a sensor."""
 
     first: int
     count: int
-    apart: int  # from one to the next
-    columns: int  # pixels of each
+    apart: int  # distance from one row to the next
+    columns: int  # pixels in each row
 
     def numbers(self, device: torch.device, columns: int | None = None) -> Tensor:
-        """(count * columns,) int32, the numbers of the pixels, row-major in an image of so many columns or more."""
+        """(count * columns,) int32, row-major numbers of these pixels in an image of `columns` or more columns."""
         row = (torch.arange(self.count, dtype=torch.int32, device=device) * self.apart + self.first)[:, None]
         column = torch.arange(self.columns, dtype=torch.int32, device=device)
         return (row * (columns or self.columns) + column).flatten()
@@ -41,8 +61,8 @@ class Chunk(NamedTuple):
     rows: Rows
     first_sample: int
     samples: int
-    band: range  # of rows that are put together at once
-    group: int  # of bands that are rendered side by side
+    band: range  # rows of the band that is developed together
+    group: int  # index of a group of bands that are rendered side by side
 
     @property
     def lanes(self) -> int:
@@ -50,8 +70,8 @@ class Chunk(NamedTuple):
 
 
 def plan_chunks(grids: Sequence[tuple[int, int]], spp: int, lanes: int, workers: int) -> list[Chunk]:
-    """Blocks that cover all pixels and samples: whole rows, with all samples if they fit, else one row with so many samples
-    as `sums_in_pairs` sums alike in blocks and at once. Successive blocks share the rows of a band as fairly as possible.
+    """Divides all pixels and samples into chunks: whole rows with all samples if they fit, else one row with some of its
+    samples.
 
     Args:
         grids: columns and rows of pixels that have samples, of each sensor.
@@ -76,14 +96,14 @@ def plan_chunks(grids: Sequence[tuple[int, int]], spp: int, lanes: int, workers:
 
 
 def bands(columns: int, rows: int, least: int) -> Iterator[range]:
-    """The rows of an image in bands of about `BAND` pixels, but of `least` rows at least."""
+    """Divides the rows of an image into bands of about `BAND` pixels, but at least `least` rows."""
     count = max(1, min(round(rows * columns / BAND), rows // least))
     borders = [rows * number // count for number in range(count + 1)]
     return (range(*pair) for pair in zip(borders, borders[1:]))
 
 
 def dealt_out(rows: int, most: int, workers: int) -> Iterator[tuple[int, int, int]]:
-    """The rows of a band, dealt out one by one to chunks, so that each is like the whole: first, number and distance.
+    """Deals the rows of a band out to chunks in turn, so that chunks are alike: first row, number and distance.
 
     Args:
         rows: how many there are.
@@ -97,7 +117,7 @@ def dealt_out(rows: int, most: int, workers: int) -> Iterator[tuple[int, int, in
 
 
 def fair_chunk(grids: Sequence[tuple[int, int]], spp: int, workers: int, about: int) -> int:
-    """The lanes of chunks of about a wanted size, such that all workers get as many; args as for `plan_chunks`."""
+    """A chunk size, in lanes, near a wanted one, with which all workers get equally many; args as for `plan_chunks`."""
     columns, rows = max(grids)
     lanes = columns * rows * spp
     chunks = max(1, round(lanes / about))  # of a sensor

@@ -1,4 +1,4 @@
-"""When an image or a gradient is NaN or infinite: where it came from, in words.
+"""Errors about an image or a gradient with NaN or infinity: where in the computation it came from, in words.
 
 Rendering pays for one look at the image and one at the gradients. Only if something is wrong everything is computed once
 more, bounce by bounce and with a look at each, to tell which parameter, which material, which bounce and how many paths.
@@ -35,19 +35,19 @@ class NonFiniteError(FloatingPointError):
 
 
 def all_finite(tensors: list[Tensor]) -> bool:
-    """True if every value is finite."""
+    """True if every value of all tensors is finite."""
     # The extremes of a tensor are infinite or NaN if any value is, and are found in one pass over it.
     extremes = [torch.stack(tensor.detach().aminmax()).double() for tensor in tensors if tensor.numel()]
     return not extremes or bool(torch.isfinite(torch.cat(extremes)).all())  # the host waits for the device once
 
 
 def count_of_bad(tensor: Tensor) -> str:
-    """The number of values that are not finite, in words."""
+    """The number of values that are not finite, as text for a message."""
     return f"{int((~torch.isfinite(tensor)).sum())} of {tensor.numel()} values"
 
 
 class FirstNonFinite:
-    """The first bounce, in the order of computation, at which numbers were not finite."""
+    """Finds the first bounce, in the order of computation, whose numbers are not finite."""
 
     def __init__(self) -> None:
         self.depth: int | None = None
@@ -56,7 +56,7 @@ class FirstNonFinite:
         self.in_light = False  # the light is not finite before any surface has reflected it
 
     def look(self, depth: int, bad: Tensor, prim: Tensor, light: Tensor | None = None) -> None:
-        """Notes a bounce whose lanes `bad` (N,) bool, which met `prim`, are not finite, unless one was found before.
+        """Records a bounce whose lanes `bad` (N,) bool, on triangles `prim`, are not finite, unless one is recorded.
 
         `light`: (N,) bool, whether the light that emitters send there is finite; None: unknown.
         """
@@ -65,7 +65,7 @@ class FirstNonFinite:
             self.in_light = light is not None and not bool(light[bad].all())
 
     def place(self, tensors: SceneTensors, scene: Scene | None) -> str:
-        """The finding in words."""
+        """Describes the recorded bounce in words."""
         if self.depth is None:
             return "in no bounce alone: sums or products of finite numbers overflow"
         start = f"first at bounce {self.depth + 1}, in {self.lanes} of {self.of} paths, "
@@ -76,7 +76,7 @@ class FirstNonFinite:
 
 
 def most_frequent_surface(prim: Tensor, tensors: SceneTensors, scene: Scene | None) -> str:
-    """The material that most of some triangles have."""
+    """The material of most of some triangles, in words."""
     prim = prim[prim >= 0]
     if scene is None or not len(prim):
         return "of which none hit a surface" if not len(prim) else "on some surface"
@@ -86,12 +86,12 @@ def most_frequent_surface(prim: Tensor, tensors: SceneTensors, scene: Scene | No
 
 
 def _described(scene: Scene, plugin: Plugin) -> str:
-    """A plugin by its type and its name in the scene."""
+    """A plugin by its type and its name in the scene, in words."""
     return f"the {plugin.type} `{scene.name_of(plugin)}`"
 
 
 def owner_of(scene: Scene, parameter: str) -> str:
-    """The plugin that a parameter belongs to, textures left out, in words; or the rays, if it is none of the scene's."""
+    """The plugin (textures aside) that a parameter belongs to, in words; or the user's rays."""
     path = parameter.split(".")[:-1]
     if not path:
         return "the rays"
@@ -103,18 +103,18 @@ def owner_of(scene: Scene, parameter: str) -> str:
 
 
 def network_of(scene: Scene | None, parameter: str) -> str | None:
-    """The name of the texture whose module a parameter belongs to; None: it belongs to none."""
+    """The name of the neural texture whose module has a parameter; None: it is no module's."""
     owner = parameter.partition(".module.")[0]
     return owner if scene is not None and isinstance(dict(scene.named_modules()).get(owner), NeuralTexture) else None
 
 
 def plain_name(parameter: str) -> str:
-    """The name of a parameter as the scene has it, of one that `torch.nn.utils.parametrize` has taken over too."""
+    """The scene's name of a parameter, without what `torch.nn.utils.parametrize` adds to it."""
     return parameter.replace("parametrizations.", "").removesuffix(".original")
 
 
 def checked_stages(finding: FirstNonFinite) -> PlainStages:
-    """Stages in plain torch that note the first bounce whose terms are not finite; for one chunk."""
+    """Stages in plain torch that record the first bounce whose terms are not finite; for one chunk."""
     depth, counter = -1, None
 
     def checked(stage: Callable, terms_of: Callable) -> Callable:
@@ -135,7 +135,7 @@ def checked_stages(finding: FirstNonFinite) -> PlainStages:
 
 
 def light_is_finite(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, *rest) -> Tensor:
-    """True in those lanes of a bounce, (N,), to which emitters send finite light, before any surface reflects it."""
+    """(N,) bool: lanes of a bounce that receive finite light from emitters, before any surface reflects it."""
     local = scattering(scene, proposal, rows(arrival, lanes), *rest)
     sent = (*local.Le, *(() if local.light is None else local.light.radiance))
     return torch.isfinite(torch.stack(sent)).all(0)
@@ -143,7 +143,7 @@ def light_is_finite(scene: SceneTensors, proposal: SceneTensors, arrival: Arriva
 
 def image_error(images: Tensor, integrand: Integrand, scene: Scene | None,
                 trace_again: Callable[[Integrand, FirstNonFinite], None]) -> NonFiniteError:
-    """The error about an image.
+    """The error about an image that is not finite; paths are traced again to find out why.
 
     Args:
         images: (B, 3, H, W).
@@ -159,7 +159,7 @@ def image_error(images: Tensor, integrand: Integrand, scene: Scene | None,
 
 def gradient_error(bad: list[tuple[Tensor, Tensor]], integrand: Integrand, scene: Scene | None,
                    parameters: dict[str, Tensor], sweep_again: Callable[[FirstNonFinite], None]) -> NonFiniteError:
-    """The error about a gradient.
+    """The error about a gradient that is not finite; paths are swept again to find out why.
 
     Args:
         bad: leaves of the scene's tensors with their gradients, of which some numbers are not finite.
@@ -185,7 +185,7 @@ def gradient_error(bad: list[tuple[Tensor, Tensor]], integrand: Integrand, scene
 
 
 def parameters_behind(bad: list[tuple[Tensor, Tensor]], parameters: dict[str, Tensor]) -> list[str]:
-    """The parameters that entries with bad gradients were made of."""
+    """The names of parameters from which entries with bad gradients were computed."""
     names = []
     with torch.enable_grad():
         marked = [(leaf, (~torch.isfinite(gradient)).to(leaf.dtype)) for leaf, gradient in bad if leaf.grad_fn is not None]

@@ -1,35 +1,53 @@
-"""What the lanes of a call count in its pixels, and what its pixels ask of the lanes."""
+"""Splats the lanes of a call to its pixels, and gathers the lanes' adjoints from the pixels' adjoints."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import groupby
-from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
 from torch_radbp.call.chunks import Chunk
-from torch_radbp.call.render_call import RenderCall, film_places, of_wavefronts
+from torch_radbp.call.render_call import RenderCall, of_wavefronts
+from torch_radbp.call.sink import Sink, SinkValues, Work
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.film.develop import Development, Grid, across, row_sums
-from torch_radbp.film.splat import Block, asked, asked_of, deposited, offset_sums, sums_in_pairs
+from torch_radbp.film.splat import Block, deposited, gathered_by, gathered_from_pixels, offset_sums, sums_in_pairs
+from torch_radbp.path.bounce import CameraSample
 from torch_radbp.tensors.record import joined, rows_between
 from torch_radbp.tensors.vec import Vec2, Vec3, rows
 
-Result = TypeVar("Result")
 
+class Films(Sink):
+    """The films of the views of a call: each pixel is the mean of the samples around it, by the reconstruction filter.
 
-class Images(NamedTuple):
-    """Developed images."""
+    `SinkValues.values` are images (B, C, H, W), and `SinkValues.filters`, (B, H, W), the sums of the filter over samples.
+    """
 
-    pixels: Tensor  # (B, C, H, W)
-    filters: Tensor  # (B, H, W) the sums of the reconstruction filter over the samples around pixels
-    results: list  # what else was found of each wavefront
+    def deposit(self, call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor],
+                samples: CameraSample) -> list[Tensor]:
+        return deposit(call, wavefront, values, samples.place)
+
+    def gather(self, call: RenderCall, work: Work) -> SinkValues:
+        return developed(call, work)
+
+    def asked(self, call: RenderCall, gradient: Tensor, filters: Tensor | None) -> list[Vec3]:
+        """For each view the derivative of the loss by what samples add to the sums of pixels."""
+        filters = filters_of(call, 1) if filters is None else filters
+        return [Vec3(*view.grid.quotient(own, sums).flatten(1))
+                for view, own, sums in zip(call.views, self.radiance(gradient), filters)]
+
+    def adjoint(self, call: RenderCall, wavefront: Wavefront, place: Vec2 | None, asked: list[Vec3]) -> Vec3:
+        return joined([adjoint_of_chunk(call, chunk, rows_between(place, first, last), asked[chunk.sensor])
+                       for chunk, first, last in wavefront.parts()])
+
+    def radiance(self, values: Tensor) -> Tensor:
+        return values[:, :3]
 
 
 def deposit(call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor], place: Vec2) -> list[Tensor]:
-    """What the lanes of a wavefront count in the pixels around them, for each of its chunks; `developed` takes it.
+    """Splats the values of a wavefront's lanes: for each of its chunks the filter-weighted sums that `developed` takes.
 
     Args:
         values: C of (N,), of the lanes.
@@ -40,14 +58,14 @@ def deposit(call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor], pl
 
 
 def deposit_of_chunk(call: RenderCall, chunk: Chunk, values: Sequence[Tensor], place: Vec2) -> Tensor:
-    """As `deposit`, of one chunk and its lanes."""
+    """Splats the values of one chunk's lanes; args as for `deposit`."""
     grid, block, stage = call.views[chunk.sensor].grid, Block(place, chunk.samples, call.spp), call.stages(deposited)
     if chunk.samples == call.spp:
         return row_sums(stage, grid, tuple(values), block)
     return offset_sums(stage, grid.kernel, tuple(values), block)  # moved once all samples of the row are there
 
 
-def developed(call: RenderCall, work: Callable[[Wavefront], tuple[list[Tensor], Result]]) -> Images:
+def developed(call: RenderCall, work: Work) -> SinkValues:
     """The images of C values of lanes: means of the samples around each pixel, weighted by the reconstruction filter.
 
     Args:
@@ -63,11 +81,11 @@ def developed(call: RenderCall, work: Callable[[Wavefront], tuple[list[Tensor], 
             developments[sensor].add(put_together(call.views[sensor].grid, band, list(parts)))
     pixels, filters = zip(*(development.image() for development in developments))
     # Stacked in their final shape: what is no view may be changed in place, also where gradients are wanted.
-    return Images(torch.stack(pixels), torch.stack(filters), results)
+    return SinkValues(torch.stack(pixels), torch.stack(filters), results)
 
 
 def put_together(grid: Grid, band: range, parts: list[tuple[Chunk, Tensor]]) -> Tensor:
-    """(R, 1 + C, n, columns) of the n rows of a band, from what its chunks count."""
+    """Joins the sums of a band's chunks to (R, 1 + C, n, columns) for its n rows."""
     total = None
     for part, own in groupby(parts, lambda part: part[0].rows):
         found = [sums for _, sums in own]
@@ -80,8 +98,13 @@ def put_together(grid: Grid, band: range, parts: list[tuple[Chunk, Tensor]]) -> 
     return total
 
 
+def film_places(call: RenderCall, wavefront: Wavefront, which: int) -> Vec2:
+    """Where in their pixels a wavefront's lanes lie, (N,) in [0, 1); `which`: of the image, 0, or of its derivative, 1."""
+    return joined([call.source.places(chunk, which, call.stages) for chunk in wavefront.chunks])
+
+
 def filters_of(call: RenderCall, which: int) -> Tensor:
-    """(B, H, W) as in `Images`, of the samples of the image (0) or of its derivative (1)."""
+    """(B, H, W) as in `SinkValues`, of the samples of the image (0) or of its derivative (1)."""
     if all(view.grid.kernel.flat for view in call.views):
         view = call.views[0]
         return torch.full((len(call.views), view.height, view.width), float(call.spp), dtype=call.scene.dtype,
@@ -93,25 +116,8 @@ def filters_of(call: RenderCall, which: int) -> Tensor:
     return developed(call, work).filters
 
 
-def asked_of_pixels(call: RenderCall, grad_images: Tensor, filters: Tensor) -> list[Vec3]:
-    """For each view the derivative of the loss by what samples add to the sums of pixels; tables for `lane_adjoint`."""
-    return [Vec3(*view.grid.quotient(own, sums).flatten(1))
-            for view, own, sums in zip(call.views, grad_images, filters)]
-
-
-def lane_adjoint(call: RenderCall, wavefront: Wavefront, place: Vec2, pixels: Sequence[Vec3]) -> Vec3:
-    """Derivative of the loss with respect to what counts of L_1 of each lane.
-
-    Args:
-        place: (N,) of the lanes in their pixels.
-        pixels: of each view, as `asked_of_pixels` has them.
-    """
-    return joined([adjoint_of_chunk(call, chunk, rows_between(place, first, last), pixels[chunk.sensor])
-                   for chunk, first, last in wavefront.parts()])
-
-
 def adjoint_of_chunk(call: RenderCall, chunk: Chunk, place: Vec2, pixels: Vec3) -> Vec3:
-    """As `lane_adjoint`, of one chunk and its lanes, with what its view's pixels ask for."""
+    """As `Films.adjoint`, of one chunk and its lanes, with what its view's pixels ask for."""
     grid = call.views[chunk.sensor].grid
     width = grid.columns + 2 * grid.kernel.reach
     entry = chunk.rows.numbers(call.scene.device, width)
@@ -119,9 +125,9 @@ def adjoint_of_chunk(call: RenderCall, chunk: Chunk, place: Vec2, pixels: Vec3) 
         # Read once for all samples of a pixel; of a single one `flatten` alone would repeat the same place in memory.
         return rows(pixels, entry).map(lambda each: each[:, None].expand(-1, chunk.samples).flatten().contiguous())
     block = Block(place, chunk.samples, call.spp)
-    return Vec3(*asked_of(call.stages(asked), grid.kernel, tuple(pixels), block, entry, width, 1))
+    return Vec3(*gathered_by(call.stages(gathered_from_pixels), grid.kernel, tuple(pixels), block, entry, width, 1))
 
 
 def weighted(L: Vec3, weight: Tensor | None) -> Vec3:
-    """What counts of the lanes' radiance, or of its adjoint."""
+    """Radiance, or its adjoint, times the lanes' camera weights, if there are any."""
     return L if weight is None else L * weight

@@ -1,21 +1,20 @@
-"""One call of a renderer: all that is needed to trace its paths, and the camera paths of its chunks."""
+"""One call of a renderer: all that is needed to trace its paths, and the camera rays of its chunks."""
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
-from torch_radbp.call.chunks import Chunk, Rows
+from torch_radbp.call.sink import Sink
+from torch_radbp.call.source import Cameras, PathSource
 from torch_radbp.call.view import View
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.call.workers import in_turns
 from torch_radbp.call.zeroed_memory import ZeroedMemory
-from torch_radbp.film.window import Window
-from torch_radbp.path.bounce import CameraSample, film_place, sample_camera
+from torch_radbp.path.bounce import CameraSample, sample_camera
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState, start_path
 from torch_radbp.raycast import RayCaster
@@ -25,105 +24,81 @@ from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.stage import Stages
-from torch_radbp.tensors.vec import Vec2, Vec3
+from torch_radbp.tensors.vec import Vec3
 
 Result = TypeVar("Result")
-FEW = 1 << 16  # lanes whose numbers are kept for the next call
 
 
 class RenderCall(NamedTuple):
     """All that one rendering needs beside the scene's leaves."""
 
     scene: SceneTensors
-    caster: RayCaster | None  # of its triangles; as the next one, None where the integrand is made
+    caster: RayCaster | None  # of its triangles; None, as the next field, while the integrand is made
     make_integrand: Callable[[SceneTensors], Integrand] | None
     integrand: Integrand | None  # of the detached scene, made once for all that is traced
     stages: Stages
     adjoint: object  # the strategy
-    views: list[View]
+    source: PathSource  # where paths begin
+    sink: Sink  # where their radiance goes
     wavefronts: list[Wavefront]
     spp: int
-    shares_samples: bool  # the backward pass differentiates the very samples of the image
-    record_bytes: float  # of these that are kept for it at most; it traces the others again
-    together: bool  # samples of its own are traced beside those of the image, which takes half as many calls
-    workers: int  # wavefronts that are traced side by side
+    shares_samples: bool  # the backward pass differentiates the samples of the image itself
+    record_bytes: float  # bytes of path records that are kept for it at most; other paths are traced again
+    together: bool  # the derivative's own samples are traced together with those of the image, in half as many calls
+    workers: int  # number of threads that trace wavefronts
     memory: ZeroedMemory  # for the totals of gradients
     following: bool = False  # see `Settings.following`
-    module: Scene | None = None  # whose tensors these are; gives names to errors
-    parameters: dict[str, Tensor] = {}  # by name, those that derivatives are wanted of
+    module: Scene | None = None  # the scene's module; gives names to errors
+    parameters: dict[str, Tensor] = {}  # parameters that require a gradient, by name
     # What of camera paths is shown beside the image, C of (N,), detached: of the integrand, the paths, what their rays meet
     # (None: not known), and their radiance.
     quantities: Callable[[Integrand, PathState, Hit | None, Vec3], Sequence[Tensor]] | None = None
 
     def still(self) -> RenderCall:
         """The call without derivatives."""
-        return self._replace(scene=self.still_scene, views=[detached(view) for view in self.views])
+        return self._replace(scene=self.still_scene, source=self.source.still())
+
+    @property
+    def views(self) -> list[View]:
+        """Those whose cameras paths begin at."""
+        return self.source.views
+
+    def with_views(self, views: list[View]) -> RenderCall:
+        """The call of other views."""
+        return self._replace(source=Cameras(views))
 
     @property
     def still_scene(self) -> SceneTensors:
-        """The scene without derivatives."""
+        """The detached scene."""
         return detached(self.scene) if self.integrand is None else self.integrand.scene
 
     def of_derivative(self) -> RenderCall:
         """The call whose image has the samples of the derivative."""
-        return self._replace(views=[view._replace(sample_keys=view.sample_keys[1:] * 2, orders=view.orders[1:] * 2)
-                                    for view in self.views])
+        return self._replace(source=self.source.of_derivative())
 
 
 def started(call: RenderCall, sample: CameraSample) -> PathState:
-    """The paths that begin with camera rays."""
+    """The paths that begin with some rays."""
     return start_path(sample.ray, sample.key, call.scene.lights.by_place, call.following, sample.cone)
 
 
 def start_paths(call: RenderCall, wavefront: Wavefront, which: int) -> PathState:
-    """The camera paths of a wavefront, pixel by pixel; `which`: those of the image, 0, or of its derivative, 1."""
+    """The paths of a wavefront, lane by lane; `which`: those of the image, 0, or of its derivative, 1."""
     return started(call, camera_samples(call, wavefront, which))
 
 
 def camera_samples(call: RenderCall, wavefront: Wavefront, which: int) -> CameraSample:
-    """The rays of a wavefront's lanes; see `sample_camera`. `which` as for `start_paths`."""
+    """The rays of a wavefront's lanes; see `PathSource.samples`. `which` as for `start_paths`."""
     return joined(samples_of_chunks(call, wavefront, which))
 
 
 def samples_of_chunks(call: RenderCall, wavefront: Wavefront, which: int) -> list[CameraSample]:
     """As `camera_samples`, chunk by chunk."""
-    def of_chunk(chunk: Chunk) -> CameraSample:
-        view = call.views[chunk.sensor]
-        return call.stages(sample_camera)(view.camera, view.orders[which], *_numbers_of(call, chunk),
-                                         view.sample_keys[which], call.scene.layout.traces_cones)
-
-    return [of_chunk(chunk) for chunk in wavefront.chunks]
-
-
-def film_places(call: RenderCall, wavefront: Wavefront, which: int) -> Vec2:
-    """Where in their pixels a wavefront's lanes lie, (N,) in [0, 1). `which` as for `start_paths`."""
-    def of_chunk(chunk: Chunk) -> Vec2:
-        view = call.views[chunk.sensor]
-        return call.stages(film_place)(view.camera.film.size_x, view.orders[which], *_numbers_of(call, chunk),
-                                      view.sample_keys[which])
-
-    return joined([of_chunk(chunk) for chunk in wavefront.chunks])
-
-
-def _numbers_of(call: RenderCall, chunk: Chunk) -> tuple[Tensor, Tensor]:
-    """The numbers of a chunk's lanes' pixels, pixel by pixel, and those of their samples; (N,) int32."""
-    find = lane_numbers if chunk.lanes > FEW else known_lane_numbers
-    return find(chunk.rows, chunk.first_sample, chunk.samples, call.views[chunk.sensor].window, call.scene.device)
-
-
-def lane_numbers(rows: Rows, first_sample: int, samples: int, window: Window, device: torch.device) -> tuple[Tensor, Tensor]:
-    """`_numbers_of` some samples of some rows of a window."""
-    with torch.inference_mode(False):  # they may be kept, for renderings that are differentiated
-        pixel = rows.numbers(device, window.numbered) + window.numbers(0, 0)
-        sample = torch.arange(samples, dtype=torch.int32, device=device) + first_sample
-        return pixel.repeat_interleave(samples), sample.repeat(len(pixel))
-
-
-known_lane_numbers = functools.lru_cache(maxsize=64)(lane_numbers)
+    return [call.source.samples(chunk, which, call.stages, call.scene.layout.traces_cones) for chunk in wavefront.chunks]
 
 
 def pilot_paths(call: RenderCall, lanes: int) -> PathState:
-    """Some camera paths of the first sensor, spread over its image."""
+    """Camera paths spread over the image of the first sensor, for measurements."""
     view, grid, device = call.views[0], call.views[0].grid, call.scene.device
     pixel = torch.linspace(0, grid.columns * grid.rows - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
     sample = torch.arange(lanes, dtype=torch.int32, device=device)
@@ -133,12 +108,17 @@ def pilot_paths(call: RenderCall, lanes: int) -> PathState:
 
 
 def integrand_of(call: RenderCall, integrand: Integrand, number: int) -> Integrand:
-    """The integrand as the camera of a view, of this number, sees it."""
+    """The integrand with the camera of the view of this number."""
     view = call.views[number]
     return integrand._replace(clipping=view.camera if view.clips else None)
 
 
+def integrand_of_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> Integrand:
+    """The integrand as the lanes of a wavefront see it; where a far plane cuts the scene these are of one camera."""
+    return integrand._replace(clipping=call.source.clipping(wavefront.chunks[0]))
+
+
 def of_wavefronts(call: RenderCall, wavefronts: list[Wavefront], work: Callable[[Wavefront], Result]) -> list[Result]:
-    """`work` on some wavefronts, side by side; the results in their order."""
+    """Runs `work` on wavefronts in several threads; results in order."""
     shares = in_turns(len(wavefronts), call.workers, lambda share: [work(wavefronts[index]) for index in share])
     return [shares[index % len(shares)][index // len(shares)] for index in range(len(wavefronts))]

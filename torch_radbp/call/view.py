@@ -1,4 +1,4 @@
-"""What one sensor of a call sees."""
+"""The view of one sensor in a call: camera, window and random numbers."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ OF_NO_SENSOR = -1  # the index of a sensor that is none of the scene's
 
 
 class View(NamedTuple):
-    """One sensor of a call."""
+    """One sensor of a call, with its window and random number keys."""
 
     sensor: Sensor
     camera: Camera  # attached
     window: Window  # of its film
     sample_keys: tuple[SampleKey, SampleKey]  # of the forward pass, and of the backward pass
-    orders: tuple[FilmOrder, FilmOrder]  # in which pixels take points of a sequence, likewise
-    clips: bool  # whether something lies beyond the far plane
+    orders: tuple[FilmOrder, FilmOrder]  # orders in which pixels take points of the sequence, likewise
+    clips: bool  # True if something lies beyond the far plane
 
     @property
     def width(self) -> int:
-        """Pixels of the image."""
+        """The width of the image in pixels."""
         return self.window.columns.size
 
     @property
@@ -42,25 +42,25 @@ class View(NamedTuple):
 
     @property
     def apart(self) -> FilmOrder:
-        """The order of paths that begin anywhere: a sequence for each pixel."""
+        """A film order with a separate sequence for each pixel, for paths that start anywhere."""
         return film_order(self.window.numbered, APART, self.camera.film.size_x.device)
 
     @property
     def grid(self) -> Grid:
-        """The pixels that have samples."""
+        """The pixel grid of the film's window."""
         return Grid(self.camera.film.kernel, self.window)
 
 
 class Shot(NamedTuple):
-    """An image that a call is to make."""
+    """An image that a call is to make: a sensor and a window."""
 
     sensor: Sensor
-    index: int  # of the sensor among those of the scene, or `OF_NO_SENSOR`
+    index: int  # index of the sensor in the scene, or `OF_NO_SENSOR`
     window: Window  # of its film
 
 
 def view_of(shot: Shot, seeds: tuple[int, int], own: bool, spp: int, scene: SceneTensors, cache: PackCache) -> View:
-    """What a shot shows in a call with these seeds, forwards and backwards, and so many samples of a pixel.
+    """The view of a shot, with seeds for the forward and the backward pass, and `spp` samples per pixel.
 
     The gradient of a squared error sums products of the noise of the image and that of the derivative over pixels. If both
     were found in the same high frequencies, that sum would be noisier than that of independent pixels. So a derivative's own
@@ -81,17 +81,17 @@ def view_of(shot: Shot, seeds: tuple[int, int], own: bool, spp: int, scene: Scen
 
 
 def camera_of(cache: PackCache, sensor: Sensor) -> Camera:
-    """The camera of a sensor with its whole film, attached."""
+    """The camera of a sensor with its whole film, attached; cached."""
     return cache(_tensors_of, cache.twin("sensor", sensor))
 
 
 def _tensors_of(sensor: Sensor) -> Camera:
-    """`camera_of` a twin."""
+    """The camera tensors of a sensor's copy, for `camera_of`."""
     return sensor.tensors()
 
 
 def reaches_beyond(cache: PackCache, vertices: Vec3, instances: Instances | None, camera: Camera) -> bool:
-    """True if any vertex, (V,), or a corner of the box around an instance lies beyond the far plane of a camera."""
+    """True if any vertex, (V,), or corner of an instance's box lies beyond the camera's far plane."""
     points = vertices.detach()
     if instances is not None:
         own, boxes = int(instances.first_vertex[0]), Vec3.of(instances.boxes.flatten(0, 1))

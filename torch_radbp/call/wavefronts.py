@@ -1,4 +1,4 @@
-"""Wavefronts: chunks that are traced as one.
+"""Wavefronts: several chunks whose lanes are traced together.
 
 A wavefront of some thousand lanes takes about as long as one of twice as many, most of it in Python. So small images of
 several sensors, such as all views of a step of an optimisation, are traced together.
@@ -10,29 +10,24 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from itertools import groupby
 from typing import NamedTuple
 
-from torch_radbp.call.chunks import LEAST_LANES, Chunk
+from torch_radbp.call.chunks import LEAST_LANES, Chunk, LaneBlock
 
 
 class Wavefront(NamedTuple):
-    """Chunks that are traced as one, and their lanes one after the other."""
+    """Chunks that are traced together, their lanes one after the other."""
 
-    chunks: tuple[Chunk, ...]
+    chunks: tuple[LaneBlock, ...]
 
     @property
     def lanes(self) -> int:
         return sum(chunk.lanes for chunk in self.chunks)
 
     @property
-    def sensor(self) -> int:
-        """That of the first chunk; a far plane that cuts the scene is its own, for then there is no other."""
-        return self.chunks[0].sensor
-
-    @property
     def group(self) -> int:
-        """Of bands that are rendered side by side."""
+        """The group of bands that the wavefront belongs to."""
         return self.chunks[0].group
 
-    def parts(self) -> Iterator[tuple[Chunk, int, int]]:
+    def parts(self) -> Iterator[tuple[LaneBlock, int, int]]:
         """Each chunk with its first lane, and the one after its last."""
         first = 0
         for chunk in self.chunks:
@@ -42,7 +37,7 @@ class Wavefront(NamedTuple):
 
 def plan_wavefronts(chunks: Sequence[Chunk], alike: Callable[[Chunk], Hashable], lanes: int,
                     workers: int) -> list[Wavefront]:
-    """Wavefronts of chunks that follow each other: as few as there may be, but one for each worker that is worth it.
+    """Joins successive chunks to as few wavefronts as possible, but one for each worker that is worth it.
 
     Args:
         chunks: of a call.
@@ -60,7 +55,7 @@ def plan_wavefronts(chunks: Sequence[Chunk], alike: Callable[[Chunk], Hashable],
 
 
 def number_of(sizes: Sequence[int], lanes: int, workers: int) -> int:
-    """How many wavefronts chunks of these sizes make; the rest as for `plan_wavefronts`."""
+    """The number of wavefronts into which chunks of these sizes are joined; args as for `plan_wavefronts`."""
     most = max(1, lanes // max(sizes))  # chunks of one
     count = max(1, -(-len(sizes) // most), min(workers, sum(sizes) // LEAST_LANES))
     fair = -(-count // workers) * workers if count > workers else count

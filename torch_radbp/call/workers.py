@@ -1,4 +1,4 @@
-"""Chunks of lanes side by side: one thread a core, each running its operations alone.
+"""Traces chunks in parallel: one thread per core, each with single-threaded torch operations.
 
 Eager torch splits every single operation over all cores. For operations of some ten microseconds the meeting of the threads
 after each costs as much as the work, and one busy neighbour holds them all up. Chunks need not meet.
@@ -18,7 +18,7 @@ Result = TypeVar("Result")
 
 
 def in_turns(count: int, workers: int, work: Callable[[Iterable[int]], Result]) -> list[Result]:
-    """`work` on the numbers 0 to `count` - 1, dealt out in turn in as many shares as there are workers; results in order.
+    """Runs `work` on the numbers 0 to `count` - 1, dealt out to `workers` shares in turn; results in order.
 
     Which numbers are one share is fixed, so that sums of the results are the same each time; who takes it is not.
     """
@@ -38,7 +38,7 @@ def in_turns(count: int, workers: int, work: Callable[[Iterable[int]], Result]) 
 
 
 def while_nobody_failed(task: Task, share: range) -> Iterator[int]:
-    """The numbers of a share, or, after an error on another thread, the first of them."""
+    """Yields the numbers of a share; after an error on another thread only the first."""
     for number in share:
         if task.error is not None:
             return

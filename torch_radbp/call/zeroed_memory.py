@@ -1,4 +1,4 @@
-"""Memory that is zero: fresh from the operating system, or used again.
+"""Reuses zeroed memory: fresh pages of the operating system are slow at their first touch.
 
 Fresh pages are zeroed by the system when they are first touched, which takes several times as long as what is added to them
 there. So large tables of sums are zeroed where they were touched, and handed out again in the next step.
@@ -17,14 +17,14 @@ LEAST = 1 << 20  # bytes; the allocator is quick with what is less
 
 
 def zeros(rows: int, columns: int, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """Zeros whose memory, on the CPU, is not taken before it is touched if it is large."""
+    """Zeros; large ones on the CPU take no memory before they are touched."""
     if device.type != "cpu" or rows * columns * dtype.itemsize < LEAST:
         return torch.zeros(rows, columns, dtype=dtype, device=device)
     return torch.from_numpy(np.zeros((rows, columns), dtype=torch.empty(0, dtype=dtype, device=device).numpy().dtype))
 
 
 class ZeroedMemory:
-    """Tables of zeros, float64, of which those of the last step are kept.
+    """Tables of zeros, float64, kept from the last step for reuse.
 
     A copied or unpickled one is empty.
     """
@@ -37,7 +37,7 @@ class ZeroedMemory:
         return ZeroedMemory, ()
 
     def take(self, rows: int, columns: int, device: torch.device) -> Tensor:
-        """Zeros, (rows, columns), nobody else's."""
+        """Takes zeros, (rows, columns), for exclusive use."""
         with self.lock:
             for number, table in enumerate(self.unused):
                 if table.shape == (rows, columns) and table.device == device:
@@ -45,6 +45,6 @@ class ZeroedMemory:
         return zeros(rows, columns, torch.float64, device)
 
     def give_back(self, tables: Iterable[Tensor]) -> None:
-        """Keeps tables that are zero again, in the place of what was left of those before."""
+        """Gives tables back that are zero again; they replace what was left of earlier ones."""
         with self.lock:
             self.unused = [table for table in tables if table.is_cpu and table.nbytes >= LEAST]

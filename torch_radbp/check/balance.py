@@ -1,4 +1,4 @@
-"""Whether a material is reciprocal, and sends out no more light than arrives.
+"""Tests whether a material is reciprocal, and conserves energy.
 
 For radiance, f(wi, wo) / n_i^2 = f(wo, wi) / n_o^2 with the indices of refraction n (Veach 1997, equation 5.14). Of pairs on
 one side the two must be equal; of pairs that cross, the quotient must be the same for all. That is the squared index, which
@@ -28,22 +28,22 @@ LEEWAY = 0.02  # of energy, for parts of models that are fitted, such as Beckman
 
 
 def claims(kind: Kind | CheckedKind, name: str) -> bool:
-    """True if a kind, and all kinds that it holds, have the property `reciprocal` or `conserves`."""
+    """True if a kind, and all kinds nested in it, declare the property `reciprocal` or `conserves`."""
     kind = kind.kind if isinstance(kind, CheckedKind) else kind
     held = [getattr(kind, field.name) for field in dataclasses.fields(kind)]
     return bool(getattr(kind, name)) and all(claims(part, name) for part in held if isinstance(part, Kind))
 
 
 class Balance(NamedTuple):
-    """The two directions of light compared."""
+    """The comparison of a BSDF in both directions of light."""
 
-    asymmetry: float  # largest relative difference of pairs, of those that cross after the squared index
-    squared_index: float  # of the inside, that outside being 1
-    pairs: int  # that scatter at all
+    asymmetry: float  # largest relative difference of pairs; for pairs that cross, after division by the squared index
+    squared_index: float  # of refraction, inside relative to outside
+    pairs: int  # number of pairs with any scattering
 
 
 def compared(one_way: Tensor, other_way: Tensor, crossing: Tensor, root: bool) -> Balance:
-    """The balance of what is scattered from a to b, and from b to a, (N, 3) each; a is outside where they cross, (N,) bool.
+    """Compares scattering from a to b with that from b to a, (N, 3) each; a is outside where they cross, (N,) bool.
 
     `root`: the quotient is that of both indices to the fourth power, as of light through delta lobes.
     """
@@ -57,7 +57,7 @@ def compared(one_way: Tensor, other_way: Tensor, crossing: Tensor, root: bool) -
 
 
 def smooth_balance(subject: Subject, count: int, seed: int) -> Balance:
-    """Of the smooth lobes, for random pairs of directions."""
+    """Tests the reciprocity of smooth lobes, for random pairs of directions."""
     kind, a, b = subject.kind, directions(count, seed), directions(count, seed + 1)
     turn = (a.z < 0) & (b.z > 0)  # so that a is outside where the pair crosses
     a, b = (Vec3(*(torch.where(turn, y, x) for x, y in zip(*pair))) for pair in ((a, b), (b, a)))
@@ -67,7 +67,7 @@ def smooth_balance(subject: Subject, count: int, seed: int) -> Balance:
 
 
 def delta_balance(subject: Subject, count: int, seed: int) -> Balance:
-    """Of the delta lobes: light that is sent back the way that it came."""
+    """Tests the reciprocity of delta lobes, by light that is sent back the way that it came."""
     kind, wi, random = subject.kind, directions(count, seed), random_numbers(count, seed)
     wi = Vec3(wi.x, wi.y, wi.z.abs())
     values = subject.values(wi.z)
@@ -78,42 +78,42 @@ def delta_balance(subject: Subject, count: int, seed: int) -> Balance:
 
 
 def ideal_weight(kind: CheckedKind | Kind, values: Values, wi: Vec3, wo: Vec3, random: LaneNumbers) -> Tensor:
-    """(N, 3) the weight of all delta lobes that send from wi to wo."""
+    """(N, 3) the weight of all delta lobes that scatter from wi to wo."""
     weight = torch.zeros(len(wi.z), 3, dtype=wi.z.dtype)
     for choice in choices(kind, values, wi, random):
         off = kind.sample(values, wi, choice, random.u, random.v) - wo
-        same = (dot(off, off) < BACK) & choice.is_delta(kind) & (choice.probability > 0)
-        weight = weight + kind.specular(values, wi, choice).stack().detach() * same[:, None]
+        is_wo = (dot(off, off) < BACK) & choice.is_delta(kind) & (choice.probability > 0)
+        weight = weight + kind.specular(values, wi, choice).stack().detach() * is_wo[:, None]
     return weight
 
 
 def balances(subject: Subject, count: int, seed: int) -> list[Balance]:
-    """Those of the lobes that there are."""
+    """The reciprocity tests of smooth and of delta lobes, as far as the material has them."""
     return [*([smooth_balance(subject, count, seed)] if subject.kind.smooth else []),
             *([delta_balance(subject, count, seed)] if subject.kind.delta else [])]
 
 
-def reciprocity(found: list[Balance], claimed: bool) -> Finding:
-    """The finding on reciprocity; of a kind that does not claim it only the figures."""
-    off, pairs = max(balance.asymmetry for balance in found), sum(balance.pairs for balance in found)
+def reciprocity(balances: list[Balance], claimed: bool) -> Finding:
+    """The finding on reciprocity; for kinds that do not declare it only the figures."""
+    off, pairs = max(balance.asymmetry for balance in balances), sum(balance.pairs for balance in balances)
     figures = f"f(wi, wo) and f(wo, wi) differ by up to {off:.2g} of {pairs} pairs"
     return Finding("reciprocity", off <= SAME or not claimed, figures if claimed else f"not claimed; {figures}")
 
 
 def _power(subject: Subject, z: float, squared_index: float, count: int, seed: int) -> tuple[Tensor, Tensor]:
-    """The share of the power that leaves, (3,), seen from the cosine z, and its standard error."""
+    """The albedo, (3,), seen from the cosine z, and its standard error; in transmission divided by the squared index."""
     kind, wi = subject.kind, direction(z, AZIMUTH, count)
     values = subject.values(wi.z)
-    found = sampled(kind, values, wi, random_numbers(count, seed))
-    weight = weight_of(kind, values, wi, found).stack().detach()
+    sample = sampled(kind, values, wi, random_numbers(count, seed))
+    weight = weight_of(kind, values, wi, sample).stack().detach()
     change = squared_index if z > 0 else 1.0 / squared_index
-    weight = weight * torch.where(wi.z * found.wo.z < 0, change, 1.0).detach()[:, None]
+    weight = weight * torch.where(wi.z * sample.wo.z < 0, change, 1.0).detach()[:, None]
     return weight.mean(0), weight.std(0) / count**0.5
 
 
-def energy(subjects: dict[str, Subject], found: list[Balance], claimed: bool, count: int, seed: int) -> Finding:
-    """The finding on energy, of several variants of a material, by words for each."""
-    crossing = [balance.squared_index for balance in found if balance.squared_index != 1.0]
+def energy(subjects: dict[str, Subject], balances: list[Balance], claimed: bool, count: int, seed: int) -> Finding:
+    """The finding on energy conservation, for several variants of a material, named by the keys."""
+    crossing = [balance.squared_index for balance in balances if balance.squared_index != 1.0]
     squared_index = crossing[0] if crossing else 1.0
     excess, words = [], []
     for name, subject in subjects.items():

@@ -1,4 +1,4 @@
-"""`check_bsdf`: does a material scatter, sample and weight light as it says?
+"""`check_bsdf`: tests whether a material's samples, densities and weights agree with its BSDF.
 
 Rendering and its derivatives both believe what a material says of itself: one that states half of its density is too bright,
 and the derivative of the wrong image agrees with differences of the wrong image. Here it is held to its word alone, without
@@ -41,7 +41,7 @@ TURN = 1.1  # radians about the normal
 
 @public_call
 def check_bsdf(bsdf: BSDF | dict[str, Any], *, samples: int = 50_000, seed: int = 0) -> PluginCheck:
-    """Checks that a material scatters, samples and weights light as it says.
+    """Tests whether a material's samples, densities and weights agree with its BSDF.
 
         print(rb.check_bsdf({"type": "minnaert", "exponent": 1.3}))
 
@@ -76,23 +76,23 @@ def check_bsdf(bsdf: BSDF | dict[str, Any], *, samples: int = 50_000, seed: int 
     bsdf = standing_alone(bsdf)
     subject = subject_of(bsdf)
     with torch.no_grad():
-        found = [*scattering_findings(subject, samples, seed), worst("methods", [methods_off(subject, PAIRS, seed)], "")]
+        findings = [*scattering_findings(subject, samples, seed), worst("methods", [methods_off(subject, PAIRS, seed)], "")]
         light = balances(subject, PAIRS, seed)
-        found += [reciprocity(light, claims(subject.kind, "reciprocal")),
-                  energy({"as given": subject, "with white reflectances": subject_of(white(bsdf))}, light,
-                         claims(subject.kind, "conserves"), samples, seed)]
+        findings += [reciprocity(light, claims(subject.kind, "reciprocal")),
+                     energy({"as given": subject, "with white reflectances": subject_of(white(bsdf))}, light,
+                            claims(subject.kind, "conserves"), samples, seed)]
     with torch.enable_grad():
-        found += [statements(subject, seed), _finite_everywhere(bsdf)]
-    return PluginCheck(f"bsdf {material_name(bsdf)}", tuple(found))
+        findings += [statements(subject, seed), _finite_everywhere(bsdf)]
+    return PluginCheck(f"bsdf {material_name(bsdf)}", tuple(findings))
 
 
 def subject_of(bsdf: BSDF) -> Subject:
-    """A material in one place, its functions held to their contract."""
+    """A material at one surface point, its functions wrapped in checks of their contract."""
     return Subject(checked_kind(bsdf), lambda like: values_at(bsdf, PLACE, like))
 
 
 def statements(subject: Subject, seed: int) -> Finding:
-    """The finding on what a kind says of itself: `transmits`, `oriented` and `steering`."""
+    """The finding on a kind's declared properties: `transmits`, `oriented` and `steering`."""
     kind, wi, wo, random = subject.kind, directions(PAIRS, seed), directions(PAIRS, seed + 1), random_numbers(PAIRS, seed)
     values = tuple(differentiable_copy(value) for value in subject.values(wi.z))
     wrong = []
@@ -118,19 +118,19 @@ def statements(subject: Subject, seed: int) -> Finding:
 
 
 def turn(w: Vec3) -> Vec3:
-    """A direction turned about the normal."""
+    """Rotates a direction about the normal."""
     c, s = math.cos(TURN), math.sin(TURN)
     return Vec3(c * w.x - s * w.y, s * w.x + c * w.y, w.z)
 
 
 def _finite_everywhere(bsdf: BSDF) -> Finding:
-    """The finding on values and derivatives at grazing angles and at the ends of parameters."""
+    """The finding on finite values and derivatives at grazing angles and at the ends of parameters' ranges."""
     variants = {"as given": bsdf, **dict(at_ends(bsdf))}
     for words, variant in variants.items():
         for dtype in (torch.float32, torch.float64):
-            own = standing_alone(variant).to(dtype)
-            kind, wi = checked_kind(own), differentiable_copy(viewers(torch.tensor(COSINE, dtype=dtype)))
-            values = tuple(differentiable_copy(value) for value in values_at(own, PLACE, wi.z))
+            alone = standing_alone(variant).to(dtype)
+            kind, wi = checked_kind(alone), differentiable_copy(viewers(torch.tensor(COSINE, dtype=dtype)))
+            values = tuple(differentiable_copy(value) for value in values_at(alone, PLACE, wi.z))
             trouble = next(chain(troubles_of_evaluation(kind, values, wi),
                                  troubles_of_samples(kind, values, wi, random_corners(kind), LENGTH)), None)
             if trouble is not None:

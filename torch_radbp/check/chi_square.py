@@ -40,5 +40,5 @@ def p_value(observed, expected, constraints: int = 1, uncertainty=0.0) -> float:
 
 
 def pooled(values: Tensor, small: Tensor) -> Tensor:
-    """The entries that are not small, and the sum of the others."""
+    """The entries that are not small, and the sum of the small ones."""
     return torch.cat([values[~small], values[small].sum()[None]])

@@ -1,4 +1,4 @@
-"""`check_emitter`: does a light send what its samples say it sends?
+"""`check_emitter`: tests whether a light's samples and densities agree with its emission.
 
 What arrives at a place from all directions is integrated twice: over cells of the sphere (`sphere.py`), from the radiance
 that rays meet, and by samples of the light together with uniform directions, weighted as in rendering (multiple importance
@@ -54,7 +54,7 @@ EXACT_ENOUGH = 0.99  # of the rays; at edges, rounding decides what they meet
 
 
 class Lit(NamedTuple):
-    """A scene with nothing but a light."""
+    """A scene with one light and nothing else that emits."""
 
     tensors: SceneTensors  # detached, float64
     on_surface: bool
@@ -62,15 +62,15 @@ class Lit(NamedTuple):
 
 
 class SeenLight(NamedTuple):
-    """What rays see of the light, (N,)."""
+    """The light along rays, (N,)."""
 
     radiance: Vec3
-    weighing: Tensor  # the density of light samples, as weights use it
+    weighing: Tensor  # density of light samples for MIS weights
 
 
 @public_call
 def check_emitter(emitter: Light | dict[str, Any], *, samples: int = 50_000, seed: int = 0) -> PluginCheck:
-    """Checks that a light sends what its samples say it sends.
+    """Tests whether a light's samples and densities agree with its emission.
 
         print(rb.check_emitter({"type": "envmap", "filename": "sky.exr"}))
 
@@ -104,22 +104,22 @@ def check_emitter(emitter: Light | dict[str, Any], *, samples: int = 50_000, see
     if kind.on_surface and not alone.radiance.tabulated:
         alone.radiance = RGB(value=torch.ones(()))
     scene = scene_of(alone)
-    found = []
+    findings = []
     with torch.no_grad():
         tensors = tree_map_only(Tensor, Tensor.detach, pack(scene))
         vertices, faces = tensors.triangles.vertices.p.stack(), torch.stack(tensors.triangles.corners, 1)
         lit = Lit(tensors, kind.on_surface, make_caster(None, vertices, faces))
         lights = {where: light_from(lit, place, samples, seed) for where, place in PLACES.items()}
-        found.append(worst("samples", [_samples_off(where, light, PLACES[where]) for where, light in lights.items()], ""))
+        findings.append(worst("samples", [_samples_off(where, light, PLACES[where]) for where, light in lights.items()], ""))
         whole = "without extent: only samples find it"
         cases = {} if kind.delta else lights
-        found.append(worst("weights", [weights_off(lit, where, light) for where, light in cases.items()], whole))
-        found.append(worst("light", [light_off(lit, where, light, seed) for where, light in cases.items()], whole))
-    return PluginCheck(f"emitter {emitter.type}", (*found, _finite_everywhere(scene)))
+        findings.append(worst("weights", [weights_off(lit, where, light) for where, light in cases.items()], whole))
+        findings.append(worst("light", [light_off(lit, where, light, seed) for where, light in cases.items()], whole))
+    return PluginCheck(f"emitter {emitter.type}", (*findings, _finite_everywhere(scene)))
 
 
 def scene_of(emitter: Light) -> Scene:
-    """A scene that a light stands in, in float64: on a square if shapes carry it, else above a small black one."""
+    """A scene for a light, in float64: on a square if it is a surface light, else above a small black one."""
     carried = emitter.kind().on_surface
     square = {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": 0.0}}
     return build_scene({"type": "scene", "sensor": {"type": "perspective"},
@@ -128,7 +128,7 @@ def scene_of(emitter: Light) -> Scene:
 
 
 def light_from(lit: Lit, place: tuple[float, float, float], count: int, seed: int) -> LightSample:
-    """Light samples of one place."""
+    """Light samples for one point."""
     generator = torch.Generator().manual_seed(seed)
     bits = LightNumbers(*torch.randint(-(1 << 31), 1 << 31, (4, count), generator=generator).to(torch.int32).unbind())
     p = Vec3(*(torch.full((count,), c, dtype=torch.float64) for c in place))
@@ -136,7 +136,7 @@ def light_from(lit: Lit, place: tuple[float, float, float], count: int, seed: in
 
 
 def _seen(lit: Lit, where: str, d: Vec3) -> SeenLight:
-    """What rays from a place see of the light."""
+    """The radiance and MIS density of the light along rays from a point."""
     ray = Ray(Vec3(*(torch.full_like(d.x, c) for c in PLACES[where])), d)
     if not lit.on_surface:
         return SeenLight(emitted_by_surround(lit.tensors, ray), pdf_of_surround(lit.tensors, ray))
@@ -146,7 +146,7 @@ def _seen(lit: Lit, where: str, d: Vec3) -> SeenLight:
 
 
 def _samples_off(where: str, light: LightSample, place: tuple[float, float, float]) -> tuple[float, str]:
-    """How far directions of samples are off what they should be, in units of what is allowed, and the figures."""
+    """The error of sampled directions, in units of what is allowed, and the figures in words."""
     used = (light.pdf > 0).nonzero()[:, 0]
     d = rows(light.d, used)
     off = unit_length_error(d)
@@ -158,20 +158,21 @@ def _samples_off(where: str, light: LightSample, place: tuple[float, float, floa
 
 
 def weights_off(lit: Lit, where: str, light: LightSample) -> tuple[float, str]:
-    """How far the density of samples is off that of rays in their directions, likewise; of all but a few at edges."""
+    """The error of samples' densities against those of rays, in such units; a few at edges are ignored."""
     used = (light.pdf > 0).nonzero()[:, 0]
     if not len(used):
         return 0.0, f"{where}: no sample can be used"
-    own, of_rays = light.weighing[used], _seen(lit, where, rows(light.d, used)).weighing
-    off = ((own - of_rays).abs() / own.abs().clamp_min(1e-30)).sort().values[int(EXACT_ENOUGH * (len(used) - 1))]
+    of_samples, of_rays = light.weighing[used], _seen(lit, where, rows(light.d, used)).weighing
+    off = ((of_samples - of_rays).abs() / of_samples.abs().clamp_min(1e-30)).sort().values
+    off = off[int(EXACT_ENOUGH * (len(used) - 1))]
     return float(off) / SAME, f"{where}: the density of samples and that of rays differ by up to {float(off):.2g}"
 
 
 def light_off(lit: Lit, where: str, light: LightSample, seed: int) -> tuple[float, str]:
-    """How far the light by samples is off that by rays in the worst part of the sphere, and in all, likewise."""
+    """The error of the light by samples against that by rays, over parts of the sphere and in total, in such units."""
     count, used = len(light.pdf), light.pdf > 0
-    own = rows(light.d, used.nonzero()[:, 0])
-    cells = Cells.around(own, max(count // 200, 1))
+    to_lights = rows(light.d, used.nonzero()[:, 0])
+    cells = Cells.around(to_lights, max(count // 200, 1))
     integral = cells.integrals(lambda w: [_brightness(_seen(lit, where, w).radiance)])[0]
 
     # The two ways in which a path may find the light, each with its weight.
@@ -182,50 +183,50 @@ def light_off(lit: Lit, where: str, light: LightSample, seed: int) -> tuple[floa
     ray = _seen(lit, where, even)
     by_chance = _brightness(ray.radiance) / UNIFORM_SPHERE_PDF * power_heuristic(
         torch.full_like(density, UNIFORM_SPHERE_PDF), ray.weighing)
-    found = []
+    cases = []
     groups = part_of_cell(cells), _part_of(light.d), _part_of(even)
     for part in (*groups[0].unique().tolist(), None):
         inside = [torch.ones_like(group, dtype=torch.bool) if part is None else group == part for group in groups]
         total, error = float(integral.value[inside[0]].sum()), float(integral.error[inside[0]].sum())
-        parts = [values * own for values, own in zip((by_light, by_chance), inside[1:])]
+        parts = [values * to_lights for values, to_lights in zip((by_light, by_chance), inside[1:])]
         mean, spread = sum(float(values.mean()) for values in parts), math.hypot(*(float(values.std()) for values in parts))
         allowed = SIGMAS * spread / count**0.5 + error + QUADRATURE * float(integral.value.sum())
         words = "in all" if part is None else "in the worst part of the sphere"
-        found.append((abs(mean - total) / max(allowed, 1e-30) if mean != total else 0.0,
+        cases.append((abs(mean - total) / max(allowed, 1e-30) if mean != total else 0.0,
                       f"{where}: samples find {mean:.4g} {words}, rays {total:.4g}"))
-    return max(found)
+    return max(cases)
 
 
 def _brightness(radiance: Vec3) -> Tensor:
-    """The mean of the channels."""
+    """The mean of the colour channels."""
     return (radiance.x + radiance.y + radiance.z) / 3
 
 
 def part_of_cell(cells: Cells) -> Tensor:
-    """Which part of the sphere each cell is in."""
+    """The part of the sphere to which each cell belongs."""
     row, column = cells.row >> cells.level, cells.column >> cells.level
     return row // PARTS * (COLUMNS // PARTS) + column // PARTS
 
 
 def _part_of(d: Vec3) -> Tensor:
-    """Which part of the sphere each direction is in."""
+    """The part of the sphere to which each direction belongs."""
     polar, longitude = angles(d)
     row = (polar * (ROWS / PARTS / math.pi)).long().clamp_max(ROWS // PARTS - 1)
     return row * (COLUMNS // PARTS) + (longitude * (COLUMNS / PARTS / (2 * math.pi))).long().clamp_max(COLUMNS // PARTS - 1)
 
 
 def _finite_everywhere(scene: Scene) -> Finding:
-    """The finding on values and derivatives, from places at all distances."""
+    """The finding on finite values and derivatives, from points at all distances."""
     for dtype in (torch.float32, torch.float64):
-        own = copy.deepcopy(scene).to(dtype).requires_grad_()
+        alone = copy.deepcopy(scene).to(dtype).requires_grad_()
         axes = torch.tensor([[0.0, 0, 1], [0, 0, -1], [1, 0, 0], [0, 1, 0], [0.6, 0, 0.8]], dtype=dtype)
         p = torch.cat([axes * distance for distance in CLOSE]).requires_grad_()
         with torch.enable_grad():
-            tensors = pack(own)
+            tensors = pack(alone)
             for u, v in ((0.0, 0.0), (0.3, 0.7), (1 - 2.0**-24, 1 - 2.0**-24)):
                 bits = [torch.full((len(p),), int((number - 0.5) * 2**32), dtype=torch.int32) for number in (0.5, 0.5, u, v)]
                 light = sample_light(tensors, tensors, Vec3.of(p), LightNumbers(*bits))
-                trouble = first_trouble(light, p, dict(own.named_parameters()))
+                trouble = first_trouble(light, p, dict(alone.named_parameters()))
                 if trouble:
                     words = f"in {str(dtype).removeprefix('torch.')}, u = {u:g}, v = {v:g}: {trouble}"
                     return Finding("finite", False, words)
@@ -233,7 +234,7 @@ def _finite_everywhere(scene: Scene) -> Finding:
 
 
 def first_trouble(light: LightSample, p: Tensor, parameters: dict[str, Tensor]) -> str | None:
-    """The first value or derivative of light samples that is not finite, in words; None: all are."""
+    """The first value or derivative of light samples that is not finite, in words; None: all are finite."""
     usable = light.pdf > 1e-30
     arrives = light.radiance * (usable / torch.where(usable, light.pdf, 1.0))
     outputs = {"pdf": light.pdf, "d": light.d.stack(), "radiance": light.radiance.stack(),

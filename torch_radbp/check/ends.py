@@ -1,4 +1,4 @@
-"""A plugin with its parameters at the ends of their ranges."""
+"""Copies of a plugin with parameters at the ends of their ranges."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Made = TypeVar("Made", bound=Plugin)
 
 
 def standing_alone(plugin: Made) -> Made:
-    """A copy in float64 on the CPU that holds all of its parts, those too that a scene names elsewhere; nothing moves."""
+    """A copy of a plugin in float64 on the CPU with all of its parts, shared ones included."""
     alone = copy.deepcopy(plugin).requires_grad_(False)
     for part in list(alone.modules()):
         for name in list(part.shared) if isinstance(part, Plugin) else ():
@@ -27,7 +27,7 @@ def standing_alone(plugin: Made) -> Made:
 
 
 def _ends_of(domains: list[Domain]) -> list[float]:
-    """The numbers at which the range of a parameter ends, of reflectances 1 as well."""
+    """The finite ends of the range of a parameter; for reflectances also 1."""
     if any(domain.is_pose or domain.is_index for domain in domains):
         return []
     low = [domain.low for domain in domains if domain.low_is_in and domain.low > -math.inf]
@@ -37,13 +37,13 @@ def _ends_of(domains: list[Domain]) -> list[float]:
 
 
 def _parameters_of(plugin: Plugin) -> dict[str, tuple[Held, Tensor]]:
-    """Everything with a domain that can be set, by name, with its value."""
-    found = {name.removeprefix("."): held for name, held in held_in(plugin).items() if held.attribute is not None}
-    return {name: (held, held.value) for name, held in found.items() if isinstance(held.value, nn.Parameter)}
+    """The current value of everything with a domain that can be set, by name."""
+    by_name = {name.removeprefix("."): held for name, held in held_in(plugin).items() if held.attribute is not None}
+    return {name: (held, held.value) for name, held in by_name.items() if isinstance(held.value, nn.Parameter)}
 
 
 def at_ends(plugin: Made) -> Iterator[tuple[str, Made]]:
-    """Copies of a plugin with one parameter at one of its ends, in words what."""
+    """Yields copies of a plugin with one parameter at one end of its range, with a name for each."""
     for name, (held, _) in _parameters_of(plugin).items():
         for end in _ends_of(held.domains):
             other = copy.deepcopy(plugin)
@@ -53,7 +53,7 @@ def at_ends(plugin: Made) -> Iterator[tuple[str, Made]]:
 
 
 def white(plugin: Made) -> Made:
-    """A copy all of whose reflectances are 1."""
+    """A copy of a plugin whose reflectances are all 1."""
     other = copy.deepcopy(plugin)
     with torch.no_grad():
         for held, value in _parameters_of(other).values():

@@ -1,4 +1,4 @@
-"""Whether values and derivatives are finite at grazing angles, at the ends of the random numbers, and in between."""
+"""Tests whether values and derivatives are finite at grazing angles, at extreme random numbers, and in between."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ROUNDINGS = 200  # of the squared length of a sampled direction
 
 
 def differentiable_copy(vector: Vec3) -> Vec3:
-    """A copy whose components require gradients."""
+    """A copy of a vector whose components require gradients."""
     return vector.map(lambda c: c.detach().clone().requires_grad_())
 
 
@@ -34,14 +34,14 @@ def viewers(cosine: Tensor) -> Vec3:
 
 
 def partners(wi: Vec3) -> list[Vec3]:
-    """The directions for which every `wi` is evaluated: itself, those across and mirrored, and all cosines."""
+    """The directions with which every `wi` is evaluated: itself, mirrored, across, and at all cosines."""
     full = [Vec3(*(torch.full_like(wi.z, c) for c in ((1 - z * z) ** 0.5, 0.0, z))) for z in COSINE]
     return [-wi, wi, Vec3(-wi.x, -wi.y, wi.z), Vec3(-wi.x, -wi.y, -wi.z.abs()), *full,
             Vec3(*(torch.full_like(wi.z, c) for c in (-ACROSS[1], ACROSS[0], 0.0)))]
 
 
 class Lanes(NamedTuple):
-    """What functions of a material are called on, with the names of all numbers for messages; values and wi attached."""
+    """The arguments of a material's functions, with names for messages; values and wi attached."""
 
     values: Values
     wi: Vec3
@@ -49,7 +49,7 @@ class Lanes(NamedTuple):
 
     @staticmethod
     def of(values: Values, wi: Vec3, others: Sequence[Vec3 | LaneNumbers]) -> Lanes:
-        """The lanes of all pairs of a lane (of values and wi) with one of `others`."""
+        """The arguments for all pairs of a lane (values and wi) with one of `others`."""
         def repeated(vector: Vec3) -> Vec3:
             return differentiable_copy(vector.map(lambda c: c.detach().repeat(len(others))))
 
@@ -58,19 +58,19 @@ class Lanes(NamedTuple):
                      differentiable_copy(joined) if isinstance(joined, Vec3) else joined)
 
     def named(self) -> dict[str, Tensor]:
-        """All numbers of the lanes."""
-        found = {f"values[{k}].{c}": part for k, value in enumerate(self.values) for c, part in zip("xyz", value)}
-        found |= {f"wi.{c}": part for c, part in zip("xyz", self.wi)}
+        """All scalars of the lanes, by name."""
+        scalars = {f"values[{k}].{c}": part for k, value in enumerate(self.values) for c, part in zip("xyz", value)}
+        scalars |= {f"wi.{c}": part for c, part in zip("xyz", self.wi)}
         names = ("wo.x", "wo.y", "wo.z") if isinstance(self.other, Vec3) else ("choice", "u", "v")
-        return found | dict(zip(names, self.other))
+        return scalars | dict(zip(names, self.other))
 
     def at(self, bad: Tensor) -> str:
-        """The first of some lanes, (N,) bool, in words."""
+        """The first of the lanes in `bad`, (N,) bool, in words."""
         number = int(bad.nonzero()[0])
         return ", ".join(f"{name} = {part[number].item():.9g}" for name, part in self.named().items())
 
     def not_finite(self, what: str, output: Vec3 | Tensor) -> str | None:
-        """The first value or derivative of an output that is not finite, in words; None: all are.
+        """The first value or derivative of an output that is not finite, in words; None: all are finite.
 
         A lane's cotangent is 1 in every component.
         """
@@ -90,14 +90,14 @@ class Lanes(NamedTuple):
 
 
 def random_corners(kind: Kind | CheckedKind) -> list[tuple[float, float, float]]:
-    """The random numbers with which samples are looked at: choice, u and v."""
+    """The random numbers (choice, u, v) with which samples are tested: extremes and values in between."""
     corners = list(itertools.product(NUMBER, NUMBER)) if not getattr(kind, "anisotropic", False) else [(0.3, 0.75)]
     return [(c, u, v) for (u, v), c in itertools.product(corners, CHOICE)]
 
 
 def troubles_of_samples(kind: Kind | CheckedKind, values: Values, wi: Vec3,
                         corners: Sequence[tuple[float, float, float]], length_error: float = 0.0) -> Iterator[str]:
-    """What is not finite of samples and at sampled directions, for each wi with all `corners`.
+    """Yields what is not finite in samples, and at sampled directions, for each wi with all `corners`.
 
     Nor may squared lengths of samples be off one by more than `length_error`, and some rounding.
     """
@@ -127,7 +127,7 @@ def troubles_of_samples(kind: Kind | CheckedKind, values: Values, wi: Vec3,
 
 
 def troubles_of_evaluation(kind: Kind | CheckedKind, values: Values, wi: Vec3) -> Iterator[str]:
-    """What is not finite, or negative, for each wi with all of its `partners`."""
+    """Yields what is not finite, or negative, for each wi with all of its `partners`."""
     lanes = Lanes.of(values, wi, partners(wi.detach()))
     value, pdf = kind.eval_pdf(lanes.values, lanes.wi, lanes.other)
     yield from filter(None, (lanes.not_finite(name, output) for name, output in (("eval", value), ("pdf", pdf))))

@@ -1,4 +1,4 @@
-"""`check_gradient`: is the derivative that the renderer computes the derivative of what it renders?
+"""`check_gradient`: compares the renderer's derivatives with finite differences of its images.
 
 Two estimates of the same derivative image are rendered, in R independent batches each:
 
@@ -102,11 +102,11 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
     finite(f"parameter {name!r}", parameter)
     place = inside(scene, name, d, checked_step(parameter, d, step), chosen=step is not None,
                    turns=direction is None or isinstance(direction, str))
-    moves = what_it_sets(name) not in STILL
+    batch, moves = BatchRendering(-(-spp // batches), seed, sensors), what_it_sets(name) not in STILL
     for tried in range(TRIES if step is None else 1):
         finer = place._replace(step=place.step / FINER**tried)
-        result = outcome(Measurement(renderer, f"scene.{name}", parameter, finer, moves, -(-spp // batches), seed, sensors,
-                                     progress), name, batches)
+        measurement = Measurement(renderer, f"scene.{name}", parameter, finer, batch, moves, progress)
+        result = outcome(measurement, name, batches)
         if result.verdict != TOO_LARGE and not (result.verdict == BIASED and moves and tried == 0):
             break
     floor = floor_of(scene, name)
@@ -114,7 +114,7 @@ def check_gradient(scene: Scene, name: str, *, direction: Tensor | str | None = 
 
 
 def outcome(measurement: Measurement, name: str, batches: int) -> GradientCheck:
-    """What independent batches say of a derivative, and of the step of its differences."""
+    """Evaluates the batches of a measurement to the check's outcome; tests the step of the differences, too."""
     step, stencil, direction = measurement.place
     measurement.total = (batches + 1) * len(measurement.offsets) + 2 * batches + 3
     image, tangent = measurement.forward(batches + 1)
@@ -123,13 +123,14 @@ def outcome(measurement: Measurement, name: str, batches: int) -> GradientCheck:
     tangents = [tangent, *(measurement.forward(k)[1] for k in range(batches + 2, 2 * batches + 1))]
     # The rounding of the pixels makes their difference uncertain, even where there is no noise.
     eps = torch.finfo(image.dtype).eps
-    rounding = eps * sum(map(abs, stencil.weights)) * torch.stack([found.size for found in differences]).amax(0) / step
-    samples = Estimates(torch.stack([found.value for found in differences]), torch.stack(tangents), rounding,
-                        torch.stack([found.bend for found in differences]) if measurement.bends else None)
-    cotangents = informative_cotangents(reference, measurement.seed)
+    rounding = eps * sum(map(abs, stencil.weights)) * torch.stack([each.size for each in differences]).amax(0) / step
+    samples = Estimates(torch.stack([difference.value for difference in differences]), torch.stack(tangents), rounding,
+                        torch.stack([difference.bend for difference in differences]) if measurement.bends else None)
+    cotangents = informative_cotangents(reference, measurement.batch.seed)
     backward = measurement.backward(batches + 1, [cotangent.image for cotangent in cotangents])
-    question = Question(name, direction, step, stencil.words, measurement.spp * batches, batches, measurement.seed,
-                        measurement.bends, _left_out(measurement.renderer))
+    spp, seed = measurement.batch.spp * batches, measurement.batch.seed
+    question = Question(name, direction, step, stencil.words, spp, batches, seed, measurement.bends,
+                        _left_out(measurement.renderer))
     result = judge(question, compare(samples, cotangents, backward, eps))
     if result.verdict != BIASED:
         return result
@@ -140,33 +141,40 @@ def outcome(measurement: Measurement, name: str, batches: int) -> GradientCheck:
 
 
 class ImageDifference(NamedTuple):
-    """What the images of one batch differ by, (B, 3, H, W) float64 each."""
+    """The finite difference of the images of one batch, (B, 3, H, W) float64 each."""
 
     value: Tensor  # the difference quotient
     size: Tensor  # the largest magnitude of the images
-    bend: Tensor | None  # half of their second difference, over the step
+    bend: Tensor | None  # half of the second difference, divided by the step
+
+
+class BatchRendering(NamedTuple):
+    """The arguments of the renderings of a batch."""
+
+    spp: int
+    seed: int  # of the first batch
+    sensors: SensorChoice = None
 
 
 class Measurement:
-    """Renderings of a scene with one of its parameters moved."""
+    """Renders a scene with one of its parameters moved, batch by batch."""
 
-    def __init__(self, renderer: Renderer, name: str, value: Tensor, place: ParameterMove, bends: bool, spp: int, seed: int,
-                 sensors: SensorChoice, progress: Callable[[int, int], None] | None):
+    def __init__(self, renderer: Renderer, name: str, value: Tensor, place: ParameterMove, batch: BatchRendering,
+                 bends: bool = False, progress: Callable[[int, int], None] | None = None):
         self.renderer, self.name, self.value = renderer, name, value
         self.step, stencil, self.direction = self.place = place
         self.weights, self.bends = dict(zip(stencil.offsets, stencil.weights)), bends
         self.offsets = [offset for offset, weight in self.weights.items() if weight or bends]
-        self.spp, self.seed, self.sensors = spp, seed, sensors
+        self.batch = batch
         self.progress, self.done, self.total = progress, 0, 0
 
     def with_step(self, step: float) -> Measurement:
-        """Differences by another step, of the same batches."""
-        return Measurement(self.renderer, self.name, self.value, self.place._replace(step=step), False, self.spp, self.seed,
-                           self.sensors, None)
+        """The same measurement with another step, from the same samples."""
+        return Measurement(self.renderer, self.name, self.value, self.place._replace(step=step), self.batch)
 
     def arguments(self, number: int) -> dict:
-        """The arguments of the rendering of batch `number`; different batches share no samples."""
-        return {"seed": self.seed + number * NEXT_SEED, "sensors": self.sensors, "spp": self.spp}
+        """Arguments of the rendering of batch `number`; different batches share no samples."""
+        return self.batch._replace(seed=self.batch.seed + number * NEXT_SEED)._asdict()
 
     def count(self, renderings: int) -> None:
         self.done += renderings
@@ -174,7 +182,7 @@ class Measurement:
             self.progress(self.done, self.total)
 
     def difference(self, number: int) -> ImageDifference:
-        """The differences of a batch."""
+        """The finite difference of a batch."""
         parameters = {f"scene.{name}": value.detach() for name, value in self.renderer.scene.named_parameters()}
         images = {}
         with torch.no_grad():
@@ -224,8 +232,8 @@ def informative_cotangents(reference: Tensor, seed: int) -> list[Cotangent]:
     smooth = interpolate(coarse, reference.shape[2:], mode="bilinear", align_corners=True).to(reference.device)
     # Each pixel is divided by its own size, too, so that a few bright ones do not drown the others.
     size = reference.abs() + reference.abs().mean()
-    own = torch.where(size > 0, reference / torch.where(size > 0, size, 1.0), 0.0)
-    return [Cotangent("ones", torch.ones_like(reference)), Cotangent("derivative image", own),
+    image = torch.where(size > 0, reference / torch.where(size > 0, size, 1.0), 0.0)
+    return [Cotangent("ones", torch.ones_like(reference)), Cotangent("derivative image", image),
             Cotangent("smooth random", smooth)]
 
 
@@ -252,7 +260,7 @@ def checked_direction(name: str, parameter: Tensor, direction: Tensor | str | No
 
 
 def checked_step(parameter: Tensor, direction: Tensor, step: float | None) -> float:
-    """The step, or a suitable one if it is None."""
+    """The step given, or a suitable one if it is None."""
     if step is None:
         largest = float(parameter.abs().max())
         return RELATIVE_STEP * (largest or 1.0) / float(direction.abs().max())
@@ -264,13 +272,13 @@ def checked_step(parameter: Tensor, direction: Tensor, step: float | None) -> fl
 
 
 def _left_out(renderer: Renderer) -> list[str]:
-    """What the derivatives of a renderer that has rendered are known to lack: by its settings, and by its warnings."""
-    found = [f"terms={tuple(renderer.terms)!r} leaves out {term!r}" for term in TERMS if term not in renderer.terms]
-    return found + [str(said).partition(". ")[0] for said in renderer.jump_watch.said.values()
-                    if isinstance(said, SilhouetteWarning)]
+    """Known omissions in the derivatives of a renderer: by its settings, and by its warnings."""
+    omissions = [f"terms={tuple(renderer.terms)!r} leaves out {term!r}" for term in TERMS if term not in renderer.terms]
+    return omissions + [str(said).partition(". ")[0] for said in renderer.jump_watch.said.values()
+                        if isinstance(said, SilhouetteWarning)]
 
 
 def what_it_sets(name: str) -> str:
-    """The attribute that a parameter sets, directly or through a parametrisation of `torch.nn.utils.parametrize`."""
+    """The attribute behind a parameter's name, also through a parametrisation of `torch.nn.utils.parametrize`."""
     parts = name.split(".")
     return parts[parts.index("parametrizations") + 1] if "parametrizations" in parts else parts[-1]

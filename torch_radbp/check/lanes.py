@@ -1,4 +1,4 @@
-"""Materials on lanes of directions: what a path vertex does with them, outside of any scene."""
+"""Materials evaluated and sampled outside of any scene."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FINE = -30.0  # logarithm of a footprint without extent
 
 
 class LaneNumbers(NamedTuple):
-    """Random numbers of a lane."""
+    """The random numbers of a BSDF sample."""
 
     choice: Tensor
     u: Tensor
@@ -28,67 +28,67 @@ class LaneNumbers(NamedTuple):
 
 
 def random_numbers(count: int, seed: int = 7, dtype: torch.dtype = torch.float64) -> LaneNumbers:
-    """Uniform in [0, 1), multiples of 2^-24 as in the tracer."""
+    """Random numbers of BSDF samples: uniform in [0, 1), multiples of 2^-24 as in the path tracer."""
     generator = torch.Generator().manual_seed(seed)
     return LaneNumbers(*(torch.randint(2**24, (3, count), generator=generator).to(dtype) / 2**24).unbind())
 
 
 def directions(count: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> Vec3:
-    """Uniform on the sphere."""
+    """Random directions, uniform on the sphere."""
     generator = torch.Generator().manual_seed(seed)
     return normalize(Vec3.of(torch.randn(count, 3, generator=generator, dtype=torch.float64))).map(lambda c: c.to(dtype))
 
 
 def direction(z: float, phi: float, count: int, dtype: torch.dtype = torch.float64) -> Vec3:
-    """The same direction on every lane."""
+    """One direction, by its cosine and azimuth, repeated on every lane."""
     r = math.sqrt(max(1.0 - z * z, 0.0))
     return Vec3(*(torch.full((count,), float(c), dtype=dtype) for c in (r * math.cos(phi), r * math.sin(phi), z)))
 
 
 class SampledDirection(NamedTuple):
-    """What a vertex samples."""
+    """A sampled BSDF lobe and direction."""
 
     choice: LobeChoice
     wo: Vec3
 
 
 def sampled(kind: Kind | CheckedKind, values: Values, wi: Vec3, random: LaneNumbers) -> SampledDirection:
-    """Choice and direction."""
+    """Samples a lobe and a direction."""
     choice = kind.choose(values, wi, *random)
     return SampledDirection(choice, kind.sample(values, wi, choice, random.u, random.v))
 
 
 def choices(kind: Kind | CheckedKind, values: Values, wi: Vec3, random: LaneNumbers, most: int = 64) -> list[LobeChoice]:
-    """Each choice that there is on some lane, with its probability there, which may be zero; in order of the number.
+    """Each lobe that is chosen on some lane, with its probability there, which may be zero; in order of its number.
 
     `most`: after so many it ends, should the probabilities not add up to 1.
     """
-    found, last = [], torch.zeros_like(random.choice)
-    while (open_ := last < 1 - 1e-9).any() and len(found) < most:
+    chosen, last = [], torch.zeros_like(random.choice)
+    while (open_ := last < 1 - 1e-9).any() and len(chosen) < most:
         choice = kind.choose(values, wi, last + 1e-12, random.u, random.v)
-        found.append(choice._replace(probability=torch.where(open_, choice.probability, 0.0)))
-        last = last + found[-1].probability
-    return found
+        chosen.append(choice._replace(probability=torch.where(open_, choice.probability, 0.0)))
+        last = last + chosen[-1].probability
+    return chosen
 
 
-def weight_of(kind: Kind | CheckedKind, values: Values, wi: Vec3, found: SampledDirection) -> Vec3:
-    """What a path that goes on in a sampled direction is multiplied by; 0 where the direction cannot be used.
+def weight_of(kind: Kind | CheckedKind, values: Values, wi: Vec3, sample: SampledDirection) -> Vec3:
+    """The path throughput factor of a sampled direction; 0 where the direction is invalid.
 
     That is eval / pdf, or of delta lobes specular / probability.
     """
     weight = Vec3.full(wi.z, 0.0)
     if kind.smooth:
-        value, pdf = kind.eval_pdf(values, wi, found.wo)
+        value, pdf = kind.eval_pdf(values, wi, sample.wo)
         weight = value * torch.where(pdf > 0, 1.0 / torch.where(pdf > 0, pdf, 1.0), 0.0)
     if kind.delta:
-        ideal = kind.specular(values, wi, found.choice) * (1.0 / found.choice.probability)
-        delta = found.choice.is_delta(kind)
+        ideal = kind.specular(values, wi, sample.choice) * (1.0 / sample.choice.probability)
+        delta = sample.choice.is_delta(kind)
         weight = Vec3(*(torch.where(delta, a, b) for a, b in zip(ideal, weight)))
     return weight
 
 
 def values_at(bsdf: BSDF, place: tuple[float, float, float], like: Tensor) -> Values:
-    """The values of a material at one place of a surface, on every lane; attached.
+    """The parameters of a material at one surface point, on every lane; attached.
 
     Args:
         bsdf: its parameters have the dtype and the device of `like`.
@@ -99,7 +99,7 @@ def values_at(bsdf: BSDF, place: tuple[float, float, float], like: Tensor) -> Va
 
 
 def texture_at(texture: Texture, p: Vec3) -> Vec3:
-    """The values of a texture on a plane, whose surface coordinates are x and y; attached to the place as well.
+    """A texture on a plane with u = x and v = y; attached to the point as well.
 
     Attributes of meshes are 0.5 there.
     """
@@ -116,5 +116,5 @@ def texture_at(texture: Texture, p: Vec3) -> Vec3:
 
 
 def unit_length_error(w: Vec3) -> float:
-    """The largest deviation from one of squared lengths; 0 if there is no vector."""
+    """The largest deviation of squared lengths from one; 0 if there is no vector."""
     return float((dot(w, w) - 1.0).abs().max()) if len(w.x) else 0.0

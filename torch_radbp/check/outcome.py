@@ -21,17 +21,17 @@ MOST_ROUNDINGS = 1e4  # of the dtype's epsilon, between forward and backward pas
 
 
 class Question(NamedTuple):
-    """What is asked about a derivative, and what is known beforehand."""
+    """The settings of a gradient check, and what is known in advance."""
 
-    name: str  # this and the next ones as in `GradientCheck`
+    name: str  # these fields as in `GradientCheck`
     direction: Tensor
     step: float
     sides: str
     spp: int
     batches: int
     seed: int
-    moves: bool  # the parameter moves geometry, so that edges could be missing
-    left_out: list[str]  # what the renderer says that its derivatives lack
+    moves: bool  # the parameter moves geometry, so that derivatives of edges could be missing
+    left_out: list[str]  # known omissions of the renderer's derivatives
 
 
 @dataclass(frozen=True)
@@ -116,8 +116,8 @@ class GradientCheck:
                 ("smallest error of the derivative that would show", f"{self.detectable:.1%}")]
 
 
-def judge(asked: Question, comparison: Comparison) -> GradientCheck:
-    """The verdict on a comparison.
+def judge(question_asked: Question, comparison: Comparison) -> GradientCheck:
+    """Decides the verdict on a comparison of derivatives.
 
     A derivative is biased if a projection of it is off by more than 4 standard errors and by more than 1% of its scale, or
     if its tiles are off by more than chance allows and by more than 1%; the 1% is allowed for the step of the finite
@@ -127,16 +127,16 @@ def judge(asked: Question, comparison: Comparison) -> GradientCheck:
     """
     informative = comparison.projections[1]
     surest = min(comparison.projections if informative.bend else [informative], key=hidden)
-    verdict, explanation = verdict_on(comparison, asked, surest)
-    *question, _, _ = asked
+    verdict, explanation = verdict_on(comparison, question_asked, surest)
+    *question, _, _ = question_asked
     return GradientCheck(*question, comparison, verdict, explanation, hidden(surest))
 
 
-def said_of_step(asked: Question, result: GradientCheck, halved: Comparison, change: Comparison) -> GradientCheck:
-    """A biased outcome, or that its step is too large, if the differences make the error and not the derivative.
+def said_of_step(question: Question, result: GradientCheck, halved: Comparison, change: Comparison) -> GradientCheck:
+    """Revises a biased verdict, if the error shrinks with the step: then the step is too large.
 
     Args:
-        asked: what led to it.
+        question: what led to it.
         result: of differences by the whole step.
         halved: of differences by half of the step, from the same samples.
         change: of the differences, compared with none.
@@ -147,46 +147,46 @@ def said_of_step(asked: Question, result: GradientCheck, halved: Comparison, cha
         return result
     return replace(result, verdict=TOO_LARGE, explanation=(
         f"differences by this step are off by {before:+.1%}, and by half of it {after:+.1%}, so that they make the error, "
-        f"not the derivative; use a smaller step (step={asked.step / 8:.2g})"))
+        f"not the derivative; use a smaller step (step={question.step / 8:.2g})"))
 
 
 def said_of_floor(result: GradientCheck, floor: float) -> GradientCheck:
-    """A biased outcome of a parameter that is below a floor of its plugin."""
+    """The biased verdict on a parameter that is below a floor of its plugin."""
     return replace(result, verdict=AT_FLOOR, explanation=(
         f"values below {floor:.3g} may count as larger ones, with the derivatives that these have, so that optimizers can "
         f"leave the end of the range again; differences do not show that. Check the derivative at {floor:.3g} or more"))
 
 
 def is_off(comparison: Comparison) -> bool:
-    """True if tiles are off by more than chance allows."""
+    """True if tiles of the derivative image differ by more than chance allows."""
     return comparison.tiles.mean_square_z > comparison.tiles.limit
 
 
 def largest_error(by: Comparison, of: Comparison) -> float:
-    """The relative error, in a comparison, of the projection that is worst in another one; of tiles if none is off there."""
+    """The relative error in `by` of the projection that is worst in `of`; that of tiles if no projection is off."""
     off = off_projections(by)
     worst = by.projections.index(max(off, key=lambda projection: abs(projection.z))) if off else None
     return of.tiles.relative_bias if worst is None else of.projections[worst].relative_error
 
 
 def off_projections(comparison: Comparison) -> list[Projection]:
-    """The projections that are off by more than chance and the step allow."""
+    """The projections whose error exceeds chance and the finite step."""
     return [p for p in comparison.projections if abs(p.z) > MOST_Z and abs(p.relative_error) > STEP_ERROR]
 
 
 def hidden(projection: Projection) -> float:
-    """The relative error of a derivative that noise and step would hide in a projection of it; infinite if that is zero."""
+    """The relative error of a derivative that noise and step could hide in a projection; infinite for a zero projection."""
     size = projection.size
     return max(MOST_Z * uncertainty(projection), projection.bend / size) if size > 0 else math.inf
 
 
 def uncertainty(projection: Projection) -> float:
-    """The standard error relative to the size of a projection; infinite if that is zero."""
+    """The standard error relative to the size of a projection; infinite for a zero projection."""
     return projection.standard_error / projection.size if projection.size > 0 else math.inf
 
 
-def verdict_on(comparison: Comparison, asked: Question, surest: Projection) -> tuple[str, str]:
-    """The verdict, and the sentence that explains it."""
+def verdict_on(comparison: Comparison, question: Question, surest: Projection) -> tuple[str, str]:
+    """The verdict on a derivative, and the sentence that explains it."""
     if comparison.not_finite:
         return BIASED, f"the derivative by forward mode has {comparison.not_finite} values that are NaN or infinite"
     apart = max(comparison.projections, key=lambda projection: projection.backward_error)
@@ -202,10 +202,10 @@ def verdict_on(comparison: Comparison, asked: Question, surest: Projection) -> t
         where = (f"off by {worst.relative_error:+.1%} ({worst.z:+.1f} standard errors) on {worst.name}" if worst
                  else f"off by {tiles.relative_bias:.1%} in tiles of the image, though not in sum")
         held = f"half of the squared error lies in {comparison.pixels.concentration:.1%} of the pixels"
-        if asked.left_out:
-            return SILHOUETTES, f"{where}; {held}. The renderer leaves out a part: {'; '.join(asked.left_out)}"
+        if question.left_out:
+            return SILHOUETTES, f"{where}; {held}. The renderer leaves out a part: {'; '.join(question.left_out)}"
         step = "By half of the step the differences are off as well"
-        if asked.moves:
+        if question.moves:
             return BIASED, (f"{where}; {held}. The renderer does not know of anything that it leaves out; without a warning "
                             f"it leaves out edges that surfaces see by reflection, and shadows of a mask's holes. {step}")
         return BIASED, f"{where}; {held}. {step}"
@@ -216,10 +216,10 @@ def verdict_on(comparison: Comparison, asked: Question, surest: Projection) -> t
     if detectable > DETECT and surest.bend > MOST_Z * surest.standard_error:
         return TOO_NOISY, (f"an error below {detectable:.1%} would go undetected, since differences to one side are so far "
                            f"off those to both, as where edges move over the borders of pixels; use a smaller step "
-                           f"(step={asked.step / 8:.2g}) and 8 times the samples (spp={8 * asked.spp}), or another "
+                           f"(step={question.step / 8:.2g}) and 8 times the samples (spp={8 * question.spp}), or another "
                            f"direction")
     if detectable > DETECT:
         more = math.ceil(min((detectable / DETECT) ** 2, 1e9))
         return TOO_NOISY, (f"an error below {detectable:.1%} would go undetected; use {more} times the samples "
-                           f"(spp={more * asked.spp}){', or a larger step' if asked.moves else ''}")
+                           f"(spp={more * question.spp}){', or a larger step' if question.moves else ''}")
     return AGREES, f"an error of {max(detectable, STEP_ERROR):.1%} of the derivative would have been detected"

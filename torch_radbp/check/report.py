@@ -1,4 +1,4 @@
-"""`PluginCheck`: the outcome of a check of a plugin, and what each part of it has found."""
+"""`PluginCheck`: the outcome of checking a plugin, with a finding for each check."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch_radbp.formats.html_table import html_table
 
 
 class Finding(NamedTuple):
-    """One thing that was checked."""
+    """The result of one check."""
 
     check: str  # its name, such as "density"
     agrees: bool
@@ -19,7 +19,7 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True)
 class PluginCheck:
-    """What a plugin promises, each promise with the figures that were measured.
+    """The results of checking a plugin, with the measured figures.
 
     Attributes:
         plugin: its name, such as "bsdf diffuse".
@@ -41,7 +41,7 @@ class PluginCheck:
 
     @property
     def verdict(self) -> str:
-        """In words: "agrees", or "disagrees" with the names of the checks."""
+        """The verdict in words: "agrees", or "disagrees" with the names of the checks."""
         return "agrees" if self.agrees else f"disagrees: {', '.join(self.failed)}"
 
     def __str__(self) -> str:
@@ -55,15 +55,15 @@ class PluginCheck:
         return html_table(self.plugin, ("check", "", "figures"), rows, self.verdict)
 
 
-def worst(check: str, found: list[tuple[float, str]], agreed: str) -> Finding:
-    """The finding on a check that was made in several cases.
+def worst(check: str, cases: list[tuple[float, str]], agreed: str) -> Finding:
+    """The worst result of a check that was made in several cases.
 
     Args:
         check: its name.
-        found: of each case how far it is off, in units of what is allowed, and the figures in words.
+        cases: of each how far it is off, in units of what is allowed, and the figures in words.
         agreed: what to say if there was no case.
     """
-    if not found:
+    if not cases:
         return Finding(check, True, agreed)
-    excess, figures = max(found, key=lambda case: math.inf if math.isnan(case[0]) else case[0])
+    excess, figures = max(cases, key=lambda case: math.inf if math.isnan(case[0]) else case[0])
     return Finding(check, excess <= 1.0, figures)

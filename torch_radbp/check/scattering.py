@@ -1,4 +1,4 @@
-"""Whether the samples of a material are those of its density, and paths are weighted by what it scatters.
+"""Tests whether a material's samples follow its density, and whether their weights agree with its BSDF.
 
 For each of several viewers, with densities and BSDFs integrated over cells of the sphere (`sphere.py`):
 
@@ -34,14 +34,14 @@ LENGTH = 1e-6  # that a squared length may be off
 
 
 class Subject(NamedTuple):
-    """A material in one place."""
+    """A material at one surface point."""
 
     kind: CheckedKind | Kind
-    values: Callable[[Tensor], Values]  # on as many lanes as the argument has
+    values: Callable[[Tensor], Values]  # of its parameters, on as many lanes as the argument has
 
 
 class ViewerSamples(NamedTuple):
-    """What a viewer's samples and the integrals over the sphere say; float64."""
+    """BSDF samples for one viewer, and integrals over the sphere; float64."""
 
     where: str
     wo: Vec3  # (N,)
@@ -54,13 +54,13 @@ class ViewerSamples(NamedTuple):
 
 
 def viewed(subject: Subject, where: str, count: int, seed: int) -> ViewerSamples:
-    """Samples for one of `VIEWERS`, and integrals."""
+    """Samples a material for one of `VIEWERS`, and integrates its density and BSDF."""
     kind, wi, random = subject.kind, direction(VIEWERS[where], AZIMUTH, count), random_numbers(count, seed)
     values = subject.values(wi.z)
-    found = sampled(kind, values, wi, random)
-    delta = found.choice.is_delta(kind)
-    weight = weight_of(kind, values, wi, found).stack().detach()
-    wo, cells, density, scattered = found.wo.detach(), None, None, []
+    sample = sampled(kind, values, wi, random)
+    delta = sample.choice.is_delta(kind)
+    weight = weight_of(kind, values, wi, sample).stack().detach()
+    wo, cells, density, scattered = sample.wo.detach(), None, None, []
     keep = torch.zeros_like(delta)
     if kind.smooth:
         keep = (kind.eval_pdf(values, wi, wo)[1].detach() > 0) & ~delta
@@ -75,29 +75,29 @@ def viewed(subject: Subject, where: str, count: int, seed: int) -> ViewerSamples
 
 
 def density_off(view: ViewerSamples) -> tuple[float, str]:
-    """How far the integral of the density is off, in units of what is allowed, and the figures."""
+    """The error of the integral of the density, in units of what is allowed, and the figures in words."""
     share, total = view.keep.double().mean().item(), view.density.value.sum().item()
     allowed = SIGMAS * math.sqrt(share * (1 - share) / len(view.keep)) + view.density.error.sum().item() + QUADRATURE
     return abs(total - share) / allowed, f"{view.where}: pdf integrates to {total:.4f}, of the samples {share:.4f} have one"
 
 
 def fit(view: ViewerSamples) -> float:
-    """The probability that samples of the density fall into the cells as these do, or worse; 1 if there are none.
+    """The p-value of the chi-square test of samples against the density; 1 without samples.
 
     0 if the density is not finite.
     """
     half = len(view.keep) // 2  # those that have not made the cells
-    own = view.keep[half:].nonzero()[:, 0] + half
-    if not len(own):
+    smooth = view.keep[half:].nonzero()[:, 0] + half
+    if not len(smooth):
         return 1.0
     if not bool(torch.isfinite(view.density.value).all()):
         return 0.0
     number = len(view.keep) - half
-    return p_value(view.cells.counts(rows(view.wo, own)), number * view.density.value, 0, number * view.density.error)
+    return p_value(view.cells.counts(rows(view.wo, smooth)), number * view.density.value, 0, number * view.density.error)
 
 
 def _samples_off(view: ViewerSamples) -> tuple[float, str]:
-    """How unlikely the directions of the samples are by their density, likewise."""
+    """The misfit of sampled directions to their density, in units of what is allowed, and the figures in words."""
     p, length = fit(view), unit_length_error(rows(view.wo, (view.keep | view.delta).nonzero()[:, 0]))
     if not length <= LENGTH:
         return math.inf, f"{view.where}: squared lengths of samples are off 1 by up to {length:.2g}"
@@ -105,27 +105,27 @@ def _samples_off(view: ViewerSamples) -> tuple[float, str]:
 
 
 def weight_off(view: ViewerSamples) -> tuple[float, str]:
-    """How far the mean of eval / pdf is off the integral of eval, likewise; of the worst channel."""
+    """The error of the mean of eval / pdf against the integral of eval, in such units; of the worst channel."""
     smooth = view.weight * (~view.delta).double()[:, None]
     means, errors = smooth.mean(0), smooth.std(0) / len(smooth) ** 0.5
-    found = []
+    cases = []
     for mean, error, scattered in zip(means.tolist(), errors.tolist(), view.scattered):
         total = scattered.value.sum().item()
         allowed = SIGMAS * error + scattered.error.sum().item() + QUADRATURE * max(abs(total), abs(mean))
-        found.append((abs(mean - total) / max(allowed, 1e-12),
+        cases.append((abs(mean - total) / max(allowed, 1e-12),
                       f"{view.where}: samples reflect {mean:.4f} by eval / pdf, eval integrates to {total:.4f}"))
-    return max(found)
+    return max(cases)
 
 
 def lobes_off(subject: Subject, where: str, seed: int, count: int = 4096) -> tuple[float, str]:
-    """How far the frequency of lobes is off their probability, likewise; at equal u and v."""
+    """The error of lobes' frequencies against their probabilities, in such units; at equal u and v."""
     kind, off = subject.kind, 0.0
     wi, choice = direction(VIEWERS[where], AZIMUTH, count), (torch.arange(count, dtype=torch.float64) + 0.5) / count
     for pair in torch.rand(TRIES, 2, generator=torch.Generator().manual_seed(seed), dtype=torch.float64):
         u, v = (number.expand(count).clone() for number in pair)
-        found = kind.choose(subject.values(wi.z), wi, choice, u, v)
-        lobes, number = torch.stack([part.expand(count) for part in chosen_lobes(found)], 1).unique(
-            dim=0, return_inverse=True)[1], found.probability.expand(count)
+        lobe_choice = kind.choose(subject.values(wi.z), wi, choice, u, v)
+        lobes, number = torch.stack([part.expand(count) for part in chosen_lobes(lobe_choice)], 1).unique(
+            dim=0, return_inverse=True)[1], lobe_choice.probability.expand(count)
         frequency = torch.bincount(lobes).double() / count
         off = max(off, float((frequency[lobes] - number).abs().max()))
     # Of a lobe that others stand between, each border is counted half a step too far or too near.
@@ -133,33 +133,33 @@ def lobes_off(subject: Subject, where: str, seed: int, count: int = 4096) -> tup
 
 
 def chosen_lobes(choice: LobeChoice) -> list[Tensor]:
-    """What tells lobes apart: the numbers of all parts that take part, and the probability."""
+    """Tensors that distinguish chosen lobes: numbers of all nested choices, and probabilities."""
     return [choice.lobe, choice.probability, *(lobe for part in choice.parts for lobe in (part.lobe, part.probability))]
 
 
 def scattering_findings(subject: Subject, count: int, seed: int) -> list[Finding]:
-    """The findings on density, samples, weight and lobes."""
+    """The findings on density, samples, weights and lobes."""
     views = [viewed(subject, where, count, seed + number) for number, where in enumerate(VIEWERS)]
     smooth = [view for view in views if view.density is not None]
     ideal = "only delta lobes, whose pdf is 0"
-    found = [worst("density", [density_off(view) for view in smooth], ideal),
-             worst("samples", [_samples_off(view) for view in smooth], ideal),
-             worst("weight", [weight_off(view) for view in smooth], ideal)]
-    return [*found, worst("lobes", [lobes_off(subject, where, seed) for where in VIEWERS], "")]
+    findings = [worst("density", [density_off(view) for view in smooth], ideal),
+                worst("samples", [_samples_off(view) for view in smooth], ideal),
+                worst("weight", [weight_off(view) for view in smooth], ideal)]
+    return [*findings, worst("lobes", [lobes_off(subject, where, seed) for where in VIEWERS], "")]
 
 
 def methods_off(subject: Subject, count: int, seed: int) -> tuple[float, str]:
-    """Whether `eval`, `pdf` and `eval_pdf`, with and without fixed lobes, say the same, and none is negative."""
+    """The disagreement of `eval`, `pdf` and `eval_pdf`, with and without fixed lobes, and negative values, in such units."""
     kind, wi, wo = subject.kind, directions(count, seed), directions(count, seed + 1)
     values = subject.values(wi.z)
     value, pdf = kind.eval_pdf(values, wi, wo)
     others = {"eval": (kind.eval(values, wi, wo), value), "pdf": (kind.pdf(values, wi, wo), pdf)}
     others |= dict(zip(("eval_pdf with fixed_lobes, the BSDF", "eval_pdf with fixed_lobes, the density"),
                        zip(kind.eval_pdf(values, wi, wo, True), (value, pdf))))
-    for name, (found, expected) in others.items():
-        found, expected = (each.stack().detach() if isinstance(each, Vec3) else each.detach() for each in (found, expected))
-        if not torch.allclose(found, expected, rtol=1e-9, atol=0, equal_nan=True):
-            return math.inf, f"{name} differs from eval_pdf by up to {float((found - expected).abs().max()):.2g}"
+    for name, pair in others.items():
+        other, expected = (each.stack().detach() if isinstance(each, Vec3) else each.detach() for each in pair)
+        if not torch.allclose(other, expected, rtol=1e-9, atol=0, equal_nan=True):
+            return math.inf, f"{name} differs from eval_pdf by up to {float((other - expected).abs().max()):.2g}"
     least = min(float(value.stack().min()), float(pdf.min()))
     return (math.inf if least < 0 else 0.0), (f"eval or pdf is negative, {least:.2g}" if least < 0 else
                                               "eval, pdf and eval_pdf say the same")

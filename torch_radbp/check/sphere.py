@@ -1,4 +1,4 @@
-"""Cells of the sphere, the smaller the more samples fall into them, and integrals over each.
+"""Adaptive cells of the sphere, smaller where more samples fall, and integrals over each.
 
 Cells lie between meridians and circles of latitude around a pole on the horizon, so that the horizon, where BSDFs end, is a
 border of cells, and cells are not drawn out where lobes have their peaks.
@@ -27,37 +27,37 @@ class Integral(NamedTuple):
     """Integrals over cells, (cells,) float64 each."""
 
     value: Tensor
-    error: Tensor  # of the quadrature, estimated by one of fewer nodes
+    error: Tensor  # of the quadrature, estimated by one with fewer nodes
 
 
 class Cells(NamedTuple):
     """Cells in polar angle and longitude that cover the sphere: (C,) int64 each."""
 
-    level: Tensor  # how often it has been halved along both axes
-    row: Tensor  # among all of its level
-    column: Tensor
+    level: Tensor  # number of halvings along both axes
+    row: Tensor  # index along the polar angle at this level
+    column: Tensor  # index along the longitude
 
     @staticmethod
     def around(w: Vec3, most: int) -> Cells:
-        """Cells into which at most so many of some directions fall, of which peaks consist as well."""
+        """Cells with at most `most` of some directions each, or at the finest level."""
         level, row, column = 0, *(each.flatten() for each in torch.meshgrid(
             torch.arange(ROWS), torch.arange(COLUMNS), indexing="ij"))
-        found = []
+        finished = []
         while len(row):
             full = (_counted(w, level, row, column) > most) & (level < DEEPEST)
-            found.append(Cells(torch.full_like(row[~full], level), row[~full], column[~full]))
+            finished.append(Cells(torch.full_like(row[~full], level), row[~full], column[~full]))
             halves = torch.tensor([0, 0, 1, 1]), torch.tensor([0, 1, 0, 1])
             row, column = ((2 * each[full][:, None] + half).flatten() for each, half in zip((row, column), halves))
             level += 1
-        return Cells(*(torch.cat(parts) for parts in zip(*found)))
+        return Cells(*(torch.cat(parts) for parts in zip(*finished)))
 
     def counts(self, w: Vec3) -> Tensor:
-        """(C,) how many of some directions fall into each cell."""
-        found = torch.zeros_like(self.row)
+        """(C,) the number of directions in each cell."""
+        counts = torch.zeros_like(self.row)
         for level in self.level.unique().tolist():
-            own = self.level == level
-            found[own] = _counted(w, level, self.row[own], self.column[own])
-        return found
+            of_level = self.level == level
+            counts[of_level] = _counted(w, level, self.row[of_level], self.column[of_level])
+        return counts
 
     def integrals(self, functions: Callable[[Vec3], Sequence[Tensor]]) -> list[Integral]:
         """The integrals over solid angle of functions of directions.
@@ -72,16 +72,16 @@ class Cells(NamedTuple):
         polar, longitude = polar.reshape(-1), longitude.reshape(-1)
         values = [functions(unit_vectors(*part)) for part in zip(polar.split(BATCH), longitude.split(BATCH))]
         sine, area = polar.sin().reshape(-1, NODES, NODES), height * width
-        found = []
+        integrals = []
         for value in map(torch.cat, zip(*values)):
             value = value.detach().double().reshape(-1, NODES, NODES) * sine
             fine, coarse = (each.mean((1, 2)) * area for each in (value, value[:, COARSE // 2::COARSE, COARSE // 2::COARSE]))
-            found.append(Integral(fine, (fine - coarse).abs() / COARSE))
-        return found
+            integrals.append(Integral(fine, (fine - coarse).abs() / COARSE))
+        return integrals
 
 
 def unit_vectors(polar: Tensor, longitude: Tensor) -> Vec3:
-    """Directions from angles."""
+    """Unit vectors from polar angle and longitude."""
     ahead, side = polar.sin() * longitude.cos(), polar.cos()
     c, s = math.cos(AZIMUTH), math.sin(AZIMUTH)
     return Vec3(c * ahead - s * side, s * ahead + c * side, polar.sin() * longitude.sin())
@@ -95,7 +95,7 @@ def angles(w: Vec3) -> tuple[Tensor, Tensor]:
 
 
 def _counted(w: Vec3, level: int, row: Tensor, column: Tensor) -> Tensor:
-    """How many directions fall into cells of one level."""
+    """The number of directions in each cell of one level."""
     rows, columns = ROWS << level, COLUMNS << level
     polar, longitude = angles(w)
     keys = (polar * (rows / math.pi)).long().clamp_max(rows - 1) * columns

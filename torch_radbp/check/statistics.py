@@ -1,4 +1,4 @@
-"""The distance between two noisy derivative images, in units of their standard error and of the derivative itself.
+"""The difference of two noisy derivative images, in standard errors and relative to the derivative.
 
 A single pixel is noisy, and in a sum over the image errors may cancel. So both are examined, and between them a grid of
 tiles. Sums over tiles are close to normally distributed, as a pixel with one rare bright path is not, and still tell where
@@ -26,15 +26,15 @@ BRIGHTEST = 0.995  # the quantile taken for the maximum of an image, because of 
 
 
 class Estimates(NamedTuple):
-    """R independent estimates of each kind, float64."""
+    """R independent estimates of a derivative image by each method, float64."""
 
     difference: Tensor  # (R, B, 3, H, W) by finite differences
     jvp: Tensor  # (R, B, 3, H, W) by forward mode
     rounding: Tensor  # (B, 3, H, W) standard error of `difference` by rounding
-    bend: Tensor | None = None  # (R, B, 3, H, W) what differences to one side are off by on average; None: not looked at
+    bend: Tensor | None = None  # (R, B, 3, H, W) mean error of one-sided differences; None: not estimated
 
     def changed(self, halved: Tensor) -> Estimates:
-        """Zero, and beside it the change of differences by half of the step, whose images share their samples."""
+        """A comparison of zero with the change of differences by half of the step, whose images share their samples."""
         return Estimates(torch.zeros_like(halved), halved - self.difference, 3 * self.rounding)
 
 
@@ -52,13 +52,13 @@ class Projection(NamedTuple):
     difference: float
     jvp: float
     standard_error: float  # of jvp - difference
-    scale: float  # sum over tiles of |<w, difference>|, in which tiles do not cancel
+    scale: float  # sum over tiles of |<w, difference>|, without cancellation between tiles
     backward_error: float  # |<w, JVP> - <VJP(w), d>| of one batch, relative to <|w|, |JVP|>
-    bend: float = 0.0  # of jvp - difference, what is put down to the step
+    bend: float = 0.0  # of jvp - difference, the part that is attributed to the step
 
     @property
     def error(self) -> float:
-        """jvp - difference, beyond what is put down to the step."""
+        """The error jvp - difference beyond what is attributed to the step."""
         error = self.jvp - self.difference
         return math.copysign(max(abs(error) - self.bend, 0.0), error)
 
@@ -79,7 +79,7 @@ class Projection(NamedTuple):
 
 
 class Pixels(NamedTuple):
-    """Figures over all pixels and channels."""
+    """Statistics over all pixels and channels."""
 
     mean_square_z: float  # about 1 if nothing is wrong; see `expected_square`
     share_above_3: float  # of |z|; 0.003 for a normal distribution, 0.01 with 16 batches
@@ -90,7 +90,7 @@ class Pixels(NamedTuple):
 
 
 class Tiles(NamedTuple):
-    """Figures over tiles, 8 x 8 in an image, with the channels added."""
+    """Statistics over tiles, 8 x 8 in an image, summed over channels."""
 
     mean_square_z: float
     limit: float  # of the mean square: five standard deviations above its expectation
@@ -99,7 +99,7 @@ class Tiles(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """All measurements. Images are (B, 3, H, W) float64."""
+    """All statistics of two derivative images. Images are (B, 3, H, W) float64."""
 
     difference: Tensor
     jvp: Tensor
@@ -113,7 +113,7 @@ class Comparison(NamedTuple):
 
 
 class Mean(NamedTuple):
-    """jvp - difference, and its standard error."""
+    """The mean of jvp - difference, and its standard error."""
 
     error: Tensor
     standard_error: Tensor
@@ -125,13 +125,13 @@ class Mean(NamedTuple):
 
 
 def mean_error(difference: Tensor, jvp: Tensor, rounding: Tensor) -> Mean:
-    """The mean over R of (R, ...) samples, and its standard error: from their own spread, and from rounding."""
+    """The mean error over R of (R, ...) samples, and its standard error: from their spread, and from rounding."""
     variance = (difference.var(0) + jvp.var(0)) / len(jvp) + rounding**2
     return Mean(jvp.mean(0) - difference.mean(0), variance.sqrt())
 
 
 def bends(samples: Tensor | None, rounding: Tensor, least: float = KINK) -> Tensor:
-    """Magnitudes of the mean of (R, ...) bends where it is none of the noise, else 0; zeros like `rounding` for None."""
+    """The mean curvature error of (R, ...) samples where it exceeds the noise, else 0; zeros like `rounding` for None."""
     if samples is None:
         return torch.zeros_like(rounding)
     mean, noise = samples.mean(0).abs(), (samples.var(0) / len(samples) + rounding**2).sqrt()
@@ -139,17 +139,17 @@ def bends(samples: Tensor | None, rounding: Tensor, least: float = KINK) -> Tens
 
 
 def _beyond(error: Tensor, bend: Tensor) -> Tensor:
-    """What of errors is not put down to the step."""
+    """The part of errors that is not attributed to the step."""
     return error.sign() * (error.abs() - bend).clamp_min(0.0)
 
 
 def expected_square(samples: int) -> float:
-    """The mean of z^2 if nothing is wrong: that of Student's t with the degrees of freedom of one of the estimates."""
+    """The expectation of z^2 for unbiased estimates: that of Student's t with one estimate's degrees of freedom."""
     return (samples - 1) / (samples - 3)
 
 
 def compare(samples: Estimates, cotangents: list[Cotangent], backward: list[float], eps: float) -> Comparison:
-    """Compares the two estimates.
+    """Compares the estimates of finite differences and of forward mode.
 
     Args:
         samples: of both estimates, on any device.
@@ -199,7 +199,7 @@ def over_tiles(samples: Estimates) -> Tiles:
 
 
 def steadied(variance: Tensor) -> Tensor:
-    """The variance of tiles, (B, rows, columns), estimated from their neighbours and from all tiles, too.
+    """The variance of tiles, (B, rows, columns), smoothed by that of their neighbours and of all tiles.
 
     If the step changes the path of one sample in thousands, a tile without such a sample lacks that contribution, and its
     own spread does not show it; the spread of its neighbours does.
@@ -222,7 +222,7 @@ def tile_sums(images: Tensor) -> Tensor:
 
 
 def project(samples: Estimates, cotangent: Cotangent, backward: float) -> Projection:
-    """The two estimates projected onto a cotangent, and the error of the backward pass against forward mode."""
+    """Projects both estimates onto a cotangent, and computes the error of the backward pass against forward mode."""
     w = cotangent.image
     difference, jvp = ((w * images).flatten(1).sum(1) for images in samples[:2])
     rounding = (w * samples.rounding).square().sum().sqrt()

@@ -1,4 +1,4 @@
-"""Where the images of finite differences are taken: at places that a parameter may have, to both sides of it or to one."""
+"""The stencils of finite differences, within a parameter's domain: central, or to one side."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROUNDING = 1e-6  # how far a place may be outside of a range, as a share of its 
 
 
 class Stencil(NamedTuple):
-    """Three places in steps from the parameter, evenly apart, whose weighted images are a derivative times the step."""
+    """Three equidistant offsets, in steps, and the weights of their images for a derivative times the step."""
 
     words: str
     offsets: tuple[int, int, int]
@@ -33,7 +33,7 @@ STENCILS = (BOTH_SIDES, Stencil("to one side", (0, 1, 2), (-1.5, 2.0, -0.5)),
 
 
 class ParameterMove(NamedTuple):
-    """How a parameter moves for differences: `step` times `direction`, at the places of the stencil."""
+    """The movement of a parameter for finite differences: `step` times `direction` times the stencil's offsets."""
 
     step: float
     stencil: Stencil
@@ -41,7 +41,7 @@ class ParameterMove(NamedTuple):
 
 
 def inside(scene: Scene, name: str, direction: Tensor, step: float, *, chosen: bool, turns: bool) -> ParameterMove:
-    """How a parameter moves without leaving its domain.
+    """Chooses step and stencil such that a parameter stays within its domain.
 
     Args:
         scene: has the parameter.
@@ -74,26 +74,26 @@ def inside(scene: Scene, name: str, direction: Tensor, step: float, *, chosen: b
 
 
 def turned_inwards(scene: Scene, parameter: Tensor, direction: Tensor, step: float) -> Tensor:
-    """The direction, of other sign in entries that two steps along it would take beyond the upper end of their range."""
+    """The direction with its sign flipped in entries that two steps would take beyond the upper end of their range."""
     high = min([domain.high for domain in domains_of(scene, parameter)], default=torch.inf)
     return torch.where(parameter.detach() + 2 * step * direction > high, -direction.abs(), direction)
 
 
 def floor_of(scene: Scene, name: str) -> float:
-    """The value as which plugins may take smaller ones of a parameter; minus infinity if there is none."""
+    """The value below which plugins clamp a parameter; minus infinity if there is none."""
     return max([domain.floor for domain in domains_of(scene, scene.get_parameter(name))], default=-torch.inf)
 
 
 def domains_of(scene: Scene, parameter: Tensor) -> list[Domain]:
-    """The domains of everything for which a tensor of the scene is used."""
-    found = [domain for held in held_values(scene).values() for domain in held.domains
-             if held.attribute is not None and getattr(held.owner, held.attribute) is parameter]
-    return found + [domain for shape in scene.shapes for owner in (shape.bsdf, shape.emitter) if owner is not None
-                    for name, domain, _ in attributes_read(owner) if getattr(shape, name, None) is parameter]
+    """The domains of all attributes that use a tensor of the scene."""
+    domains = [domain for held in held_values(scene).values() for domain in held.domains
+               if held.attribute is not None and getattr(held.owner, held.attribute) is parameter]
+    return domains + [domain for shape in scene.shapes for owner in (shape.bsdf, shape.emitter) if owner is not None
+                      for name, domain, _ in attributes_read(owner) if getattr(shape, name, None) is parameter]
 
 
 def _outside(scene: Scene, name: str, value: Tensor, leeway: float) -> str | None:
-    """Why a value of a parameter is further outside of its domain than by a share of its numbers; None: it is not."""
+    """Why a value of a parameter is outside of its domain, by more than a tolerance; None: it is inside."""
     with torch.no_grad(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -104,7 +104,7 @@ def _outside(scene: Scene, name: str, value: Tensor, leeway: float) -> str | Non
 
 
 class DomainOf(nn.Module):
-    """Calls the checks of values that a rendering of all sensors begins with."""
+    """Calls the checks of parameters that every rendering of all sensors makes."""
 
     def __init__(self, scene: Scene, leeway: float):
         super().__init__()

@@ -1,4 +1,4 @@
-"""`check_texture`: are the values of a texture finite, smooth where it is read, and in their range?"""
+"""`check_texture`: tests whether a texture's values are finite, differentiable and within their range."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ROUNDING = 1e-5  # relative, by which interpolated values may leave a range
 @public_call
 def check_texture(texture: Texture | torch.nn.Module | dict[str, Any], *, low: float | None = None,
                   high: float | None = None, places: int = 20_000, seed: int = 0) -> PluginCheck:
-    """Checks that the values of a texture are finite, with finite derivatives, and in a range if one is stated.
+    """Tests whether a texture's values and derivatives are finite, and values within a range if one is given.
 
         print(rb.check_texture({"type": "bitmap", "filename": "wood.png"}, low=0.0, high=1.0))
 
@@ -55,25 +55,25 @@ def check_texture(texture: Texture | torch.nn.Module | dict[str, Any], *, low: f
     if not isinstance(texture, Texture):
         raise TypeError(f"texture must be a texture, a module or a dict that describes one, got a {type(texture).__name__}")
     places, seed = integer("places", places, FEWEST_PLACES), checked_seed("seed", seed)
-    found: dict[str, Finding] = {}
+    by_check: dict[str, Finding] = {}
     for dtype in (torch.float32, torch.float64):
-        own, p = standing_alone(texture).to(dtype).requires_grad_(), differentiable_copy(_places_of(places, seed, dtype))
+        alone, p = standing_alone(texture).to(dtype).requires_grad_(), differentiable_copy(_places_of(places, seed, dtype))
         with torch.enable_grad():
-            for finding in findings(own, p, low, high):
-                if finding.check not in found or found[finding.check].agrees:
-                    found[finding.check] = finding
-    return PluginCheck(f"texture {texture.type or type(texture).__name__}", tuple(found.values()))
+            for finding in findings(alone, p, low, high):
+                if finding.check not in by_check or by_check[finding.check].agrees:
+                    by_check[finding.check] = finding
+    return PluginCheck(f"texture {texture.type or type(texture).__name__}", tuple(by_check.values()))
 
 
 def _places_of(count: int, seed: int, dtype: torch.dtype) -> Vec3:
-    """Random places, and corners."""
+    """Random texture points, and points at special coordinates such as corners and integers."""
     random = (torch.rand(count, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64) * 2 - 1) * SPREAD
     corners = torch.cartesian_prod(torch.tensor(CORNERS, dtype=torch.float64), torch.tensor(CORNERS, dtype=torch.float64))
     return Vec3.of(torch.cat([random, torch.cat([corners, corners[:, :1]], 1)]).to(dtype))
 
 
 def findings(texture: Texture, p: Vec3, low: float | None, high: float | None) -> list[Finding]:
-    """The findings on a texture in its dtype; its parameters and the places attached."""
+    """The findings on a texture in its dtype; its parameters and the points attached."""
     values = texture_at(texture, p).stack()
     least, greatest = values.detach().min().item(), values.detach().max().item()
     bad = (~torch.isfinite(values)).any(1)
@@ -82,15 +82,15 @@ def findings(texture: Texture, p: Vec3, low: float | None, high: float | None) -
         first = ", ".join(f"{coordinate[bad][0].item():.6g}" for coordinate in p)
         return [Finding("finite", False, f"{int(bad.sum())} of {len(values)} places, the first at ({first}), in "
                         f"{str(values.dtype).removeprefix('torch.')}")]
-    found = [Finding("finite", True, words)]
+    results = [Finding("finite", True, words)]
     inputs = {**dict(zip(("u (or x)", "v (or y)", "z"), p)), **dict(texture.named_parameters())}
     slopes = torch.autograd.grad(values.sum(), list(inputs.values()), allow_unused=True) if values.requires_grad else ()
     wrong = [name for name, slope in zip(inputs, slopes) if slope is not None and not bool(torch.isfinite(slope).all())]
-    found.append(Finding("derivatives", not wrong, f"by {', '.join(wrong)} are not finite" if wrong else
-                         f"by {sum(slope is not None for slope in slopes)} of {len(inputs)} inputs, all finite"))
+    results.append(Finding("derivatives", not wrong, f"by {', '.join(wrong)} are not finite" if wrong else
+                           f"by {sum(slope is not None for slope in slopes)} of {len(inputs)} inputs, all finite"))
     if low is not None or high is not None:
         off = max(0.0 if low is None else low - least, 0.0 if high is None else greatest - high)
         allowed = ROUNDING * max(abs(low or 0.0), abs(high or 0.0), abs(least), abs(greatest))
-        found.append(Finding("range", off <= allowed, f"values from {least:.6g} to {greatest:.6g}, stated "
-                             f"{'any' if low is None else f'{low:g}'} to {'any' if high is None else f'{high:g}'}"))
-    return found
+        results.append(Finding("range", off <= allowed, f"values from {least:.6g} to {greatest:.6g}, stated "
+                               f"{'any' if low is None else f'{low:g}'} to {'any' if high is None else f'{high:g}'}"))
+    return results

@@ -1,4 +1,4 @@
-"""Emitters: where light comes from. Each file is imported, and registers its plugins."""
+"""Emitters: where light comes from. Importing this imports and registers all of its plugins."""
 
 from torch_radbp.plugin.folder import import_files
 

@@ -24,7 +24,7 @@ SMALLEST_COSINE = 1e-9  # at the surface; keeps densities finite
 
 @dataclass(frozen=True)
 class AreaKind(SurfaceKind):
-    """The same radiance into all directions on the side of the shading normal; points are picked uniformly over the area.
+    """Area lights: equal radiance into all directions on the front side; points are sampled uniformly over the area.
 
     A point that was picked is glued to its triangle, at fixed barycentric coordinates, and the density carries the geometry
     term and the area of the moving triangle: so radiance / density has the derivative of the integral over the surface.

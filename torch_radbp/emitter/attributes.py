@@ -1,4 +1,4 @@
-"""Attributes of emitters: colours, factors, weights, poses."""
+"""Checked attributes of emitters: colours, factors, weights, poses."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FACTOR = NUMBER._replace(low=0.0)
 
 
 def factor(scale: float) -> Tensor:
-    """A checked factor of the light that an emitter sends, ().
+    """Checks the factor of an emitter's light, and returns it as a () tensor.
 
     Raises:
         ValueError: if it is negative or not finite.
@@ -34,12 +34,12 @@ def at_least_zero(name: str, value: float) -> float:
 
 
 def weight(sampling_weight: float) -> float:
-    """A checked `sampling_weight`; 0: next-event estimation never picks the emitter, which chance may find."""
+    """Checks a `sampling_weight`; 0: next-event estimation never selects the emitter, though BSDF sampling may hit it."""
     return at_least_zero("sampling_weight", sampling_weight)
 
 
 class Scaled:
-    """A texture times a factor, one number or three, with all that a bank of textures reads."""
+    """A texture times a constant factor, one number or three."""
 
     def __init__(self, texture: Texture, factor: Tensor):
         self.texture, self.factor = texture, factor
@@ -52,7 +52,7 @@ class Scaled:
         return self.texture.texels() * self.factor
 
     def reader(self) -> Reader:
-        """How lanes read it: as they read that texture."""
+        """The reader of the underlying texture."""
         return reader_of(self.texture)
 
     def colours(self) -> tuple[Scaled, ...]:
@@ -61,7 +61,7 @@ class Scaled:
 
 
 def linear_inverse(name: str, matrix: Tensor) -> Tensor:
-    """The (3, 3) matrix from world to local directions of an affine (4, 4) pose, attached.
+    """The (3, 3) matrix from world to local directions, inverse of an affine (4, 4) pose; attached.
 
     Raises:
         ValueError: if the pose flattens space.
@@ -73,7 +73,7 @@ def linear_inverse(name: str, matrix: Tensor) -> Tensor:
 
 
 def colour(emitter: Emitter, name: str, value: Texture | Tensor | float) -> Texture:
-    """A texture of one colour, from any value that the attribute `name` of an emitter accepts.
+    """Makes a texture of one colour from any value that the attribute `name` of an emitter accepts.
 
     Raises:
         ValueError: if it is an image, or negative.

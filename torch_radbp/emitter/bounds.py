@@ -1,4 +1,4 @@
-"""Bounds of what lights send: how much, from where, into which directions.
+"""Bounds of lights for importance sampling: their intensity, extent and directions.
 
 A light that is picked by its importance has bounds: a sphere that it lies in, the greatest intensity that it sends, and a
 cone. `spread` is the angle between the axis and the farthest normal, `reach` the angle from a normal within which light
@@ -22,24 +22,24 @@ LEAST_LENGTH = 1e-3  # of the mean of some unit vectors: shorter ones have no ax
 
 
 class LightBounds(NamedTuple):
-    """Of each of some lights, (K,); detached."""
+    """Bounds of K lights, (K,); detached."""
 
-    middle: Vec3  # of the sphere, world space
+    middle: Vec3  # centre of the bounding sphere, world space
     radius: Tensor
-    intensity: Tensor  # luminance times area, or of a light without extent the luminance of its intensity
-    axis: Vec3  # unit
-    spread: Tensor  # radians; pi: every direction
-    reach: Tensor  # radians
+    intensity: Tensor  # luminance times area, or luminance of a point light's intensity
+    axis: Vec3  # unit, of the cone of normals
+    spread: Tensor  # radians, angle of that cone; pi: every direction
+    reach: Tensor  # radians, greatest angle between a normal and emitted light
 
     @staticmethod
     def at(middle: Vec3, intensity: Tensor) -> LightBounds:
-        """Points that shine into every direction."""
+        """The bounds of point lights that shine into every direction."""
         zero = torch.zeros_like(intensity)
         return LightBounds(middle, zero, intensity, Vec3(zero, zero, zero + 1.0), zero + math.pi, zero + math.pi / 2)
 
 
 def bounds_of_groups(bounds: LightBounds, group: Tensor, count: int) -> LightBounds:
-    """The bounds of `count` groups of lights: K lights each belong to one.
+    """Merges the bounds of K lights to those of `count` groups.
 
     Args:
         bounds: of the lights.
@@ -47,8 +47,8 @@ def bounds_of_groups(bounds: LightBounds, group: Tensor, count: int) -> LightBou
     """
     def least(values: Tensor, largest: bool = False) -> Tensor:
         start = values.new_full((count,), -math.inf if largest else math.inf)
-        found = start.scatter_reduce(0, group, values, "amax" if largest else "amin")
-        return torch.where(found.isinf(), 0.0, found)
+        reduced = start.scatter_reduce(0, group, values, "amax" if largest else "amin")
+        return torch.where(reduced.isinf(), 0.0, reduced)
 
     def total(values: Tensor) -> Tensor:
         return values.new_zeros(count).index_add_(0, group, values)

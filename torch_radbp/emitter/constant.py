@@ -1,4 +1,4 @@
-"""The same light from every direction."""
+"""An environment of constant radiance."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from torch_radbp.transforms import affine
 
 
 class ConstantTable(NamedTuple):
-    """One row; attached."""
+    """The constant environment's one row; attached."""
 
     radiance: Vec3
 
 
 @dataclass(frozen=True)
 class ConstantKind(SurroundKind):
-    """The same radiance from every direction."""
+    """A constant environment: the same radiance from every direction."""
 
     def even(self, table: ConstantTable) -> bool:
         return True
@@ -45,7 +45,7 @@ class ConstantKind(SurroundKind):
 
 @register("emitter", "constant")
 class Constant(Light):
-    """An infinitely distant surround of constant `radiance`.
+    """An infinitely distant environment of constant `radiance`.
 
     Parameters: `radiance`. Derivatives: with respect to its value.
 

@@ -26,7 +26,7 @@ class DirectionalTable(NamedTuple):
 
 @dataclass(frozen=True)
 class DirectionalKind(LightKind):
-    """Light from one direction."""
+    """Directional lights: parallel light from far away."""
 
     delta: ClassVar[bool] = True
     distant: ClassVar[bool] = True

@@ -17,7 +17,7 @@ from torch_radbp.tensors.vec import Ray, Vec3, crossing, dot, interpolated
 
 @dataclass(frozen=True)
 class DirectionalAreaKind(SurfaceKind):
-    """Light along the normals of triangles: what reaches a point starts where the perpendicular from it meets one."""
+    """Surfaces that emit parallel light along their normals: a point is lit from the foot of its perpendicular."""
 
     delta: ClassVar[bool] = True
     parallel: ClassVar[bool] = True

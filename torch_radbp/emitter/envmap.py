@@ -1,4 +1,4 @@
-"""Light from an image of the surroundings.
+"""An environment map: light from an image of the surroundings.
 
 The density with which directions are picked jumps from cell to cell of the image. Weights of multiple importance sampling
 must not: where directions of BSDF samples carry derivatives, each jump would be an edge that moves over the samples, of
@@ -36,30 +36,30 @@ LEAST_WEIGHING = 1e-7  # per steradian; keeps quotients of densities finite
 
 
 class EnvmapTable(NamedTuple):
-    """An image of the surroundings: R rows of texels, C columns; cells lie between the centres of four texels."""
+    """An environment map as a table: R rows of texels, C columns; cells lie between the centres of four texels."""
 
     texels: Vec3  # (R C,) radiance but for the scale, attached
-    scale: Tensor  # (1,) attached
+    scale: Tensor  # (1,) factor of the radiance, attached
     to_local: Frame  # (1,) rows of the matrix from world directions to the image's; attached
     to_world: Frame  # () rows of its inverse, detached
     volume: Tensor  # () absolute value of the determinant of `to_local`, detached
     rows: Tensor  # () int32, R
     columns: Tensor  # () int32, C
-    pick: GridDistribution  # of the cells
-    brightness: Tensor  # (cells,) in proportion to which directions in a cell are sampled
-    at_texels: Tensor | None  # (R C,) a quarter of that at the texels themselves, for weights; None: their luminance
-    to_density: Tensor  # () from that to a density over the solid angle of local directions
+    pick: GridDistribution  # distribution of the cells
+    brightness: Tensor  # (cells,) to which the density of sampled directions is proportional
+    at_texels: Tensor | None  # (R C,) a quarter of that at the texels, for MIS weights; None: their luminance
+    to_density: Tensor  # () factor to a density over the solid angle of local directions
     edges: Tensor  # (R,) sin^2(theta / 2) of the rows of texels, from pole to pole
 
     def place(self, d: Vec3) -> tuple[Vec2, Tensor]:
-        """Texture coordinates of world directions, and their local solid angle per solid angle in the world; attached."""
+        """Texture coordinates of world directions, and the local solid angle per solid angle in the world; attached."""
         local, jacobian = local_direction(lookup(self.to_local, torch.zeros_like(d.x, dtype=torch.int32)), d)
         return latitude_longitude(local), jacobian
 
 
 @dataclass(frozen=True)
 class EnvmapKind(SurroundKind):
-    """Directions are picked by cells, in proportion to their light, and uniformly over solid angle inside a cell."""
+    """Environment maps: a cell is sampled in proportion to its light, a direction uniformly within the cell."""
 
     def table(self, emitters: Sequence[Envmap], like: Tensor) -> EnvmapTable:
         emitter, = emitters
@@ -85,7 +85,7 @@ class EnvmapKind(SurroundKind):
         return around.interpolated(lambda texel: lookup(table.texels, texel)) * scale
 
     def weighing(self, proposal: EnvmapTable, d: Vec3) -> Tensor:
-        """A continuous substitute for `density`.
+        """A continuous substitute for `density`, for MIS weights.
 
         It is proportional to the interpolated image, and almost zero wherever directions are never picked.
         """
@@ -93,14 +93,14 @@ class EnvmapKind(SurroundKind):
         around = texels_around(uv, proposal.rows, proposal.columns)
         if proposal.at_texels is None:
             seen = around.interpolated(lambda texel: lookup(proposal.texels, texel))
-            found = sum(part * share for part, share in zip(seen, LUMINANCE)).abs()
+            brightness = sum(part * share for part, share in zip(seen, LUMINANCE)).abs()
         else:
-            found = around.interpolated(lambda texel: lookup(proposal.at_texels, texel))
-        return (found * (4.0 * proposal.to_density) * jacobian).clamp_min(LEAST_WEIGHING)
+            brightness = around.interpolated(lambda texel: lookup(proposal.at_texels, texel))
+        return (brightness * (4.0 * proposal.to_density) * jacobian).clamp_min(LEAST_WEIGHING)
 
 
 def density(table: EnvmapTable, d: Vec3) -> Tensor:
-    """The density over solid angle of `sample_direction`, (N,)."""
+    """The solid-angle density of `sample_direction`, (N,)."""
     uv, jacobian = table.place(d)
     uv, columns = uv.map(Tensor.detach), table.columns
     column = torch.remainder(torch.floor(uv.x * columns - 0.5).to(torch.int32), columns)
@@ -110,7 +110,7 @@ def density(table: EnvmapTable, d: Vec3) -> Tensor:
 
 
 def sample_direction(table: EnvmapTable, u: Tensor, v: Tensor) -> tuple[Vec3, Tensor]:
-    """Unit directions towards bright parts of the image, and their density over solid angle; detached.
+    """Samples unit directions in proportion to the image's light, with their solid-angle density; detached.
 
     Args:
         table: detached.
@@ -126,12 +126,12 @@ def sample_direction(table: EnvmapTable, u: Tensor, v: Tensor) -> tuple[Vec3, Te
     local = Vec3(across * torch.sin(phi), 1.0 - 2.0 * h, -across * torch.cos(phi))
     d = table.to_world.to_local(local)
     squared = dot(d, d).clamp_min(TINY)
-    found = lookup(table.brightness, cell.row * columns + cell.column) * table.to_density
-    return d * torch.rsqrt(squared), found * table.volume * squared * torch.sqrt(squared)
+    density = lookup(table.brightness, cell.row * columns + cell.column) * table.to_density
+    return d * torch.rsqrt(squared), density * table.volume * squared * torch.sqrt(squared)
 
 
 class Latitudes(NamedTuple):
-    """What is the same of all images of one size."""
+    """The rows of texels of an image by latitude and longitude; the same for all images of one size."""
 
     edges: Tensor  # as of `EnvmapTable`
     solid_angle: Tensor  # (rows of cells, 1) of a cell
@@ -141,14 +141,14 @@ class Latitudes(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def latitudes(height: int, width: int, dtype: torch.dtype, device: torch.device) -> Latitudes:
-    """The rows of images of this size."""
+    """The `Latitudes` of images of one size."""
     edges = torch.sin(torch.linspace(0, math.pi / 2, max(height, 2), dtype=torch.float64, device=device)) ** 2
     return Latitudes(edges.to(dtype), ((4 * math.pi / width) * edges.diff()[:, None]).to(dtype),
                      *(torch.tensor(count, dtype=torch.int32, device=device) for count in (height, width)))
 
 
 def between_neighbours(texel: Tensor) -> Tensor:
-    """(rows of cells, W) the sum over the corners of each cell between the centres of texels (H, W)."""
+    """(rows of cells, W) the sum over the four corners of each cell between the centres of texels (H, W)."""
     pairs = texel[:-1] + texel[1:] if len(texel) > 1 else texel + texel
     cells = torch.empty_like(pairs)
     torch.add(pairs[:, :-1], pairs[:, 1:], out=cells[:, :-1])
@@ -157,7 +157,7 @@ def between_neighbours(texel: Tensor) -> Tensor:
 
 
 def envmap_table(emitter: Envmap, like: Tensor) -> EnvmapTable:
-    """The image, its pose, and the distribution of the cells between its texels.
+    """Builds the table of an environment map: image, pose, and the distribution of the cells between texels.
 
     A cell is picked in proportion to its solid angle and to the mean luminance of its corners, which is that of the
     interpolated image; inside a cell, directions are uniform over solid angle. A black cell is never picked, since it sends
@@ -196,7 +196,7 @@ def envmap_table(emitter: Envmap, like: Tensor) -> EnvmapTable:
 
 @register("emitter", "envmap")
 class Envmap(Light):
-    """An infinitely distant surround: an image by latitude and longitude.
+    """An infinitely distant environment: an image by latitude and longitude.
 
     The first row lies at the local +y pole, the last at -y: where z points up, as in NeRF data sets, turn it by `to_world`.
     The image is interpolated between the centres of its

@@ -1,4 +1,4 @@
-"""The interface between emitters and the tracer.
+"""The interface between emitters and the path tracer.
 
 An emitter has two parts. Its `LightKind`, a hashable value that names the functions, is static: a scene without a kind pays
 nothing for it. What differs from emitter to emitter of a kind stands in the kind's table, a record of columns with one row
@@ -31,69 +31,69 @@ Table = Any  # a NamedTuple of columns: tensors (R,), and nested records of them
 
 
 class Pick(NamedTuple):
-    """The light that next-event estimation has picked, per lane; (N,)."""
+    """The light selected by next-event estimation, per lane; (N,)."""
 
-    row: Tensor  # int32, of the kind's table; 0 where a light of another kind was picked
-    pmf: Tensor  # probability with which it was picked
+    row: Tensor  # int32, row of the kind's table; 0 where a light of another kind was selected
+    pmf: Tensor  # probability of the selection
     u: Tensor  # int32 random bits, for a point on the light
     v: Tensor
 
 
 class Aim(NamedTuple):
-    """A point on a light as seen from a surface, or a direction towards a distant one; (N,), attached."""
+    """A point sampled on a light as seen from a surface, or a direction towards a distant light; (N,), attached."""
 
     d: Vec3  # unit direction towards it
-    pdf: Tensor  # density over solid angle, times `Pick.pmf`; of a delta light that probability alone; 0: it cannot be used
+    pdf: Tensor  # solid-angle density, times `Pick.pmf`; of a delta light that probability alone; 0: invalid
     target: Vec3 | None = None  # the point, world space; None: far away
     strength: Tensor | None = None  # factor of the light's texture; None: 1
-    uv: Vec2 | None = None  # where to read that texture; None: it is one texel
-    attributes: tuple[Vec3, ...] | None = None  # of the mesh, there; None: it is on no surface
+    uv: Vec2 | None = None  # where to evaluate that texture; None: it is one texel
+    attributes: tuple[Vec3, ...] | None = None  # of the mesh, at the point; None: it is on no surface
     radiance: Vec3 | None = None  # instead of the texture times its factor
-    weighing: Tensor | None = None  # used instead of `pdf` in the weights of multiple importance sampling
+    weighing: Tensor | None = None  # replaces `pdf` in the weights of multiple importance sampling
     n: Vec3 | None = None  # unit normal of the surface that the point lies on; None: on none
 
 
 class ShadowSource(NamedTuple):
-    """A light that casts shadows with a border, as one place from which it shines."""
+    """A light as a caster of shadows, reduced to one point or direction."""
 
     place: Tensor  # (4,) homogeneous: the position, or middle, of the light; or with 0 at the end the direction towards it
-    axis: Tensor  # (3,) it shines only into directions on this side; 0: into all
+    axis: Tensor  # (3,) it shines only into the half space of this direction; 0: into all directions
 
 
 class EmittingTriangles(NamedTuple):
-    """The table of emitters on surfaces: S triangles, attached; few, where the scene has many."""
+    """The table of emitters on surfaces: S triangles, attached."""
 
     p: tuple[Vec3, Vec3, Vec3]  # (S,) each; vertices, world space
     n: Vec3  # unit geometric normal
     shading: tuple[Vec3, Vec3, Vec3] | None  # unit normals of the vertices; None: all triangles are flat
-    smooth: Tensor | None  # bool: shaded with the normals of its vertices; None: so are all, or none
+    smooth: Tensor | None  # bool: shaded with vertex normals; None: so are all, or none
     uv: tuple[Vec2, Vec2, Vec2] | None  # of the vertices; None if no texture reads them
-    attributes: tuple[tuple[Vec3, Vec3, Vec3], ...]  # of the vertices: those that the textures of emitters read
-    inverse_area: Tensor  # 1 / area; 0 of a triangle that is never picked
+    attributes: tuple[tuple[Vec3, Vec3, Vec3], ...]  # of the vertices: mesh attributes that the textures of emitters read
+    inverse_area: Tensor  # 1 / area; 0 of a triangle that is never selected
 
 
     def attributes_at(self, row: Tensor, u: Tensor, v: Tensor) -> tuple[Vec3, ...]:
-        """The attributes of the mesh at barycentric coordinates of triangles, attached."""
+        """The mesh attributes at barycentric coordinates of triangles, attached."""
         return tuple(interpolated(lookup(corners, row), u, v) for corners in self.attributes)
 
 
 @dataclass(frozen=True)
 class LightKind(ABC):
-    """The functions of one kind of emitter."""
+    """The functions of one kind of emitter: sampling, density, bounds."""
 
-    delta: ClassVar[bool] = False  # it has no extent, or shines in one direction: only `aim` finds it
+    delta: ClassVar[bool] = False  # no extent, or one direction only: BSDF sampling cannot find it
     distant: ClassVar[bool] = False  # a direction rather than a point
-    parallel: ClassVar[bool] = False  # what was picked shines in one direction, the same everywhere; such are all `distant`
+    parallel: ClassVar[bool] = False  # a sample shines in one direction, the same everywhere; such are all `distant`
     surround: ClassVar[bool] = False  # see `SurroundKind`
     on_surface: ClassVar[bool] = False  # see `SurfaceKind`
-    bounded: ClassVar[bool] = False  # it lies in a place, and its light falls with the square of the distance: see `bounds`
+    bounded: ClassVar[bool] = False  # it has a position, and its light falls with the square of the distance: see `bounds`
 
     def table(self, emitters: Sequence[Light], like: Tensor) -> Table:
         """The table of all emitters of this kind in a scene, attached; `like` gives dtype and device."""
-        return _stacked([emitter.row() for emitter in emitters], like)
+        return stacked([emitter.row() for emitter in emitters], like)
 
     def bounds(self, table: Table, luminance: Tensor) -> LightBounds:
-        """The bounds of the light of each row, detached, in the dtype of `luminance`. Of kinds that are `bounded`.
+        """The bounds of the light of each row, detached, in the dtype of `luminance`; only for `bounded` kinds.
 
         Args:
             table: detached.
@@ -103,14 +103,14 @@ class LightKind(ABC):
 
     @abstractmethod
     def aim(self, table: Table, proposal: Table, p: Vec3, pick: Pick) -> Aim:
-        """A sample of the light in row `pick.row`, from the points `p`; attached to the table and to them.
+        """Samples the light in row `pick.row` as seen from the points `p`; attached to the table and to `p`.
 
         Values and derivatives must be finite in every lane, also where a light of another kind was picked.
         """
 
 
 class SurroundKind(LightKind):
-    """Light that arrives from everywhere: rays that leave the scene meet it. A scene has at most one such emitter."""
+    """An environment ("surround"): rays that leave the scene meet it. A scene has at most one."""
 
     distant: ClassVar[bool] = True
     parallel: ClassVar[bool] = True
@@ -126,11 +126,11 @@ class SurroundKind(LightKind):
 
     @abstractmethod
     def weighing(self, proposal: Table, d: Vec3) -> Tensor:
-        """The density over solid angle with which `aim` finds directions, as `Aim.weighing`; attached to `d`."""
+        """The density of `aim` over solid angle for MIS weights, as `Aim.weighing`; attached to `d`."""
 
 
 class SurfaceKind(LightKind):
-    """An emitter that triangles of a shape carry; its table is `EmittingTriangles`."""
+    """An emitter on the triangles of a shape; its table is `EmittingTriangles`."""
 
     on_surface: ClassVar[bool] = True
 
@@ -139,7 +139,7 @@ class SurfaceKind(LightKind):
 
     @abstractmethod
     def source(self, middle: Tensor, axis: Tensor) -> ShadowSource:
-        """The light as a caster of shadows.
+        """The light as a caster of shadows, reduced to one point or direction.
 
         Args:
             middle: (3,) of the surface.
@@ -147,14 +147,14 @@ class SurfaceKind(LightKind):
         """
 
     def sends(self, front: Tensor) -> Tensor:
-        """True where light leaves towards a viewer who is on the side of the shading normal (`front`, bool) or is not.
+        """True where light is emitted to a viewer in front of the surface (`front`, bool) or behind it.
 
         Of kinds that are not `delta`.
         """
         raise TypeError(f"{type(self).__name__} is not seen by chance")
 
     def density(self, table: EmittingTriangles, row: Tensor, pmf: Tensor, distance: Tensor, cosine: Tensor) -> Tensor:
-        """The density over solid angle with which `aim` finds a point on the light that a ray has met; attached.
+        """The solid-angle density with which `aim` would sample the point that a ray has hit; attached.
 
         Of kinds that are not `delta`.
 
@@ -169,7 +169,7 @@ class SurfaceKind(LightKind):
 
 
 class Light(Emitter):
-    """What an emitter's plugin gives to the tracer.
+    """Base class of emitter plugins: what an emitter gives to the path tracer.
 
     Args:
         sampling_weight: relative to that of other emitters; 0: next-event estimation never picks it.
@@ -178,15 +178,15 @@ class Light(Emitter):
     sampling_weight: float
 
     def picture_jumps(self) -> tuple[JumpLines, ...]:
-        """The lines of the image that it projects at which that jumps."""
+        """The lines of its projected image along which that is discontinuous."""
         return ()
 
     def picture_ends(self) -> bool:
-        """True if it projects an image at whose border the light jumps."""
+        """True if it projects an image at whose border the light is discontinuous."""
         return False
 
     def kind(self) -> LightKind:
-        """The functions."""
+        """The functions that sample and evaluate this kind of emitter."""
         raise TypeError(f"{type(self).__name__} does not define its kind")
 
     def radiated(self):
@@ -194,21 +194,21 @@ class Light(Emitter):
         return None
 
     def row(self) -> Table:
-        """The emitter's row of the table: a record of () tensors, attached."""
+        """The emitter's row of its kind's table: a record of () tensors, attached."""
         raise TypeError(f"{type(self).__name__} does not define its row")
 
     def source(self) -> ShadowSource | None:
-        """The light as a caster of shadows, detached; None: shadows have no borders, or the surface knows them."""
+        """The light as a caster of shadows, detached; None: no shadow borders, or `SurfaceKind.source` gives it."""
         return None
 
     def sampled_whole(self) -> bool:
-        """True if samples of the light reach all that it sends; False: some of it is found by BSDF sampling alone."""
+        """True if light samples reach all light of the emitter; False: some of it only BSDF sampling finds."""
         return self.kind().delta or self.sampling_weight > 0
 
 
-def _stacked(records: Sequence[Table], like: Tensor) -> Table:
+def stacked(records: Sequence[Table], like: Tensor) -> Table:
     """Records of () tensors as one record of columns."""
     first = records[0]
     if isinstance(first, Tensor):
         return torch.stack(tuple(records)).to(like)
-    return first if first is None else type(first)(*(_stacked(parts, like) for parts in zip(*records)))
+    return first if first is None else type(first)(*(stacked(parts, like) for parts in zip(*records)))

@@ -1,4 +1,4 @@
-"""Directions on an image by latitude and longitude.
+"""Directions as texture coordinates by latitude and longitude.
 
 A direction d has local coordinates l = W d / |W d|, W the inverse of the linear part of `to_world`, and texture coordinates
 
@@ -22,7 +22,7 @@ NEAR_POLE = 1e-12  # squared distance from the axis below which the longitude is
 
 
 class Around(NamedTuple):
-    """The four texels around a point of an image, and how far it is from the first; (N,)."""
+    """The four texels around a point of an image, and its position between them; (N,)."""
 
     upper: tuple[Tensor, Tensor]  # int32 texels above left and above right
     lower: tuple[Tensor, Tensor]
@@ -30,14 +30,14 @@ class Around(NamedTuple):
     down: Tensor
 
     def interpolated(self, read):
-        """The bilinear interpolation of what `read` returns at texels."""
+        """Bilinear interpolation of what `read` returns at the four texels."""
         upper, lower = (read(left) * (1.0 - self.across) + read(right) * self.across
                         for left, right in (self.upper, self.lower))
         return upper * (1.0 - self.down) + lower * self.down
 
 
 def texels_around(uv: Vec2, rows: Tensor, columns: Tensor) -> Around:
-    """The texels around points of an image whose rows reach from pole to pole.
+    """The four texels around points of an image whose rows reach from pole to pole.
 
     Args:
         uv: (N,) texture coordinates, attached.

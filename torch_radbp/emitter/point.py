@@ -1,4 +1,4 @@
-"""A point that emits light."""
+"""A point light."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class PointTable(NamedTuple):
 
 @dataclass(frozen=True)
 class PointKind(PositionalKind):
-    """The same intensity in every direction."""
+    """Point lights: the same intensity in every direction."""
 
     def bounds(self, table: PointTable, luminance: Tensor) -> LightBounds:
         return LightBounds.at(table.place.map(lambda c: c.to(luminance)), luminance)

@@ -1,4 +1,4 @@
-"""Light from a point: what point lights, spots and projectors have in common."""
+"""What point lights, spots and projectors have in common: light from a point."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FLATTEST = 1e-4  # cosine with a light's axis below which its image is not read
 
 @dataclass(frozen=True)
 class PositionalKind(LightKind):
-    """Light from the column `place` of the table, whose intensity falls with the square of the distance."""
+    """Lights at a point (column `place` of the table), whose light falls with the square of the distance."""
 
     delta: ClassVar[bool] = True
     bounded: ClassVar[bool] = True
@@ -32,7 +32,7 @@ class PositionalKind(LightKind):
         return Aim(d, pick.pmf, light.place, strength if profile is None else strength * profile, uv)
 
     def profile(self, light: Table, d: Vec3) -> tuple[Tensor | None, Vec2 | None]:
-        """The variation of intensity over the unit directions `d` in which light leaves, attached.
+        """The relative intensity in the unit directions `d` in which light leaves, attached.
 
         Returns:
             A factor (None: 1), and where to read the texture (None: it is one texel).
@@ -41,12 +41,12 @@ class PositionalKind(LightKind):
 
 
     def leaving(self, light: Table, uv: Vec2) -> Vec3:
-        """The directions, (N,) world, of any length, in which light leaves that is read at places of its image; attached."""
+        """The directions, (N,) world, of any length, of the light at positions `uv` of a light's image; attached."""
         return Screen.towards(light.to_local, light.to_uv, uv)
 
 
 class Screen(NamedTuple):
-    """Directions in a light's own coordinates, as it sees them on a screen across its axis; (N,), attached."""
+    """Directions seen from a light, and where they meet its image; (N,), attached."""
 
     local: Vec3  # unit; the light looks along +z
     ahead: Tensor  # their z, kept away from 0
@@ -55,7 +55,7 @@ class Screen(NamedTuple):
 
     @staticmethod
     def of(to_local: Frame, to_uv: Vec2, d: Vec3) -> Screen:
-        """The view of world directions `d`; `to_uv` are factors from x / z and y / z to texture coordinates."""
+        """Projects world directions `d` to the light's image; `to_uv`: factors from x / z and y / z to uv."""
         local = direction_to_local(to_local, d)
         ahead = local.z.clamp_min(FLATTEST)
         uv = Vec2(0.5 + to_uv.x * local.x / ahead, 0.5 + to_uv.y * local.y / ahead)
@@ -65,7 +65,7 @@ class Screen(NamedTuple):
 
     @staticmethod
     def towards(to_local: Frame, to_uv: Vec2, uv: Vec2) -> Vec3:
-        """The world directions, of any length, in which places of the image are seen."""
+        """The world directions, of any length, of positions in the light's image."""
         s, t, n = to_local
         x, y = (uv.x - 0.5) / to_uv.x, (uv.y - 0.5) / to_uv.y
         upright = cross(s, t)
@@ -73,7 +73,7 @@ class Screen(NamedTuple):
 
 
 def direction_to_local(to_local: Frame, d: Vec3) -> Vec3:
-    """World directions in a light's own coordinates, unit length whatever its scale."""
+    """World directions in a light's local coordinates, unit length whatever its scale."""
     local = to_local.to_local(d)
     return local * torch.rsqrt(dot(local, local).clamp_min(NEAREST**2))
 
@@ -88,7 +88,7 @@ def axes(to_world: Tensor) -> Frame:
 
 
 def at(place: Tensor, axis: Vec3 | None = None) -> ShadowSource:
-    """A light at a point (3,) that shines around an axis, or into every direction."""
+    """The shadow source of a light at a point (3,) that shines around an axis, or into every direction."""
     place = place.detach()
     return ShadowSource(torch.cat([place, place.new_ones(1)]),
                         place.new_zeros(3) if axis is None else torch.stack(tuple(axis)).detach())

@@ -1,4 +1,4 @@
-"""A point that projects an image."""
+"""A projector: a point that projects an image."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ProjectorTable(NamedTuple):
 
 @dataclass(frozen=True)
 class ProjectorKind(PositionalKind):
-    """The intensity of a flat, evenly lit screen: 1 / cos^3 of the angle with the axis, where the image is."""
+    """Projectors: intensity of a flat, evenly lit screen, 1 / cos^3 of the angle with the axis, within the image."""
 
     def bounds(self, table: ProjectorTable, luminance: Tensor) -> LightBounds:
         place, axis = (v.map(lambda c: c.to(luminance)) for v in (table.place, normalize(table.to_local.n)))
@@ -86,7 +86,7 @@ class Projector(Light):
         return True
 
     def aspect(self) -> float:
-        """Width / height of the image."""
+        """The aspect ratio of the image, width / height."""
         height, width = self.irradiance.resolution()
         return width / height
 
@@ -94,7 +94,7 @@ class Projector(Light):
         return ProjectorKind()
 
     def radiated(self) -> Scaled:
-        """The intensity, as it would be along the axis."""
+        """The intensity along the axis, as a texture."""
         return Scaled(self.irradiance, self.scale * math.pi)
 
     def row(self) -> ProjectorTable:

@@ -1,4 +1,4 @@
-"""A point that emits a cone of light."""
+"""A spotlight: a point that emits a cone of light."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class SpotTable(NamedTuple):
 
 @dataclass(frozen=True)
 class SpotKind(PositionalKind):
-    """An intensity that falls off linearly with the angle from the axis."""
+    """Spotlights: intensity falls off linearly with the angle from the axis."""
 
     def table(self, emitters: Sequence[Spot], like: Tensor) -> SpotTable:
         table = super().table(emitters, like)
@@ -96,7 +96,7 @@ class Spot(Light):
 
     @classmethod
     def of_file(cls, arguments: dict[str, Any], note: Callable[[str], None]) -> dict[str, Any]:
-        """A beam as wide as the cone, as exporters write light that ends sharply, gets the narrowest fall-off there is."""
+        """Repairs a beam as wide as the cone, by which exporters mean a sharp end, to the narrowest fall-off there is."""
         cutoff, beam = (arguments.get(name, default) for name, default in (("cutoff_angle", 20.0), ("beam_width", None)))
         if not isinstance(beam, float) or not isinstance(cutoff, float) or not cutoff <= beam <= cutoff * (1.0 + ROUNDING):
             return arguments
@@ -119,7 +119,7 @@ class Spot(Light):
         return self.intensity if self.texture is None else Scaled(self.texture, self.intensity.colour())
 
     def row(self) -> SpotTable:
-        """The pose and the cone, attached.
+        """The spotlight's row of the table: pose and cone, attached.
 
         Raises:
             ValueError: if an optimiser has moved the angles past each other, or flattened the pose.

@@ -1,4 +1,4 @@
-"""The place of the sun in the sky at a place and time on earth.
+"""The direction of the sun at a place and time on earth.
 
 Reference: Blanco-Muriel, Alarcon-Padilla, Lopez-Moratalla and Lara-Coira 2001, "Computing the Solar Vector", table 1.
 """
@@ -7,43 +7,49 @@ from __future__ import annotations
 
 import math
 from calendar import monthrange
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_radbp.plugin import integer
 
-# Mitsuba's: an afternoon in Tokyo.
-DAY = {"latitude": 35.6894, "longitude": 139.6917, "timezone": 9.0, "year": 2010, "month": 7, "day": 10, "hour": 15.0,
-       "minute": 0.0, "second": 0.0}
 PARALLAX = 6371.01 / 149597890.0  # radius of the earth over its distance from the sun
+
+
+class PlaceAndTime(NamedTuple):
+    """A place on earth and a time there; by default Mitsuba's, an afternoon in Tokyo."""
+
+    latitude: float = 35.6894  # degrees north
+    longitude: float = 139.6917  # degrees east
+    timezone: float = 9.0  # hours ahead of Greenwich
+    year: int = 2010  # local time, as all that follows
+    month: int = 7
+    day: int = 10
+    hour: float = 15.0
+    minute: float = 0.0
+    second: float = 0.0
 
 
 RANGES = {"latitude": (-90, 90), "longitude": (-360, 360), "timezone": (-14, 14), "year": (1, 9999), "month": (1, 12),
           "hour": (0, 24), "minute": (0, 60), "second": (0, 60)}  # inclusive
 
 
-def check_place_and_time(given: dict[str, float]) -> None:
-    """Raises ValueError for a place or time that is none; `given` as `DAY`."""
+def check_place_and_time(given: PlaceAndTime) -> None:
+    """Raises ValueError for an invalid place or time."""
     for name in ("year", "month", "day"):
-        integer(name, given[name])
+        integer(name, getattr(given, name))
     for name, (low, high) in RANGES.items():
-        if not low <= given[name] <= high:
-            raise ValueError(f"{name} must be from {low} to {high}, got {given[name]}")
-    days = monthrange(given["year"], given["month"])[1]
-    if not 1 <= given["day"] <= days:
-        raise ValueError(f"day must be from 1 to {days} in month {given['month']}, got {given['day']}")
+        if not low <= getattr(given, name) <= high:
+            raise ValueError(f"{name} must be from {low} to {high}, got {getattr(given, name)}")
+    days = monthrange(given.year, given.month)[1]
+    if not 1 <= given.day <= days:
+        raise ValueError(f"day must be from 1 to {days} in month {given.month}, got {given.day}")
 
 
-def sun_position(latitude: float, longitude: float, timezone: float, year: int, month: int, day: int, hour: float,
-                 minute: float, second: float) -> Tensor:
-    """(3,) unit direction towards the sun: +z is the zenith, +x south and +y west; float64.
-
-    Args:
-        latitude, longitude: degrees, north and east.
-        timezone: hours ahead of Greenwich.
-        year, month, day, hour, minute, second: local time.
-    """
+def sun_position(moment: PlaceAndTime) -> Tensor:
+    """(3,) unit direction towards the sun: +z is the zenith, +x south and +y west; float64."""
+    latitude, longitude, timezone, year, month, day, hour, minute, second = moment
     hours = hour - timezone + (minute + second / 60.0) / 60.0  # universal time
     days = julian_day(year, month, day) + hours / 24.0 - 2451545.0
     node = 2.1429 - 0.0010394594 * days
@@ -64,7 +70,7 @@ def sun_position(latitude: float, longitude: float, timezone: float, year: int, 
 
 
 def julian_day(year: int, month: int, day: int) -> float:
-    """The number of the day, at its beginning in universal time, by the Gregorian calendar.
+    """The Julian day number, at its beginning in universal time, by the Gregorian calendar.
 
     Reference: Fliegel and Van Flandern 1968.
     """

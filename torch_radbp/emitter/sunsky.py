@@ -1,4 +1,4 @@
-"""Daylight: the sky of a clear day, and the sun in it.
+"""Daylight: the sky of a clear day, and the sun in it, after Hosek and Wilkie.
 
 The sky is Hosek and Wilkie's formula. Its coefficients, for each channel, are interpolated between turbidities, albedos of
 the ground and elevations of the sun. It is evaluated for every direction; directions are picked by an image of it, as those
@@ -25,7 +25,7 @@ from torch import Tensor
 from torch_radbp.emitter.attributes import FACTOR, colour, factor, weight
 from torch_radbp.emitter.envmap import Envmap, EnvmapKind, EnvmapTable, density, envmap_table, sample_direction
 from torch_radbp.emitter.kind import Aim, Light, Pick, SurroundKind
-from torch_radbp.emitter.sun_position import DAY, check_place_and_time, sun_position
+from torch_radbp.emitter.sun_position import PlaceAndTime, check_place_and_time, sun_position
 from torch_radbp.plugin import Matrix4, Point3, SceneWarning, Texture, finite, register
 from torch_radbp.plugin.domain import FRACTION, NUMBER, Domain
 from torch_radbp.sampling.sampler import fine_unit
@@ -47,29 +47,29 @@ UPRIGHT = torch.tensor([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1
 
 
 class SunskyTable(NamedTuple):
-    """The coefficients, (1,) each, attached; numbers of the sun and the pose, () each, detached."""
+    """The coefficients of a sky, (1,) each, attached; sun and pose, () each, detached."""
 
     coefficients: tuple[Vec3, ...]  # nine, for each channel
-    sky: Vec3  # radiance by which the formula is multiplied
+    sky: Vec3  # radiance that multiplies the formula
     sun: Vec3  # radiance of the disc
     to_local: Frame  # rows of the rotation from the world, whose +z points at the zenith
     to_world: Frame
     towards: Vec3  # local unit direction of the sun
     squared_radius: Tensor  # squared distance of the disc's border from its middle, on the unit sphere
-    share: Tensor  # of samples for the sky
-    image: EnvmapTable  # by which directions to the sky are picked
+    share: Tensor  # share of samples that go to the sky
+    image: EnvmapTable  # the sky as an image, by which directions are sampled
 
 
 @functools.cache
 def data() -> dict[str, Tensor]:
-    """The table, float64."""
+    """The published coefficients of the sky's formula, float64."""
     with np.load(DATA) as file:
         return {name: torch.from_numpy(file[name].astype(np.float64)) for name in file}
 
 
 @dataclass(frozen=True)
 class SunskyKind(SurroundKind):
-    """A sky that is picked by an image of it, and a disc."""
+    """Sky and sun: directions are sampled by an image of the sky, or within the sun's disc."""
 
     def table(self, emitters: Sequence[Sunsky], like: Tensor) -> SunskyTable:
         emitter, = emitters
@@ -93,19 +93,19 @@ class SunskyKind(SurroundKind):
 
 
 def _mixed(table: SunskyTable, of_sky: Tensor, met: Tensor) -> Tensor:
-    """The density of both ways to pick directions together; `met`: they meet the sun's disc."""
+    """The density of directions by both techniques together; `met`: they lie in the sun's disc."""
     of_sun = 1.0 / (math.pi * table.squared_radius)
     return table.share * of_sky + (1.0 - table.share) * of_sun * met.to(of_sky.dtype)
 
 
 def in_disc(table: SunskyTable, d: Vec3) -> Tensor:
-    """True where world directions meet the sun's disc, (N,) bool."""
+    """(N,) bool: world directions that lie in the sun's disc."""
     apart = table.to_local.to_local(d.detach()) - table.towards
     return dot(apart, apart) <= table.squared_radius
 
 
 def direction_in_disc(table: SunskyTable, u: Tensor, v: Tensor) -> Vec3:
-    """World directions, uniform over the solid angle of the sun's disc."""
+    """Samples world directions uniformly over the solid angle of the sun's disc."""
     q, phi = 0.25 * table.squared_radius * u, 2.0 * math.pi * v  # sin^2 of half the angle with the middle
     across = 2.0 * torch.sqrt(q * (1.0 - q))
     local = Frame.of(table.towards).to_world(Vec3(across * torch.cos(phi), across * torch.sin(phi), 1.0 - 2.0 * q))
@@ -127,25 +127,25 @@ def _light(table: SunskyTable, d: Vec3, met: Tensor) -> Vec3:
 
 
 def _formula(coefficients: tuple[Vec3, ...], local: Vec3, towards: Vec3) -> Vec3:
-    """Hosek and Wilkie's equation 8, of each channel; above the horizon."""
-    a, b, c, d, e, f, g, h, sharpness = coefficients
+    """Hosek and Wilkie's equation 8, for each channel; above the horizon."""
     cosine = local.z.clamp_min(NEAR_HORIZON)
     apart = local - towards
     squared = dot(apart, apart).clamp_min(NEAR_SUN)
     gamma_cosine = 1.0 - 0.5 * squared
     gamma = torch.atan2(torch.sqrt((squared * (1.0 - 0.25 * squared)).clamp_min(NEAR_SUN)), gamma_cosine)
 
-    def of_channel(a, b, c, d, e, f, g, h, sharpness) -> Tensor:
+    def of_channel(channel: tuple[Tensor, ...]) -> Tensor:
+        a, b, c, d, e, f, g, h, sharpness = channel
         spread = (1.0 + sharpness * sharpness - 2.0 * sharpness * gamma_cosine).clamp_min(NEAR_HORIZON)
         around = (1.0 + gamma_cosine * gamma_cosine) / (spread * torch.sqrt(spread))
         return (1.0 + a * torch.exp(b / (cosine + 0.01))) * (
             c + d * torch.exp(e * gamma) + f * (gamma_cosine * gamma_cosine) + g * around + h * torch.sqrt(cosine))
 
-    return Vec3(*(of_channel(*channel) for channel in zip(a, b, c, d, e, f, g, h, sharpness)))
+    return Vec3(*map(of_channel, zip(*coefficients)))
 
 
 def _between(table: Tensor, place: Tensor) -> Tensor:
-    """Linear interpolation along the first axis of a table, attached to the place, ()."""
+    """Linear interpolation along the first axis of a table, attached to the position, ()."""
     lower = int(place.detach().clamp(0, len(table) - 2))
     return table[lower] + (table[lower + 1] - table[lower]) * (place - lower)
 
@@ -166,13 +166,13 @@ def coefficients_of(emitter: Sunsky) -> tuple[Tensor, Tensor, Tensor]:
 
     place = torch.tensor((math.degrees(elevation) - ELEVATIONS[0]) / (ELEVATIONS[1] - ELEVATIONS[0]), dtype=torch.float64)
     sun = _between(_between(tables["sun_radiance"], turbidity), place.clamp(0.0, len(ELEVATIONS) - 1.0))
-    usual, own = (math.sin(math.radians(0.25 * angle)) ** 2 for angle in (USUAL_APERTURE, emitter.sun_aperture))
+    usual, chosen = (math.sin(math.radians(0.25 * angle)) ** 2 for angle in (USUAL_APERTURE, emitter.sun_aperture))
     return (interpolated(tables["sky_params"]), interpolated(tables["sky_radiance"]) * SCALE * emitter.sky_scale,
-            sun * (usual / own) * emitter.sun_scale)
+            sun * (usual / chosen) * emitter.sun_scale)
 
 
 def sunsky_table(emitter: Sunsky, like: Tensor) -> SunskyTable:
-    """Everything about a sky, and the image by which its directions are picked."""
+    """Builds the table of a sky, with the image by which its directions are sampled."""
     coefficients, sky, sun = (part.to(like) for part in coefficients_of(emitter))
     rotation = emitter.rotation().to(like)
     rows, columns = (Frame(*(Vec3.of(row) for row in matrix.unbind())) for matrix in (rotation.T, rotation))
@@ -196,7 +196,7 @@ def sunsky_table(emitter: Sunsky, like: Tensor) -> SunskyTable:
 
 
 def _image_of(table: SunskyTable, like: Tensor) -> Tensor:
-    """(ROWS, COLUMNS, 3) the sky without the sun by latitude and longitude, as an environment map has it; detached."""
+    """(ROWS, COLUMNS, 3) image of the sky without the sun, by latitude and longitude; detached."""
     theta = torch.linspace(0, math.pi, ROWS, dtype=torch.float64, device=like.device)[:, None]
     phi = (torch.arange(COLUMNS, dtype=torch.float64, device=like.device)[None] + 0.5) * (2 * math.pi / COLUMNS)
     x, y, z = torch.sin(theta) * torch.sin(phi), torch.cos(theta).expand(-1, COLUMNS), -torch.sin(theta) * torch.cos(phi)
@@ -209,7 +209,7 @@ def _image_of(table: SunskyTable, like: Tensor) -> Tensor:
 
 @register("emitter", "sunsky")
 class Sunsky(Light):
-    """The sky of a clear day, and the sun in it, as an infinitely distant surround whose zenith is the local +z.
+    """The sky of a clear day, and the sun in it, as an infinitely distant environment whose zenith is the local +z.
 
     Below the horizon it is black. Of Mitsuba's plugin the sun with a dark limb, `complex_sun`, is missing.
 
@@ -257,9 +257,9 @@ class Sunsky(Light):
                  "day": day, "hour": hour, "minute": minute, "second": second}
         named = [name for name, value in given.items() if value is not None]
         if sun_direction is None:
-            moment = {name: DAY[name] if value is None else value for name, value in given.items()}
+            moment = PlaceAndTime(**{name: given[name] for name in named})
             check_place_and_time(moment)
-            sun = self.rotation().double() @ sun_position(**moment)
+            sun = self.rotation().double() @ sun_position(moment)
         elif named:
             raise ValueError(f"give either sun_direction or a place and time, got {', '.join(named)} as well")
         else:
@@ -282,7 +282,7 @@ class Sunsky(Light):
                 "sky_scale": FACTOR}
 
     def rotation(self) -> Tensor:
-        """(3, 3) from local to world directions.
+        """(3, 3) rotation from local to world directions.
 
         Raises:
             ValueError: if the pose is not rigid but for a scale.

@@ -1,4 +1,4 @@
-"""Light from a surface: what the emitters that a shape carries have in common."""
+"""What the emitters on surfaces have in common."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch_radbp.texture.rgb import as_texture
 
 
 class SurfaceLight(Light):
-    """Emits `radiance`, a texture or a module on the shape that carries it; the kind says where to, and in which unit.
+    """Emits `radiance`, a texture or a module, from the shape that carries it; the kind says where to, and in which unit.
 
     Args:
         radiance: of the light; `area`: W / (m^2 sr), `directionalarea`: W / m^2.

@@ -1,4 +1,4 @@
-"""Films: the pixel grid and its reconstruction filter. Each file is imported, and registers its plugins."""
+"""Films: the pixel grid and its reconstruction filter. Importing this imports and registers all of its plugins."""
 
 from torch_radbp.plugin.folder import import_files
 

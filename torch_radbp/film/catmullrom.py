@@ -1,4 +1,4 @@
-"""The filter of Catmull and Rom."""
+"""The Catmull-Rom filter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From what samples count in the pixels around them to images."""
+"""Develops images from the filter-weighted sums of samples."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from torch_radbp.tensors.vec import Vec2
 
 
 class Grid(NamedTuple):
-    """The pixels that have samples: those of the window, and those beside it whose samples count there."""
+    """The pixel grid of a film: the window that is rendered, and the pixels beside it whose samples count there."""
 
     kernel: Kernel
     window: Window
@@ -29,21 +29,21 @@ class Grid(NamedTuple):
         return self.window.rows.sampled
 
     def cropped(self, image: Tensor, around: int = 0) -> Tensor:
-        """(..., H, W) what (..., rows, columns), with so many pixels around, has of the window."""
+        """Crops (..., rows, columns) to the window and `around` more pixels on each side, (..., H, W)."""
         columns, rows = ((around + span.before, around + span.before + span.size) for span in self.window[:2])
         return image[..., slice(*rows), slice(*columns)]
 
     def quotient(self, image: Tensor, filters: Tensor) -> Tensor:
-        """(C, ...) an image (C, H, W) over the sums of the filter, with zeros around it, up to wherever a sample counts."""
+        """(C, ...) an image (C, H, W) divided by the sums of filter weights, padded with zeros up to the last sample."""
         reach = self.kernel.reach
-        found = image.new_zeros(len(image), self.rows + 2 * reach, self.columns + 2 * reach)
-        inside = self.cropped(found, reach)
+        padded = image.new_zeros(len(image), self.rows + 2 * reach, self.columns + 2 * reach)
+        inside = self.cropped(padded, reach)
         torch.div(image, torch.where(filters == 0, 1.0, filters), out=inside)
-        return found
+        return padded
 
 
 def row_sums(stage: Stage, grid: Grid, values: tuple[Tensor, ...], block: Block) -> Tensor:
-    """(R, 1 + C, n, columns): what the samples of n rows of pixels count in the rows around each, from above on.
+    """(R, 1 + C, n, columns): weighted sums of samples in n pixel rows, for each of the R rows in the filter's reach.
 
     Args:
         stage: see `offset_sums`; so is `values`, of all pixels of these rows, row by row.
@@ -56,13 +56,13 @@ def row_sums(stage: Stage, grid: Grid, values: tuple[Tensor, ...], block: Block)
     pieces = []
     for first in range(0, rows, most):
         lanes = slice(first * grid.columns * samples, (first + most) * grid.columns * samples)
-        own = Block(Vec2(*(part[lanes] for part in place)), samples, spp)
-        pieces.append(across(grid, offset_sums(stage, grid.kernel, tuple(value[lanes] for value in values), own)))
+        part_of_block = Block(Vec2(*(part[lanes] for part in place)), samples, spp)
+        pieces.append(across(grid, offset_sums(stage, grid.kernel, tuple(value[lanes] for value in values), part_of_block)))
     return torch.cat(pieces, 2)
 
 
 def across(grid: Grid, sums: Tensor) -> Tensor:
-    """(R, 1 + C, n, columns) from (R, R, 1 + C, n columns) sums by offset, moved to the columns in which they count."""
+    """Moves (R, R, 1 + C, n columns) sums by offset to the columns in which they count: (R, 1 + C, n, columns)."""
     reach, columns = grid.kernel.reach, grid.columns
     sums = sums.unflatten(-1, (-1, columns))
     total = torch.zeros_like(sums[:, 0])
@@ -73,7 +73,7 @@ def across(grid: Grid, sums: Tensor) -> Tensor:
 
 
 class Development:
-    """Puts the rows of an image together, from above on, as what counts in them is known.
+    """Accumulates the rows of an image, from above on, as their weighted sums arrive.
 
     Whatever comes at once, every pixel is the same sum in the same order.
     """
@@ -84,7 +84,7 @@ class Development:
         self.total: Tensor | None = None  # (1 + C, rows, columns), of which `done` rows are done
 
     def add(self, sums: Tensor) -> None:
-        """Takes the next rows, as of `row_sums`."""
+        """Adds the next rows of sums, as of `row_sums`."""
         reach, rows = self.grid.kernel.reach, self.grid.rows
         if self.waiting is None:
             self.total = sums.new_zeros(sums.shape[1], rows, self.grid.columns)
@@ -101,7 +101,7 @@ class Development:
         self.waiting = sums[:, :, max(0, last - reach - start):].clone()  # a view would keep all of it
 
     def image(self) -> tuple[Tensor, Tensor]:
-        """(C, H, W), and (H, W) the sums of the filter by which it has been divided."""
+        """The image, (C, H, W), and the sums of filter weights, (H, W), by which it was divided."""
         total = self.grid.cropped(self.total)
         filters = total[0].detach()
         return total[1:] / torch.where(filters == 0, 1.0, filters), filters

@@ -1,4 +1,4 @@
-"""The base of reconstruction filters.
+"""The base class of reconstruction filters.
 
 A sample counts in every pixel around it by the filter at its distance from the pixel's centre. A pixel is the sum of what
 the samples around it count there, divided by the sum of the filter's values.
@@ -21,16 +21,16 @@ STEPS = 1024  # for each pixel of width, by which integrals of filters are found
 
 @dataclass(frozen=True)
 class Kernel:
-    """A filter as a hashable value, for functions of lanes."""
+    """A reconstruction filter as a hashable value, for functions of lanes."""
 
     function: Callable[..., Tensor]  # of distances from the centre, and of `numbers`; 0 beyond the radius
     numbers: tuple[float, ...]
     radius: float  # pixels
-    side_by_side: Callable[..., list[Tensor]] | None = None  # of places in a pixel, the reach and `numbers`: see `around`
+    side_by_side: Callable[..., list[Tensor]] | None = None  # see `around`; of positions in a pixel, the reach and `numbers`
 
     @property
     def reach(self) -> int:
-        """How many pixels away from its own one a sample counts."""
+        """The greatest offset, in pixels, from a sample's pixel to one in which it counts."""
         return math.ceil(self.radius - 0.5)
 
     def __call__(self, x: Tensor) -> Tensor:
@@ -38,7 +38,7 @@ class Kernel:
         return self.function(x, *self.numbers)
 
     def around(self, u: Tensor) -> list[Tensor]:
-        """What samples count in the pixels around them, from `reach` before their own to `reach` behind it.
+        """The filter weights of samples in the pixels around them, from offset -`reach` to `reach`.
 
         Args:
             u: (N,) where in its pixel each lies, in [0, 1).
@@ -49,11 +49,11 @@ class Kernel:
 
     @property
     def flat(self) -> bool:
-        """True if all samples count alike, each in its own pixel alone."""
+        """True if all samples have equal weights, each in its own pixel alone."""
         return self.reach == 0 and self.radius == 0.5 and self.function is constant
 
     def inside(self, span: Span) -> Tensor:
-        """(span.size,) float64, on the CPU: the integral of the filter of each column (or row) over where samples lie."""
+        """(span.size,) float64, on the CPU: each column's (or row's) integral of the filter over where samples lie."""
         edges = torch.linspace(0, 2 * self.reach + 1, (2 * self.reach + 1) * STEPS + 1, dtype=torch.float64, device="cpu")
         x = 0.5 * (edges[1:] + edges[:-1]) - (self.reach + 0.5)
         of_pixels = self(x).view(-1, STEPS).mean(1)
@@ -63,17 +63,17 @@ class Kernel:
 
 
 def constant(x: Tensor, radius: float) -> Tensor:
-    """1 up to the radius."""
+    """The box filter: 1 up to the radius."""
     return (x.abs() <= radius).to(x.dtype)
 
 
 class Filter(ReconstructionFilter):
-    """A separable filter."""
+    """Base class of separable reconstruction filters."""
 
     radius: float  # where it ends, pixels from the centre
 
     def kernel(self) -> Kernel:
-        """Its values."""
+        """The filter as a hashable value."""
         raise TypeError(f"{type(self).__name__} does not define its values")
 
     def evaluate(self, x: Tensor) -> Tensor:

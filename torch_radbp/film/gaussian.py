@@ -31,12 +31,12 @@ class Gaussian(Filter):
 
 
 def gaussian(x: Tensor, stddev: float) -> Tensor:
-    """A Gaussian that has been lowered."""
+    """The Gaussian, lowered to reach zero at its radius."""
     return (torch.exp(-(x * x) * (0.5 / stddev**2)) - math.exp(-0.5 * CUT**2)).clamp_min(0.0)
 
 
 def gaussians(u: Tensor, reach: int, stddev: float) -> list[Tensor]:
-    """The same at the distances t - d of points t = u - 1/2 from pixels d = -reach ... reach, with two exponentials for all:
+    """The lowered Gaussian at distances t - d of points t = u - 1/2 from pixels d = -reach ... reach, by two exponentials:
 
         exp(-(t - d)^2 / 2 s^2) = exp(-t^2 / 2 s^2) exp(t / s^2)^d exp(-d^2 / 2 s^2)
     """

@@ -18,7 +18,7 @@ PIXEL_FORMATS, COMPONENT_FORMATS, FILE_FORMATS = ("rgb", "rgba"), ("float16", "f
 
 @register("film", "hdrfilm")
 class HDRFilm(Film):
-    """A linear RGB image.
+    """A film for linear RGB images.
 
     Args:
         width, height: of the whole image, pixels.
@@ -46,17 +46,17 @@ class HDRFilm(Film):
                 or self.crop_offset_y + self.crop_height > self.height):
             raise ValueError(f"the crop window {self.crop_width} x {self.crop_height} at ({crop_offset_x}, {crop_offset_y}) "
                              f"must lie inside the image of {width} x {height}")
-        for name, value, known in (("pixel_format", pixel_format, PIXEL_FORMATS),
-                                   ("component_format", component_format, COMPONENT_FORMATS),
-                                   ("file_format", file_format, FILE_FORMATS)):
-            if value not in known:
-                raise ValueError(f"{name} {value!r} is not supported; {nearest(value, known)}")
+        for name, value, supported in (("pixel_format", pixel_format, PIXEL_FORMATS),
+                                       ("component_format", component_format, COMPONENT_FORMATS),
+                                       ("file_format", file_format, FILE_FORMATS)):
+            if value not in supported:
+                raise ValueError(f"{name} {value!r} is not supported; {nearest(value, supported)}")
         self.sample_border, self.pixel_format = boolean("sample_border", sample_border), pixel_format
         self.component_format, self.file_format, self.banner = component_format, file_format, boolean("banner", banner)
         self.rfilter = Gaussian() if rfilter is None else rfilter
 
     def border(self) -> int:
-        """How many pixels around the window have samples, too, on each side."""
+        """The number of pixels around the crop window, on each side, that have samples, too."""
         return self.rfilter.kernel().reach if self.sample_border else 0
 
     def window(self, part: tuple[int, int, int, int] | None = None) -> Window:
@@ -68,7 +68,7 @@ class HDRFilm(Film):
                       self.crop_width + 2 * border)
 
     def tensors(self, like: Tensor, window: Window | None = None) -> FilmTensors:
-        """What decides the places of samples and what they count.
+        """The film as tensors: positions of samples, and their weights in pixels.
 
         Args:
             like: gives dtype and device.

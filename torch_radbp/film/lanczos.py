@@ -1,4 +1,4 @@
-"""The windowed sinc filter."""
+"""The windowed sinc (Lanczos) filter."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class Lanczos(Filter):
 
 
 def windowed_sinc(x: Tensor, lobes: float) -> Tensor:
-    """The product of two sinc functions, one of them `lobes` times as wide."""
+    """The sinc function times a sinc that is `lobes` times as wide."""
     return torch.where(x.abs() < lobes, sinc(x) * sinc(x / lobes), 0.0)
 
 
 def sinc(x: Tensor) -> Tensor:
-    """sin(pi x) / (pi x)."""
+    """The normalised sinc function sin(pi x) / (pi x)."""
     angle = math.pi * x
     return torch.where(x == 0, 1.0, torch.sin(angle) / torch.where(x == 0, 1.0, angle))

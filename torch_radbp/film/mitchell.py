@@ -1,4 +1,4 @@
-"""The filter of Mitchell and Netravali."""
+"""The Mitchell-Netravali filter."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Mitchell(Filter):
 
 
 def cubic(x: Tensor, b: float, c: float) -> Tensor:
-    """The family of piecewise cubic filters; 0 beyond 2."""
+    """The family of piecewise cubic filters of Mitchell and Netravali; 0 beyond 2."""
     x = x.abs()
     near = (12 - 9 * b - 6 * c) * x**3 + (-18 + 12 * b + 6 * c) * x**2 + (6 - 2 * b)
     far = (-b - 6 * c) * x**3 + (6 * b + 30 * c) * x**2 + (-12 * b - 48 * c) * x + (8 * b + 24 * c)

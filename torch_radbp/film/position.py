@@ -1,4 +1,4 @@
-"""Where samples lie on the film, and the pixels in which a point of it counts."""
+"""Positions of samples on the film, and their weights in the pixels around."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch_radbp.tensors.vec import Vec2
 
 
 class FilmTensors(NamedTuple):
-    """The size of an image, the window of it that is rendered, and what samples count in pixels; scalars are () tensors."""
+    """A film as tensors: the image's size, the window that is rendered, and the filter; scalars are () tensors."""
 
     size_x: Tensor  # of the whole image, pixels
     size_y: Tensor
@@ -21,15 +21,15 @@ class FilmTensors(NamedTuple):
     crop_y: Tensor
     origin: Vec2  # the left and the upper edge of where pixels are numbered from, pixels
     kernel: Kernel
-    before: Vec2  # () int32, columns and rows of pixels in front of the window in which there are samples, too
-    after: Vec2  # the same behind it
-    inside_x: Tensor  # (W,) for each column of pixels: the integral of the filter over where there are samples
+    before: Vec2  # () int32, columns and rows of pixels before the window that have samples, too
+    after: Vec2  # the same after it
+    inside_x: Tensor  # (W,) each column's integral of the filter over where there are samples
     inside_y: Tensor  # (H,) for each row
     columns: Tensor  # () int32, W
     rows: Tensor  # () int32, H
 
     def position(self, column: Tensor, row: Tensor, place: Vec2) -> Vec2:
-        """Points inside of pixels as fractions of the whole image, (N,).
+        """Positions in pixels as fractions of the whole image, (N,).
 
         Args:
             column, row: (N,) of pixels, counted from the upper left one of the film that has samples.
@@ -38,7 +38,7 @@ class FilmTensors(NamedTuple):
         return Vec2((column + self.origin.x + place.x) / self.size_x, (row + self.origin.y + place.y) / self.size_y)
 
     def around(self, place: Vec2) -> list[tuple[Tensor, Tensor]]:
-        """The pixels in which points of the film count, and how much: the filter over its integral where there are samples.
+        """The pixels to which points on the film contribute, with weights: the filter over its integral where samples lie.
 
         Args:
             place: (N,) points, pixels from the upper left corner of the window; float64.
@@ -54,7 +54,7 @@ class FilmTensors(NamedTuple):
 
 def _counted(kernel: Kernel, inside: Tensor, size: Tensor, before: Tensor, after: Tensor,
              place: Tensor) -> list[tuple[Tensor, Tensor]]:
-    """The columns (or rows) of pixels in which points count, (N,) int32, and how much; from the first to the last.
+    """The columns (or rows) to which points contribute, (N,) int32, and their weights; from the first to the last.
 
     Args:
         kernel: the filter.
@@ -63,12 +63,12 @@ def _counted(kernel: Kernel, inside: Tensor, size: Tensor, before: Tensor, after
         before, after: () int32, columns in front of the window and behind it in which there are samples, too.
         place: (N,) pixels from the border of the window.
     """
-    own = torch.floor(place)
+    nearest = torch.floor(place)
     sampled = (place + before >= 0) & (place < size + after)
-    own = torch.where(sampled, own, 0.0)
-    found = []
-    for step, value in enumerate(kernel.around(torch.where(sampled, place - own, 0.0))):
-        index = own.to(torch.int32) + (step - kernel.reach)
+    nearest = torch.where(sampled, nearest, 0.0)
+    counted = []
+    for step, value in enumerate(kernel.around(torch.where(sampled, place - nearest, 0.0))):
+        index = nearest.to(torch.int32) + (step - kernel.reach)
         column = torch.minimum(index.clamp_min(0), size - 1)
-        found.append((column, torch.where((index == column) & sampled, value / lookup(inside, column), 0.0)))
-    return found
+        counted.append((column, torch.where((index == column) & sampled, value / lookup(inside, column), 0.0)))
+    return counted

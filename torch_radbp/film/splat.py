@@ -1,4 +1,4 @@
-"""What samples count in the pixels around them, and what these pixels ask of the samples: two functions of lanes.
+"""Splatting of samples to the pixels around them, and its transpose: two functions of lanes.
 
 For each pixel the samples in it are summed, once for each offset to a pixel in which they count, so that no two lanes write
 to one place. `develop.py` moves these sums to where they belong. They are sums of pairs, of pairs of pairs, ... of samples,
@@ -25,17 +25,17 @@ PIECE, PIECE_ELSEWHERE = 1 << 14, 1 << 18
 
 
 class Block(NamedTuple):
-    """Some samples of some pixels: P pixels with as many lanes each, one after the other."""
+    """Samples of P pixels: as many lanes for each pixel, one after the other."""
 
-    place: Vec2  # (N,) where in its pixel each sample lies, in [0, 1)
+    place: Vec2  # (N,) position of each sample in its pixel, in [0, 1)
     samples: int  # of a pixel
-    spp: int  # of a pixel, with those that are traced with other lanes
+    spp: int  # of a pixel, with samples that other calls trace
 
 
 @stage("values", "place")
 def deposited(kernel: Kernel, values: tuple[Tensor, ...], place: Vec2, first: Tensor, left: Tensor,
               count: int) -> tuple[Tensor, ...]:
-    """The sums over some samples of a pixel of what they count in the pixels around it.
+    """Splats some samples of a pixel: their filter-weighted sums for each pixel around it.
 
     Args:
         kernel: the reconstruction filter.
@@ -49,61 +49,68 @@ def deposited(kernel: Kernel, values: tuple[Tensor, ...], place: Vec2, first: Te
         (M,) each: for each row of the pixels around, from top to bottom, and each column of them, the sum of the filter,
         and those of the values times it.
     """
-    across, down, own = [], [], []
+    across, down, values_of = [], [], []
     for number in range(count):
         there, sample = left > number, torch.where(left > number, first + number, first)
         across.append(kernel.around(gather(place.x, sample)))
         down.append([torch.where(there, in_row, 0.0) for in_row in kernel.around(gather(place.y, sample))])
-        own.append([gather(value, sample) for value in values])
+        values_of.append([gather(value, sample) for value in values])
     sums = []
     for row in range(2 * kernel.reach + 1):
         for column in range(2 * kernel.reach + 1):
             counts = [in_row[row] * in_column[column] for in_row, in_column in zip(down, across)]
             sums.append(paired(counts))
-            sums += [paired([value * each for value, each in zip(samples, counts)]) for samples in zip(*own)]
+            sums += [paired([value * each for value, each in zip(samples, counts)]) for samples in zip(*values_of)]
     return tuple(sums)
 
 
 def paired(terms: list[Tensor]) -> Tensor:
-    """The sum of pairs, of pairs of pairs, ..."""
+    """Sums by pairwise summation."""
     while len(terms) > 1:
         terms = [terms[k] + terms[k + 1] if k + 1 < len(terms) else terms[k] for k in range(0, len(terms), 2)]
     return terms[0]
 
 
+class PixelAdjoints(NamedTuple):
+    """The adjoints of pixels, which those of samples are gathered from."""
+
+    tables: tuple[Tensor, ...]  # one for each value of a sample, with an entry for each pixel
+    down: Tensor  # () int32, entries from one row of pixels to the next
+    across: Tensor  # () int32, and from one column
+
+
 @stage("pixels", "place")
-def asked(kernel: Kernel, pixels: tuple[Tensor, ...], place: Vec2, entry: Tensor, first: Tensor, left: Tensor, down: Tensor,
-          across: Tensor, count: int) -> tuple[Tensor, ...]:
-    """What the pixels around a pixel ask of some samples in it: the transpose of `deposited`.
+def gathered_from_pixels(kernel: Kernel, pixels: PixelAdjoints, place: Vec2, entry: Tensor, first: Tensor, left: Tensor,
+                         count: int) -> tuple[Tensor, ...]:
+    """The transpose of `deposited`: gathers the adjoints of some samples of a pixel from the pixels around it.
 
     Args:
         kernel: the reconstruction filter.
-        pixels: tables, one for each value of a sample: what each pixel asks for.
+        pixels: the adjoints of pixels.
         place: (N,) of the samples.
         entry: (M,) int32, that of the upper left pixel in which the samples count.
         first, left, count: which samples; see `deposited`.
-        down, across: () int32, entries from one row of pixels to the next, and from one column.
 
     Returns:
-        (M,) each: for each sample what is asked of its values.
+        (M,) each: for each sample the adjoints of its values.
     """
-    size = range(2 * kernel.reach + 1)
-    asking = [[[gather(table, entry + (down * row + across * column)) for table in pixels] for column in size]
+    size, (tables, down, across) = range(2 * kernel.reach + 1), pixels
+    around = [[[gather(table, entry + (down * row + across * column)) for table in tables] for column in size]
               for row in size]
-    found = []
+    adjoints = []
     for number in range(count):
         sample = torch.where(left > number, first + number, first)
         columns, rows = (kernel.around(gather(part, sample)) for part in place)
-        totals = [0.0] * len(pixels)
-        for in_row, of_row in zip(rows, asking):
+        totals = [0.0] * len(tables)
+        for in_row, of_row in zip(rows, around):
             in_rows = [in_row * in_column for in_column in columns]
-            totals = [total + sum(each * own[k] for each, own in zip(in_rows, of_row)) for k, total in enumerate(totals)]
-        found += totals
-    return tuple(found)
+            totals = [total + sum(each * pixel[k] for each, pixel in zip(in_rows, of_row)) for k, total in enumerate(totals)]
+        adjoints += totals
+    return tuple(adjoints)
 
 
 def sums_in_pairs(terms: Tensor, dimension: int) -> Tensor:
-    """Sums over a dimension: of neighbours, of neighbouring pairs, of pairs of pairs, ..."""
+    """Sums over a dimension by pairwise summation."""
     while terms.shape[dimension] > 1:
         length = terms.shape[dimension]
         even, odd = (terms[(slice(None),) * dimension + (slice(start, None, 2),)] for start in (0, 1))
@@ -113,7 +120,7 @@ def sums_in_pairs(terms: Tensor, dimension: int) -> Tensor:
 
 
 def offset_sums(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block: Block) -> Tensor:
-    """(R, R, 1 + C, P) for each offset, down and across, the sums over the samples of a pixel: of the filter, and of values.
+    """(R, R, 1 + C, P) for each offset, down and across: a pixel's sums of filter weights and of weighted values.
 
     Attached to the values.
 
@@ -130,10 +137,10 @@ def offset_sums(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block:
 
 
 def sums_of(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block: Block) -> Tensor:
-    """`offset_sums`, detached."""
+    """The sums by offset of `offset_sums`, detached."""
     (place, samples, _), size = block, 2 * kernel.reach + 1
     if len(values) > MOST_VALUES:
-        some, others = (sums_of(stage, kernel, own, block) for own in (values[:MOST_VALUES], values[MOST_VALUES:]))
+        some, others = (sums_of(stage, kernel, part, block) for part in (values[:MOST_VALUES], values[MOST_VALUES:]))
         return torch.cat([some, others[:, :, 1:]], 2)
     if kernel.flat:
         filters = place.x.new_full((1, 1, 1, len(place.x) // samples), samples)
@@ -142,12 +149,12 @@ def sums_of(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block: Blo
         return torch.cat([filters, sums_in_pairs(torch.stack(values).view(1, 1, len(values), -1, samples), 4)], 2)
     first, left, count = _parts_of(stage, block)
     lanes = first.t().flatten(), left.t().flatten(), count  # part by part, so that parts lie apart and are quickly added
-    found = results_of(stage, size * size * (1 + len(values)), kernel, values, place, *lanes)
-    return sums_in_pairs(found.view(size, size, 1 + len(values), -1, len(place.x) // samples), 3)
+    sums = results_of(stage, size * size * (1 + len(values)), kernel, values, place, *lanes)
+    return sums_in_pairs(sums.view(size, size, 1 + len(values), -1, len(place.x) // samples), 3)
 
 
 def _parts_of(stage: Stage, block: Block) -> tuple[Tensor, Tensor, int]:
-    """`first` and `left`, (P, parts of a pixel), and `count` of lanes that take all samples of a block; see `deposited`."""
+    """`first` and `left`, (P, parts of a pixel), and `count` of lanes that split a block's samples; see `deposited`."""
     (place, samples, spp), count = block, 1
     # The same for all samples of a pixel: a compiled sum of products rounds otherwise if there are more of them.
     while stage.is_compiled and count < min(spp, TOGETHER):
@@ -158,46 +165,45 @@ def _parts_of(stage: Stage, block: Block) -> tuple[Tensor, Tensor, int]:
     return first, (samples - start).expand(pixels, -1), count
 
 
-def results_of(stage: Stage, number: int, kernel: Kernel, values: tuple[Tensor, ...], place: Vec2, *lanes) -> Tensor:
-    """(number, M) the results of a stage."""
+def results_of(stage: Stage, number: int, kernel: Kernel, values: tuple, place: Vec2, *lanes) -> Tensor:
+    """Runs a stage and returns its results in one tensor, (number, M)."""
     if not stage.is_compiled:
         return torch.stack(stage(kernel, values, place, *lanes))
-    found = torch.empty(number, len(lanes[0]), dtype=place.x.dtype, device=place.x.device)
-    stage.into(found.unbind(0), 0, kernel, values, place, *lanes)
-    return found
+    results = torch.empty(number, len(lanes[0]), dtype=place.x.dtype, device=place.x.device)
+    stage.into(results.unbind(0), 0, kernel, values, place, *lanes)
+    return results
 
 
-def asked_of(stage: Stage, kernel: Kernel, pixels: tuple[Tensor, ...], block: Block, entry: Tensor, down: int,
-             across: int) -> tuple[Tensor, ...]:
-    """C of (P samples,): what pixels ask of the samples of a block.
+def gathered_by(stage: Stage, kernel: Kernel, tables: tuple[Tensor, ...], block: Block, entry: Tensor, down: int,
+                across: int) -> tuple[Tensor, ...]:
+    """C of (P samples,): the adjoints of samples, gathered from the adjoints of the pixels around them.
 
     Args:
-        stage: `asked`, as it is run.
+        stage: `gathered_from_pixels`, as it is run.
         kernel: the reconstruction filter.
-        pixels: C tables.
+        tables: C, as of `PixelAdjoints`; `down`, `across` likewise.
         block: of the samples.
         entry: (P,) int32, that of the upper left pixel in which the samples of each pixel count.
-        down, across: entries from one row of pixels to the next, and from one column.
     """
     first, left, count = _parts_of(stage, block)
     parts = first.shape[1]
     steps = (torch.full((), entries, dtype=torch.int32, device=entry.device) for entries in (down, across))
-    lanes = entry.repeat_interleave(parts), first.flatten(), left.flatten(), *steps, count
-    found = results_of(stage, count * len(pixels), kernel, pixels, block.place, *lanes)
-    found = found.view(count, -1).t().contiguous().view(len(pixels), len(entry), parts * count)
-    return found[:, :, :block.samples].flatten(1).unbind(0)
+    lanes = entry.repeat_interleave(parts), first.flatten(), left.flatten(), count
+    adjoints = results_of(stage, count * len(tables), kernel, PixelAdjoints(tables, *steps), block.place, *lanes)
+    adjoints = adjoints.view(count, -1).t().contiguous().view(len(tables), len(entry), parts * count)
+    return adjoints[:, :, :block.samples].flatten(1).unbind(0)
 
 
-def asked_of_sums(kernel: Kernel, block: Block, sums: Tensor) -> tuple[Tensor, ...]:
-    """C of (P samples,): what (R, R, C, P) sums over the samples of a pixel, one for each offset, ask of the samples."""
+def gathered_from_sums(kernel: Kernel, block: Block, sums: Tensor) -> tuple[Tensor, ...]:
+    """C of (P samples,): the adjoints of samples, from those of their (R, R, C, P) sums by offset."""
     size, pixels = sums.shape[0], sums.shape[-1]
     pixel = torch.arange(pixels, dtype=torch.int32, device=sums.device)
     tables = tuple(table.flatten() for table in sums.unbind(2))
-    return asked_of(EAGER(asked), kernel, tables, block, pixel, size * pixels, pixels)
+    return gathered_by(EAGER(gathered_from_pixels), kernel, tables, block, pixel, size * pixels, pixels)
 
 
 class Deposited(torch.autograd.Function):
-    """`offset_sums` without those of the filter: linear in the values, and `Asked` is its transpose."""
+    """`offset_sums` without the sums of filter weights; linear in the values, and `Gathered` is its transpose."""
 
     @staticmethod
     def forward(ctx, kernel: Kernel, block: Block, *values: Tensor) -> Tensor:
@@ -206,22 +212,22 @@ class Deposited(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx, adjoint: Tensor) -> tuple[Tensor | None, ...]:
-        return None, None, *Asked.apply(ctx.kernel, ctx.block, adjoint)
+        return None, None, *Gathered.apply(ctx.kernel, ctx.block, adjoint)
 
     @staticmethod
     def jvp(ctx, _, __, *tangents: Tensor) -> Tensor:
         zero = torch.zeros_like(ctx.block.place.x)
-        return sums_of(EAGER(deposited), ctx.kernel, tuple(zero if own is None else own for own in tangents),
+        return sums_of(EAGER(deposited), ctx.kernel, tuple(zero if tangent is None else tangent for tangent in tangents),
                        ctx.block)[:, :, 1:].contiguous()
 
 
-class Asked(torch.autograd.Function):
-    """`asked_of_sums`: linear in the sums, and `Deposited` is its transpose."""
+class Gathered(torch.autograd.Function):
+    """`gathered_from_sums` with derivatives: linear in the sums, and `Deposited` is its transpose."""
 
     @staticmethod
     def forward(ctx, kernel: Kernel, block: Block, sums: Tensor) -> tuple[Tensor, ...]:
         ctx.kernel, ctx.block = kernel, block
-        return asked_of_sums(kernel, block, sums)
+        return gathered_from_sums(kernel, block, sums)
 
     @staticmethod
     def backward(ctx, *adjoints: Tensor) -> tuple[Tensor | None, ...]:

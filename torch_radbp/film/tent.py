@@ -10,7 +10,7 @@ from torch_radbp.plugin import positive, register
 
 @register("rfilter", "tent")
 class Tent(Filter):
-    """Falls linearly to zero at `radius` pixels.
+    """A filter that falls linearly to zero at `radius` pixels.
 
     Args:
         radius: pixels.
@@ -25,5 +25,5 @@ class Tent(Filter):
 
 
 def tent(x: Tensor, radius: float) -> Tensor:
-    """Falls linearly."""
+    """The tent function, 1 - |x| / radius."""
     return (1.0 - x.abs() / radius).clamp_min(0.0)

@@ -8,17 +8,17 @@ from torch import Tensor
 
 
 class Span(NamedTuple):
-    """Some columns of pixels (or rows), and those beside them that have samples, too."""
+    """A range of pixel columns (or rows), and the columns beside it that have samples, too."""
 
     first: int  # counted in the whole image
     size: int
-    before: int  # that have samples, in front of the first
-    after: int  # and behind the last
-    number: int  # of the first that has samples, among those of the film that have any
+    before: int  # columns with samples before the first
+    after: int  # and after the last
+    number: int  # index of the first column with samples, among all columns of the film that have any
 
     @staticmethod
     def within(crop: int, pixels: int, border: int, first: int, size: int, reach: int) -> Span:
-        """The span of `size` columns from the one number `first` of a crop window on.
+        """The span of `size` columns from column `first` of a crop window on.
 
         As many beside them have samples as the filter reaches, but no more than where the whole crop window is rendered.
 
@@ -34,19 +34,19 @@ class Span(NamedTuple):
 
     @property
     def sampled(self) -> int:
-        """How many have samples."""
+        """The number of columns that have samples."""
         return self.before + self.size + self.after
 
 
 class Window(NamedTuple):
-    """The pixels of an image that are rendered."""
+    """The rectangle of an image that is rendered."""
 
     columns: Span
     rows: Span
-    numbered: int  # columns of pixels of the film that have samples, by which its pixels are numbered
+    numbered: int  # columns of the film that have samples, by which pixels are numbered
 
     def numbers(self, column: Tensor | int, row: Tensor | int) -> Tensor | int:
-        """The numbers of pixels, which their random numbers follow from: the same in every window of a film.
+        """The numbers of pixels that index their random numbers: the same in every window of a film.
 
         Args:
             column, row: counted from the upper left pixel of the window that has samples; (N,) int32.

@@ -1,1 +1,1 @@
-"""File formats of images, meshes and volumes, read and written; what they stand for in a scene is the business of io/."""
+"""Readers and writers of files of images, meshes and volumes; io/ turns their contents into scenes."""

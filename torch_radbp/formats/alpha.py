@@ -1,4 +1,4 @@
-"""Images with their opacity, and their sizes without their pixels."""
+"""The alpha channel of images, and their sizes without their pixels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Images of several views beside each other, with labels."""
+"""Contact sheets: images of several views beside each other, with labels."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def contact_sheet(rows: Mapping[str, Tensor | Sequence[Tensor]], views: Sequence
 
 
 def picture(place: str, image: Tensor) -> Image.Image:
-    """An image on the scale of the screen; `place` names it in errors, which are those of `contact_sheet`."""
+    """An image converted to 8-bit sRGB; `place` names it in errors, which are those of `contact_sheet`."""
     if not isinstance(image, Tensor) or not image.is_floating_point():
         got = image.dtype if isinstance(image, Tensor) else type(image).__name__
         raise TypeError(f"{place} must be a tensor of floating point numbers, got {got}")
@@ -80,7 +80,7 @@ def picture(place: str, image: Tensor) -> Image.Image:
 
 
 def shortened(text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: float) -> str:
-    """The end of a text that is wider than its column: names of views differ there."""
+    """A text cut at its beginning to fit its column: names of views differ at the end."""
     while font.getlength(text) > width and len(text) > 1:
         text = text[1:]
     return text

@@ -45,25 +45,25 @@ def read_exr_with_alpha(path: str | os.PathLike,
     parts = OpenEXR.File(str(path), separate_channels=True).parts
     if len(parts) < len(headers):  # which it prints and leaves out
         raise ValueError("its pixels are damaged or cut short")
-    found: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}  # layer -> colour and alpha of the first part that has it
+    layers: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}  # layer -> colour and alpha of the first part that has it
     for channels in (part.channels for part in parts):
         for layer in sorted({name.rpartition(".")[0] for name in channels}):
             prefix = f"{layer}." if layer else ""
             colour = layer_colour(channels, prefix)
             if colour is not None:
                 alpha = next((channels[name].pixels for name in (f"{prefix}A", f"{prefix}a") if name in channels), None)
-                found.setdefault(layer, (colour, alpha))
-    if not found:
+                layers.setdefault(layer, (colour, alpha))
+    if not layers:
         names = ", ".join(name for part in parts for name in part.channels)
         raise ValueError(f"no colour among its channels {names}; supported: R, G, B or Y, alone or in a layer")
-    chosen = [layer for layer in found if layer.rpartition(".")[2].lower() in BEAUTY_LAYERS] or list(found)
+    chosen = [layer for layer in layers if layer.rpartition(".")[2].lower() in BEAUTY_LAYERS] or list(layers)
     if len(chosen) > 1 and "" not in chosen:
         raise ValueError(f"several layers have colours, {', '.join(chosen)}; keep one or call it beauty")
-    return found["" if "" in chosen else chosen[0]]
+    return layers["" if "" in chosen else chosen[0]]
 
 
 def layer_colour(channels: dict[str, OpenEXR.Channel], prefix: str) -> np.ndarray | None:
-    """(H, W, 3) from R, G, B, or (H, W, 1) from Y, of the layer with this prefix; None if it has none."""
+    """The colour of the layer with this prefix: (H, W, 3) from R, G, B, or (H, W, 1) from Y; None if it has none."""
     if f"{prefix}RY" in channels:  # luminance and chroma at reduced resolution
         return None
     for letters in ("RGB", "rgb", "Y"):
@@ -74,7 +74,7 @@ def layer_colour(channels: dict[str, OpenEXR.Channel], prefix: str) -> np.ndarra
 
 
 def read_headers(path: str | os.PathLike) -> list[dict[str, Any]]:
-    """The header of each part.
+    """Reads the header of each part of an EXR file.
 
     Raises:
         ValueError: if the library cannot read them.

@@ -1,4 +1,4 @@
-"""Files to be read, with errors that name them."""
+"""Opens files for reading, with errors that name them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _OPENED: ContextVar[set[Path] | None] = ContextVar("_OPENED", default=None)
 
 @contextmanager
 def opened_files() -> Iterator[set[Path]]:
-    """The absolute paths of all files that are opened in the block, as a set that grows."""
+    """Collects the absolute paths of all files that are opened in the block."""
     paths: set[Path] = set()
     token = _OPENED.set(paths)
     try:
@@ -27,7 +27,7 @@ def opened_files() -> Iterator[set[Path]]:
 
 @contextmanager
 def opened(path: str | os.PathLike) -> Iterator[BinaryIO]:
-    """The file at `path`, open to read bytes.
+    """Opens the file at `path` to read bytes.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -44,14 +44,14 @@ def opened(path: str | os.PathLike) -> Iterator[BinaryIO]:
         raise type(error)(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
-def unknown_kind(path: str | os.PathLike, what: str, known: Iterable[str]) -> str:
-    """The message about a path whose extension is none of those `known` for `what`; or that it is no file at all."""
+def unknown_kind(path: str | os.PathLike, what: str, supported: Iterable[str]) -> str:
+    """The message about a path whose extension is not one of those `supported` for `what`, or which is no file at all."""
     if os.path.isdir(path):
         return f"{path}: is a folder, not a file"
     if os.path.exists(path) and not os.path.isfile(path):
         return f"{path}: is not an ordinary file"
     suffix = os.path.splitext(path)[1].lower()
-    return f"{path}: unknown kind of {what} {suffix!r}; supported: {', '.join(known)}"
+    return f"{path}: unknown kind of {what} {suffix!r}; supported: {', '.join(supported)}"
 
 
 def check_source(path: str | os.PathLike) -> None:
@@ -66,7 +66,7 @@ def check_source(path: str | os.PathLike) -> None:
 
 
 def otherwise_spelled(path: str | os.PathLike) -> Path | None:
-    """The path that is there and differs from this one in upper and lower case, or in how accents are coded; or None."""
+    """An existing path that differs from this one only in case, or in how accents are coded; or None."""
     place = Path(Path(path).anchor)
     for part in Path(path).parts[len(place.parts):]:
         if not os.path.lexists(place / part):
@@ -81,5 +81,5 @@ def otherwise_spelled(path: str | os.PathLike) -> Path | None:
 
 
 def folded(name: str) -> str:
-    """A name without the difference of upper and lower case, and of composed and decomposed accents."""
+    """A name without differences of case, and of composed and decomposed accents."""
     return unicodedata.normalize("NFC", name).casefold()

@@ -1,4 +1,4 @@
-"""HTML of a table with its title, as notebooks show objects that have `_repr_html_`."""
+"""Tables as HTML, by which notebooks show objects that have `_repr_html_`."""
 
 from __future__ import annotations
 
@@ -25,5 +25,5 @@ def html_table(title: str, headings: Sequence[object], rows: Sequence[Sequence[o
 
 
 def html_row(tag: str, cells: Sequence[object]) -> str:
-    """A row of cells, escaped."""
+    """One row of an HTML table, its cells escaped."""
     return f"<tr>{''.join(f'<{tag} style={CELL!r}>{escape(str(cell))}</{tag}>' for cell in cells)}</tr>"

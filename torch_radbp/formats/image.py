@@ -63,7 +63,7 @@ def read_image(path: str | os.PathLike, raw: bool = False) -> Tensor:
 
 
 def _pixels(path: str | os.PathLike, kind: str) -> np.ndarray:
-    """(H, W, 1 or 3) values of a file as they are coded; raises as `read_image`."""
+    """(H, W, 1 or 3) values of an image file as they are coded; raises as `read_image`."""
     try:
         return READERS[kind](path) if kind in READERS else colours(read_pixels(path, kind))
     except MemoryError:
@@ -144,7 +144,7 @@ def save_image(path: str | os.PathLike, image: Tensor, channels: Mapping[str, Te
 
 
 def _advice(image: Tensor) -> str:
-    """Advice about an image of the wrong shape."""
+    """What to do about an image of the wrong shape, for an error message."""
     if image.ndim == 4 and image.shape[1] == 3:
         return f", a batch of {image.shape[0]}; pick one, image[0]"
     if image.ndim == 3 and image.shape[2] == 3:
@@ -171,18 +171,18 @@ CURVES: dict[str, Callable[[Tensor], Tensor]] = {"srgb": linear_to_srgb, "linear
 
 
 def _check_signature(path: str | os.PathLike, kind: str) -> None:
-    """Raises ValueError unless the file begins as one of its `kind` does, and as `opened` does."""
+    """Raises ValueError unless the file begins with the signature of its format; other errors as `opened`."""
     with opened(path) as file:
         begin = file.read(8)
     if begin.startswith(SIGNATURES[kind]):
         return
     other = next((name for name, signature in SIGNATURES.items() if signature and begin.startswith(signature)), None)
-    found = f"begins as {other} does; change its extension" if other else f"begins with {begin!r}" if begin else "is empty"
-    raise ValueError(f"{path}: cannot be read as {kind}: the file {found}")
+    problem = f"begins as {other} does; change its extension" if other else f"begins with {begin!r}" if begin else "is empty"
+    raise ValueError(f"{path}: cannot be read as {kind}: the file {problem}")
 
 
 def colours(pixels: np.ndarray) -> np.ndarray:
-    """(H, W, 1 or 3) of (H, W, 1 to 4) pixels, whose alpha comes last."""
+    """Drops alpha: (H, W, 1 or 3) of (H, W, 1 to 4) pixels, whose alpha comes last."""
     return pixels[:, :, :3 if pixels.shape[2] > 2 else 1]
 
 

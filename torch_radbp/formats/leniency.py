@@ -1,4 +1,4 @@
-"""What readers leave out or repair in files of others, told once for each kind.
+"""Warnings about parts of a file that a reader leaves out or repairs, once for each kind.
 
 What can be left out or repaired is (a face of two corners, a frame whose image is missing), and the rest of the file is
 read. What makes the result doubtful stays an error of the reader's.
@@ -21,7 +21,7 @@ _OPEN: ContextVar[Repairs | None] = ContextVar("_OPEN", default=None)
 
 
 class Repairs:
-    """Places of a file that are left out or repaired, by kind; the end of the block warns of each kind once.
+    """Collects what is left out or repaired in a file; at the end of the block one warning for each kind.
 
         with Repairs(strict) as repairs:
             repairs.add(f"{path}, frames[7]", "is left out: its image is missing")
@@ -54,11 +54,11 @@ class Repairs:
                 self.tell()
 
     def add(self, place: str, what: str) -> None:
-        """Notes a place and what was done there, as in "frames[7]", "is left out: ..."; the same one counts once."""
+        """Notes a place and what was done there, as in "frames[7]", "is left out: ..."; duplicates count once."""
         self.places.setdefault(what, {}).setdefault(place)
 
     def add_rows(self, rows: Iterable[int], place: Callable[[int], str], what: str) -> None:
-        """Notes rows of an array, of any number; `place` names one."""
+        """Notes many rows of an array at once; `place` names one."""
         rows = list(rows)
         for row in rows[:NAMED]:
             self.add(place(row), what)
@@ -66,7 +66,7 @@ class Repairs:
             self.uncounted[what] = self.uncounted.get(what, 0) + len(rows) - NAMED
 
     def __iter__(self) -> Iterator[str]:
-        """A sentence for each kind, such as "a.json, frames[0], frames[1], frames[2] and 14 more: ..."."""
+        """Yields a sentence for each kind, such as "a.json, frames[0], frames[1], frames[2] and 14 more: ..."."""
         for what, places in self.places.items():
             names, more = list(places)[:NAMED], len(places) + self.uncounted.get(what, 0) - NAMED
             shared = "".join(os.path.commonprefix(names).rpartition(", ")[:2])  # such as the file, said once

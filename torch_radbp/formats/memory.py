@@ -1,4 +1,4 @@
-"""What is said when the system refuses memory for a file."""
+"""The error about a file that is too large for memory."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ REFUSED = ("can't allocate memory", "not enough memory", "out of memory")  # in 
 
 @contextmanager
 def memory_for(path: str | os.PathLike) -> Iterator[None]:
-    """Has what the block raises for lack of memory, numpy's error or torch's, name the file that it reads, or what else.
+    """Turns a lack of memory in the block into a MemoryError that names the file.
 
     Raises:
         MemoryError: names it, and what to do.

@@ -1,4 +1,4 @@
-"""Triangle meshes from OBJ, PLY and serialized files, numbered as Mitsuba numbers them."""
+"""Reads triangle meshes from OBJ, PLY and serialized files, numbered as in Mitsuba."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def read_mesh(path: str | os.PathLike, want_normals: bool = True, shape_index: i
 
 
 def _is_degenerate(mesh: MeshArrays, block: int = 4096) -> bool:
-    """True if no triangle has an area; looks at blocks of triangles until one has."""
+    """True if no triangle has an area; stops at the first block of faces that contains one."""
     for start in range(0, len(mesh.faces), block):
         corners = mesh.vertices[mesh.faces[start:start + block]]
         if np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).any():

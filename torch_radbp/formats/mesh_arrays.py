@@ -15,17 +15,17 @@ SHORTEST_NORMAL, LONGEST_NORMAL = 1e-12, 1e12  # beyond these the direction is l
 
 
 class MeshArrays(NamedTuple):
-    """A triangle mesh in the file's own coordinates."""
+    """A triangle mesh as arrays, in the file's own coordinates."""
 
     vertices: np.ndarray  # (V, 3) float64
     faces: np.ndarray  # (F, 3) int64
-    normals: np.ndarray | None  # (V, 3) float64, as in the file: not normalised; 0 where it has none that is usable
-    uv: np.ndarray | None  # (V, 2) float64, as in the file: `flip_tex_coords` is the plugin's business
+    normals: np.ndarray | None  # (V, 3) float64, as in the file: not normalised; 0 where it has no usable one
+    uv: np.ndarray | None  # (V, 2) float64, as in the file: the plugin applies `flip_tex_coords`
     attributes: Mapping[str, np.ndarray] = MappingProxyType({})  # (V, 1 or 3) vertex_NAME, (F, 1 or 3) face_NAME, float64
 
 
 def fans(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Triangulates polygons, each as a fan around its first corner.
+    """Triangulates polygons as fans around their first corners.
 
     Args:
         corners: (C,) what is to be in the triangles, polygon after polygon.
@@ -51,14 +51,14 @@ def check_finite(name: str, values: np.ndarray, place: Callable[[int], str]) -> 
 
 
 def used_by(faces: np.ndarray, rows: int) -> np.ndarray:
-    """(rows,) True for the vertices, of 0 to `rows` - 1, that a face uses."""
+    """(rows,) bool: vertices, of 0 to `rows` - 1, that a face uses."""
     used = np.zeros(rows, bool)
     used[faces] = True
     return used
 
 
 def usable_positions(vertices: np.ndarray, used: np.ndarray, place: Callable[[int], str]) -> np.ndarray:
-    """The positions; those that are not finite and that no face uses lie at the first that a face does.
+    """The positions with those replaced that are not finite and unused.
 
     Raises:
         ValueError: names the `place` of the first that is not finite of those that faces use.
@@ -70,7 +70,7 @@ def usable_positions(vertices: np.ndarray, used: np.ndarray, place: Callable[[in
 
 
 def usable_normals(normals: np.ndarray, used: np.ndarray, place: Callable[[int], str]) -> np.ndarray:
-    """The normals, 0 where one has no direction; tells those that faces use, at their `place`."""
+    """The normals, 0 where one has no direction; warns of those that faces use, at their `place`."""
     length = np.linalg.norm(normals, axis=1)
     bad = ~((length >= SHORTEST_NORMAL) & (length <= LONGEST_NORMAL))
     return _replaced(normals, bad, np.zeros(3), bad & used, place,
@@ -78,14 +78,14 @@ def usable_normals(normals: np.ndarray, used: np.ndarray, place: Callable[[int],
 
 
 def usable_uv(uv: np.ndarray, used: np.ndarray, place: Callable[[int], str]) -> np.ndarray:
-    """Texture coordinates, (0, 0) where they are not finite; tells those that faces use, at their `place`."""
+    """Texture coordinates, (0, 0) where they are not finite; warns of those that faces use, at their `place`."""
     bad = ~np.isfinite(uv).all(axis=1)
     return _replaced(uv, bad, np.zeros(2), bad & used, place, "the texture coordinate is not finite, and read as (0, 0)")
 
 
 def _replaced(values: np.ndarray, bad: np.ndarray, by: np.ndarray, told: np.ndarray, place: Callable[[int], str],
               what: str) -> np.ndarray:
-    """`values` with `by` in the `bad` rows; tells the rows `told`."""
+    """`values` with `by` in the `bad` rows; warns of the rows `told`."""
     if told.any():
         with Repairs() as repairs:
             repairs.add_rows(np.flatnonzero(told).tolist(), place, what)

@@ -18,7 +18,7 @@ LONGEST_HEADER = 1 << 10
 
 
 def read_pfm(path: str | os.PathLike, check_size: Callable[[int, int], None]) -> np.ndarray:
-    """(H, W, 3) or (H, W, 1) float32, row 0 at the top.
+    """Reads a portable float map: (H, W, 3) or (H, W, 1) float32, row 0 at the top.
 
     Args:
         path: the file.

@@ -1,4 +1,4 @@
-"""Pictures of whole numbers through Pillow: PNG, JPEG, BMP, TGA, WebP and TIFF, with all their bits and their alpha."""
+"""Reads PNG, JPEG, BMP, TGA, WebP and TIFF through Pillow, with all bits and alpha."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def _pixels(path: str | os.PathLike, kind: str, held: int) -> np.ndarray:
 
 
 def check_tiff(file: TiffImageFile) -> None:
-    """Raises ValueError for layouts that Pillow reads wrongly, and for fewer pixels than there should be, left black."""
+    """Raises ValueError for TIFF layouts that Pillow reads wrongly, and for files with missing pixels."""
     apart = file.tag_v2.get(PLANAR, 1) != 1
     if apart and (set(file.tag_v2[BITS]) != {8} or "RGB" not in file.mode):
         raise ValueError("its channels are stored one after the other, which is supported of RGB with 8 bits; store them "
@@ -98,7 +98,7 @@ def check_tiff(file: TiffImageFile) -> None:
 
 
 def with_key(words: np.ndarray, file: Image.Image, most: int) -> np.ndarray:
-    """(H, W, C) words as values in [0, 1], with an alpha of 0 where they are the transparent colour, if the file has one."""
+    """(H, W, C) integers as values in [0, 1]; alpha is 0 at the transparent colour, if the file names one."""
     values, key = words / np.float32(most), file.info.get("transparency")
     if key is None or words.shape[2] not in (1, 3):
         return values
@@ -107,7 +107,7 @@ def with_key(words: np.ndarray, file: Image.Image, most: int) -> np.ndarray:
 
 
 def _bytes_of(file: Image.Image, kind: str) -> np.ndarray:
-    """(H, W, C) bytes, alpha last if there is one."""
+    """(H, W, C) bytes of an image, alpha last if there is one."""
     grey = file.mode in ("1", "L", "LA")
     alpha = kind in WITH_ALPHA and (file.mode in ALPHA_MODES or "transparency" in file.info)
     pixels = np.asarray(file.convert("RGBA" if alpha else "L" if grey else "RGB"))
@@ -115,7 +115,7 @@ def _bytes_of(file: Image.Image, kind: str) -> np.ndarray:
 
 
 def grey_and_alpha(content: bytes) -> np.ndarray:
-    """(H, W, 2) values of a PNG file of grey and alpha in 16 bits, of which Pillow keeps eight.
+    """(H, W, 2) values of a 16-bit PNG of grey and alpha, of which Pillow keeps eight bits.
 
     Its rows are those of a file of four channels in 8 bits, which its header is made to say.
     """
@@ -127,19 +127,19 @@ def grey_and_alpha(content: bytes) -> np.ndarray:
 
 
 def rawmode(file: Image.Image) -> str:
-    """How the bytes of a picture are laid out, in Pillow's words; "" if its decoder does not say."""
+    """The layout of an image's bytes as Pillow's "raw mode"; "" if its decoder does not say."""
     args = file.tile[0].args if file.tile else ""
     first = args[0] if isinstance(args, tuple) and args else args
     return first if isinstance(first, str) else ""
 
 
 def set_rawmode(file: Image.Image, raw: str) -> None:
-    """Has the bytes of a picture read as if they were laid out so."""
+    """Makes Pillow read the bytes of an image in the given layout."""
     file.tile = [tile._replace(args=(raw, *tile.args[1:]) if isinstance(tile.args, tuple) else raw) for tile in file.tile]
 
 
 def open_picture(source: Source, kind: str, held: int) -> Image.Image:
-    """A picture of one of Pillow's kinds, whose pixels are not decoded yet.
+    """Opens an image with Pillow, without decoding its pixels.
 
     Args:
         source: the file.

@@ -70,7 +70,7 @@ def read_ply(file: BinaryIO, place: str, want_normals: bool = True) -> MeshArray
 
 def _attributes(element: str, columns: dict[str, np.ndarray], kinds: dict[str, str], where: Callable[[str, int], str],
                 triangles: np.ndarray | None = None) -> dict[str, np.ndarray]:
-    """The attributes of an element, (rows, 1 or 3) each; of polygons, one row for each of their `triangles`.
+    """The attributes of an element, (rows, 1 or 3) each; for polygons one row for each triangle.
 
     One that has values that are not finite is left out. `kinds`: of the properties, as numpy writes them.
     """
@@ -90,7 +90,7 @@ def _attributes(element: str, columns: dict[str, np.ndarray], kinds: dict[str, s
 
 
 def _check_elements(header: Header, place: str) -> str:
-    """The name of the list of corners of a face.
+    """Checks that vertices and faces are there, and returns the name of the list of a face's corners.
 
     Raises:
         ValueError: if vertices or faces are missing, or lack what is needed, or have what is not supported.
@@ -111,16 +111,16 @@ def _check_elements(header: Header, place: str) -> str:
     lists = [p.name for p in face.properties if p.count is not None]
     if "texcoord" in lists:
         raise ValueError(f"{place}: texture coordinates are stored per face; export them per vertex (u, v)")
-    found = [name for name in CORNERS if name in lists]
-    if len(found) != 1:
+    present = [name for name in CORNERS if name in lists]
+    if len(present) != 1:
         raise ValueError(f"{place}: element face needs one list of integers called {' or '.join(CORNERS)}, got "
                          f"{', '.join(lists) or 'no list'}")
-    return found[0]
+    return present[0]
 
 
 def _mesh(columns: dict[str, np.ndarray], corners: np.ndarray, counts: np.ndarray, want_normals: bool,
           where: Callable[[str, int], str], place: str) -> MeshArrays:
-    """The mesh of the columns of the vertices, and of all polygons' corners and their numbers."""
+    """The mesh from columns of vertices, all polygons' corners, and the number of corners of each."""
     def stacked(names: tuple[str, ...]) -> np.ndarray | None:
         return np.stack([columns[name].astype(np.float64) for name in names], axis=1) if names[0] in columns else None
 
@@ -158,8 +158,8 @@ def write_ply(path: str | os.PathLike, mesh: MeshArrays) -> None:
     kind = "<f8" if mesh.vertices.dtype == np.float64 else "<f4"
     of_faces: dict[tuple[str, ...], np.ndarray] = {}
     for name, values in mesh.attributes.items():
-        element, _, own = name.partition("_")
-        (columns if element == "vertex" else of_faces)[property_names(own, values.shape[1])] = values
+        element, _, attribute = name.partition("_")
+        (columns if element == "vertex" else of_faces)[property_names(attribute, values.shape[1])] = values
 
     def table(rows: int, columns: dict, fields: list) -> np.ndarray:
         made = np.empty(rows, dtype=[*fields, *((name, kind) for names in columns for name in names)])

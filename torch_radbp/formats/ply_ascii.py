@@ -1,4 +1,4 @@
-"""The tables of an ascii PLY file."""
+"""Reads the tables of an ascii PLY file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torch_radbp.formats.text_lines import Lines, read_lines
 
 
 class AsciiTables:
-    """The tables behind the header of an ascii file, a row a line, read in their order."""
+    """The tables of an ascii PLY file, one line for each row, read in order."""
 
     def __init__(self, file: BinaryIO, first_line: int, place: str):
         self.place = place
@@ -21,7 +21,7 @@ class AsciiTables:
         self.numbers: dict[str, np.ndarray] = {}  # element -> (rows,) its lines
 
     def where(self, element: str, row: int) -> str:
-        """A row, for messages."""
+        """The line of a row, for messages."""
         return f"{self.place}, line {self.numbers[element][row]}"
 
     def finish(self) -> None:
@@ -31,7 +31,7 @@ class AsciiTables:
                 raise ValueError(f"{self.place}, line {lines.numbers[0]}: follows after the last element of the header")
 
     def take(self, element: PLYElement) -> Iterator[Lines]:
-        """The lines of an element."""
+        """The lines of an element's rows."""
         missing, numbers = element.rows, [np.empty(0, np.int64)]
         while missing > 0:
             lines = self.rest if self.rest is not None and self.rest.rows > 0 else next(self.blocks, None)
@@ -39,14 +39,14 @@ class AsciiTables:
                 raise ValueError(f"{self.place}: cut short, it has {element.rows - missing} of the {element.rows} rows of "
                                  f"element {element.name!r}")
             self.rest = lines.between(missing, lines.rows)
-            taken = lines.between(0, missing)
-            missing -= taken.rows
-            numbers.append(taken.numbers)
-            yield taken
+            part = lines.between(0, missing)
+            missing -= part.rows
+            numbers.append(part.numbers)
+            yield part
         self.numbers[element.name] = np.concatenate(numbers)
 
     def columns(self, element: PLYElement) -> dict[str, np.ndarray]:
-        """The properties of an element without lists."""
+        """Reads the properties of an element without lists."""
         width = len(element.properties)
         blocks = [np.empty((0, width))]
         for lines in self.take(element):
@@ -57,7 +57,7 @@ class AsciiTables:
         return {p.name: table[:, column] for column, p in enumerate(element.properties)}
 
     def lists(self, element: PLYElement, wanted: str | None) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-        """The entries of the list `wanted` of all rows, (rows,) their numbers, and the other properties; nothing if None."""
+        """Reads an element with lists: entries of the list `wanted`, (rows,) their counts, and the other properties."""
         entries, counts = [np.empty(0)], [np.empty(0, np.int64)]
         others = {p.name: [np.empty(0)] for p in element.properties if p.count is None and wanted is not None}
         for lines in self.take(element):
@@ -91,7 +91,7 @@ class AsciiTables:
                 {name: np.concatenate(parts) for name, parts in others.items()})
 
     def check_width(self, element: PLYElement, lines: Lines, words: np.ndarray, wanted: np.ndarray) -> None:
-        """Raises ValueError with the line of the first row that has not as many numbers as `wanted`."""
+        """Raises ValueError with the line of the first row that has not `wanted` many numbers."""
         if (words != wanted).any():
             row = int(np.argmax(words != wanted))
             raise ValueError(f"{self.place}, line {lines.numbers[row]}: a row of element {element.name!r} has {wanted[row]} "

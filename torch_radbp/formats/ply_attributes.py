@@ -22,34 +22,34 @@ POSTFIXES = {("r", "g", "b"): "_color", ("x", "y", "z"): "", ("1", "2", "3"): ""
 
 
 def attributes_in(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """The properties, one or three, of each attribute among those of an element that are called `names`.
+    """Finds attributes among the properties of an element: for each the names of its one or three properties.
 
     Properties that stand for themselves, or for two or four channels, are none.
     """
     names = list(names)
-    found: dict[str, tuple[str, ...]] = {}
+    attributes: dict[str, tuple[str, ...]] = {}
     for channels in COLOURS:
         if all(name in names for name in channels):
-            found.setdefault("color", channels)
+            attributes.setdefault("color", channels)
     stems = dict.fromkeys(name[:-2] for name in names if len(name) > 2 and name[-2] == "_")
     for stem in stems:
-        own = [name for name in names if name[:-2] == stem and name[-2] == "_"]
+        properties = [name for name in names if name[:-2] == stem and name[-2] == "_"]
         for postfixes, ending in POSTFIXES.items():
             channels = tuple(f"{stem}_{postfix}" for postfix in postfixes)
-            if own == [channels[0]] or own == list(channels):
-                found[stem + ending] = tuple(own)
-    return found
+            if properties == [channels[0]] or properties == list(channels):
+                attributes[stem + ending] = tuple(properties)
+    return attributes
 
 
 def property_names(name: str, count: int) -> tuple[str, ...]:
-    """Names of the properties of an element, one or three, by which `attributes_in` finds the attribute `name`."""
+    """The names of one or three properties by which the attribute `name` is written."""
     if name == "color" and count == 3:
         return COLOURS[0]
     return tuple(f"{name}_{postfix}" for postfix in ("1", "2", "3"))[:count]
 
 
 def linear_colours(values: np.ndarray, kinds: Sequence[str]) -> np.ndarray:
-    """(N, C) colours of properties of some kinds, as numpy writes them, as linear ones: those of integers are in sRGB."""
+    """(N, C) colours of integer properties, decoded from sRGB, or of floating-point ones, as linear values."""
     if any(kind[0] == "f" for kind in kinds):
         return values
     most = np.array([65535.0 if kind == "u2" else 255.0 for kind in kinds])

@@ -1,4 +1,4 @@
-"""The tables of a binary PLY file."""
+"""Reads the tables of a binary PLY file."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ STRUCT_CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I"
 
 
 class BinaryTables:
-    """The tables behind the header of a binary file, read in their order."""
+    """The tables of a binary PLY file, read in order."""
 
     def __init__(self, data: bytes, order: str, place: str):
         self.data, self.order, self.place = data, order, place
         self.offset = 0
 
     def where(self, element: str, row: int) -> str:
-        """A row, for messages."""
+        """The name of a row, for error messages."""
         return f"{self.place}, {element} {row} (from 0)"
 
     def finish(self) -> None:
@@ -29,12 +29,12 @@ class BinaryTables:
             raise ValueError(f"{self.place}: {left} bytes follow after the last element of the header")
 
     def columns(self, element: PLYElement) -> dict[str, np.ndarray]:
-        """The properties of an element without lists."""
+        """Reads the properties of an element without lists."""
         table = self.table(element, self.dtype(element, {}))
         return {p.name: table[p.name] for p in element.properties}
 
     def lists(self, element: PLYElement, wanted: str | None) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-        """The entries of the list `wanted` of all rows, (rows,) their numbers, and the other properties; nothing if None."""
+        """Reads an element with lists: entries of the list `wanted`, (rows,) their counts, and the other properties."""
         begin, none = self.offset, np.empty(0, np.int64)
         scalars = [p.name for p in element.properties if p.count is None]
         if element.rows == 0 or not element.properties:
@@ -59,11 +59,11 @@ class BinaryTables:
                 {name: self.scattered(places[:, column], kinds[name]) for column, name in enumerate(scalars)})
 
     def scattered(self, places: np.ndarray, kind: np.dtype) -> np.ndarray:
-        """The numbers that begin at some bytes."""
+        """The numbers that begin at given byte offsets."""
         return np.frombuffer(self.data, np.uint8)[places[:, None] + np.arange(kind.itemsize)].view(kind).reshape(-1)
 
     def dtype(self, element: PLYElement, lengths: dict[str, int]) -> np.dtype:
-        """The layout of a row whose lists have these lengths."""
+        """The dtype of a row whose lists have these lengths."""
         fields = []
         for name, kind, count in element.properties:
             if count is None:
@@ -73,7 +73,7 @@ class BinaryTables:
         return np.dtype(fields)
 
     def table(self, element: PLYElement, dtype: np.dtype) -> np.ndarray:
-        """(rows,) of a structured dtype."""
+        """Reads (rows,) of a structured dtype."""
         needed, left = element.rows * dtype.itemsize, len(self.data) - self.offset
         if needed > left:
             raise self.cut_short(element, left // max(1, dtype.itemsize))
@@ -82,7 +82,7 @@ class BinaryTables:
         return table
 
     def lengths_of_first_row(self, element: PLYElement) -> dict[str, int]:
-        """The lengths of the lists in the row that comes next."""
+        """The lengths of the lists in the next row."""
         offset, lengths = self.offset, {}
         for name, kind, count in element.properties:
             if count is not None:
@@ -95,7 +95,7 @@ class BinaryTables:
         return lengths
 
     def walk(self, element: PLYElement, wanted: str | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The place and length of the list `wanted` in each row, and the places of the properties that are no lists.
+        """The byte offset and length of the list `wanted` in each row, and the offsets of the other properties.
 
         For rows of different sizes, one after the other.
         """
@@ -125,7 +125,7 @@ class BinaryTables:
         return starts, counts, places
 
     def length(self, element: PLYElement, row: int, offset: int, count: struct.Struct) -> int:
-        """The number in front of a list."""
+        """Reads the length of a list."""
         if offset + count.size > len(self.data):
             raise self.cut_short(element, row)
         length = count.unpack_from(self.data, offset)[0]
@@ -134,6 +134,6 @@ class BinaryTables:
         return int(length)
 
     def cut_short(self, element: PLYElement, row: int) -> ValueError:
-        """The error to raise where the file ends inside of an element."""
+        """The error about a file that ends within an element."""
         return ValueError(f"{self.place}: cut short, it ends in row {row} of the {element.rows} rows of element "
                           f"{element.name!r}")

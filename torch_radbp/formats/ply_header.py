@@ -1,4 +1,4 @@
-"""The header of a PLY file: which tables follow, and how they are written."""
+"""Reads the header of a PLY file: which tables follow, and their format."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ ROWS = re.compile(r"(\d{1,12})(\.0*)?")
 
 
 class Property(NamedTuple):
-    """A column of an element; of a list if `count` is given."""
+    """A column of a table; a column of lists if `count` is given."""
 
     name: str
-    kind: str  # as numpy writes it, without byte order
-    count: str | None  # kind of the number in front of a list
+    kind: str  # dtype in numpy's notation, without byte order
+    count: str | None  # dtype of the length before a list
 
 
 class PLYElement(NamedTuple):
-    """A table of a PLY file."""
+    """A table of a PLY file ("element")."""
 
     name: str
     rows: int
@@ -36,11 +36,11 @@ class Header(NamedTuple):
 
     order: str  # "" for ascii, "<" or ">"
     elements: list[PLYElement]
-    lines: int  # how many it has
+    lines: int  # number of its lines
 
 
 def read_header(file: BinaryIO, place: str) -> Header:
-    """The header; the file is left where the first table begins.
+    """Reads the header; the file is left at the start of the first table.
 
     Raises:
         ValueError: names file and line of what is malformed, given twice or not supported.
@@ -102,6 +102,6 @@ def _add_property(words: list[str], elements: list[PLYElement]) -> None:
     for kind in types:
         if kind not in TYPES:
             raise ValueError(f"{kind!r} is not a type of PLY; {nearest(kind, TYPES)}")
-    if name in [known.name for known in elements[-1].properties]:
+    if name in [earlier.name for earlier in elements[-1].properties]:
         raise ValueError(f"the property {name!r} of element {elements[-1].name!r} is given twice")
     elements[-1].properties.append(Property(name, TYPES[types[-1]], TYPES[types[0]] if is_list else None))

@@ -1,4 +1,4 @@
-"""Checks that a PNG file holds the pixels that its header promises; decoders fill in black where it does not.
+"""Checks that a PNG file contains all pixels that its header promises.
 
 Reference: W3C 2003, "Portable Network Graphics (PNG) Specification", sections 8 and 11.
 """
@@ -21,7 +21,7 @@ def check_pixel_data(file: BinaryIO) -> None:
 
     Lengths and check sums of its chunks must be right; what follows the last chunk is ignored.
     """
-    stream, found, expected = zlib.decompressobj(), 0, 0
+    stream, size, expected = zlib.decompressobj(), 0, 0
     file.seek(8)
     while len(begin := file.read(8)) == 8:
         length, kind = struct.unpack(">I4s", begin)
@@ -33,15 +33,15 @@ def check_pixel_data(file: BinaryIO) -> None:
             expected = _size(*struct.unpack(">IIBBBBB", data))
         elif kind == b"IDAT":
             while data:
-                found += len(stream.decompress(data, BLOCK))
+                size += len(stream.decompress(data, BLOCK))
                 data = stream.unconsumed_tail
-    found += len(stream.flush())
-    if found < expected or not stream.eof:
-        raise ValueError(f"its pixels take {expected} bytes, it has {found}")
+    size += len(stream.flush())
+    if size < expected or not stream.eof:
+        raise ValueError(f"its pixels take {expected} bytes, it has {size}")
 
 
 def _size(width: int, height: int, bits: int, colour: int, compression: int, filtering: int, interlace: int) -> int:
-    """Bytes of the decompressed rows, each with the byte of its filter."""
+    """The number of bytes of all decompressed rows, each with the byte of its filter."""
     if colour not in CHANNELS:
         raise ValueError(f"colour type {colour} does not exist")
     total = 0

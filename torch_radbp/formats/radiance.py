@@ -25,7 +25,7 @@ WIDTHS = range(8, 1 << 15)  # of rows that can be encoded
 
 
 def read_radiance(path: str | os.PathLike, check_size: Callable[[int, int], None]) -> np.ndarray:
-    """(H, W, 3) float32, row 0 at the top.
+    """Reads a Radiance picture: (H, W, 3) float32, row 0 at the top.
 
     Args:
         path: the file.
@@ -39,25 +39,25 @@ def read_radiance(path: str | os.PathLike, check_size: Callable[[int, int], None
         check_size(width, height)
         file.seek(0)
         data = file.read()
-    found: list[np.ndarray] = []  # (R, 4, W) rows
+    parts: list[np.ndarray] = []  # (R, 4, W) rows
     for row in range(height):
         if data[place:place + 2] == MARK and width in WIDTHS and data[place + 2] < 128:
-            found.append(np.empty((1, 4, width), dtype=np.uint8))
-            place = _decode_row(data, place, found[-1][0])
+            parts.append(np.empty((1, 4, width), dtype=np.uint8))
+            place = _decode_row(data, place, parts[-1][0])
             continue
         rest = 4 * width * (height - row)
         if len(data) - place < rest:
             raise ValueError(f"its pixels are cut short in row {row} of {height}")
-        found.append(np.frombuffer(data, np.uint8, rest, place).reshape(-1, width, 4).transpose(0, 2, 1))
+        parts.append(np.frombuffer(data, np.uint8, rest, place).reshape(-1, width, 4).transpose(0, 2, 1))
         break
-    pixels = np.concatenate(found)
+    pixels = np.concatenate(parts)
     mantissa, exponent = pixels[:, :3].astype(np.float32), pixels[:, 3:].astype(np.int32)
     values = np.where(exponent == 0, np.float32(0), np.ldexp(mantissa, exponent - (128 + 8)))
     return np.ascontiguousarray(values.transpose(0, 2, 1), dtype=np.float32)
 
 
 def _size(header: bytes) -> tuple[int, int, int]:
-    """Width and height of the picture that a header describes, and the byte at which its pixels begin.
+    """Width and height from the header of a Radiance picture, and the byte at which its pixels begin.
 
     The line with the size ends the header; which line ends, blanks, empty lines and variables come before does not matter.
     """
@@ -79,7 +79,7 @@ def _size(header: bytes) -> tuple[int, int, int]:
 
 
 def _decode_row(data: bytes, place: int, row: np.ndarray) -> int:
-    """Fills the (4, W) channels of a row whose runs begin at `place`; returns where the next row begins."""
+    """Decodes the runs of one row into (4, W) channels, from byte `place` on; returns where the next row begins."""
     width = row.shape[1]
     if int.from_bytes(data[place + 2:place + 4], "big") != width:
         raise ValueError("its content is damaged")

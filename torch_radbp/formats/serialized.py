@@ -73,7 +73,7 @@ def read_serialized(file: BinaryIO, place: str, want_normals: bool = True, shape
 
 def _checked(tables: dict[str, np.ndarray], faces: np.ndarray, want_normals: bool,
              where: Callable[[str, int], str]) -> MeshArrays:
-    """The mesh of the tables of its vertices, (V, 2 or 3) each, and its faces, (F, 3); errors say `where`."""
+    """The mesh from tables of vertices, (V, 2 or 3) each, and faces, (F, 3), after checks; errors say `where`."""
     tables = {name: values.astype(np.float64) for name, values in tables.items() if name != "normals" or want_normals}
     bad, last = faces >= len(tables["vertices"]), len(tables["vertices"]) - 1
     if bad.any():
@@ -90,7 +90,7 @@ def _checked(tables: dict[str, np.ndarray], faces: np.ndarray, want_normals: boo
 
 
 def version_of(data: memoryview, place: str) -> int:
-    """The version that the header of a mesh gives."""
+    """The format version in the header of a mesh."""
     if len(data) < HEADER.size:
         raise ValueError(f"{place}: cut short, a mesh begins with {HEADER.size} bytes, got {len(data)}")
     magic, version = HEADER.unpack_from(data)
@@ -102,7 +102,7 @@ def version_of(data: memoryview, place: str) -> int:
 
 
 def offset_of(data: memoryview, version: int, shape_index: int, place: str) -> int:
-    """The byte at which a mesh begins, by the table at the end of the file."""
+    """The byte offset of a mesh, from the table at the end of the file."""
     size = 8 if version == 4 else 4
     count = int.from_bytes(data[-4:], "little")
     table = len(data) - 4 - size * count
@@ -119,7 +119,7 @@ def offset_of(data: memoryview, version: int, shape_index: int, place: str) -> i
 
 
 class Inflated:
-    """What zlib had compressed, read from the beginning.
+    """A stream that inflates zlib's bytes as they are read.
 
     Args:
         data: the compressed bytes; what follows after their end is not looked at.
@@ -131,7 +131,7 @@ class Inflated:
         self.inflater, self.ready = zlib.decompressobj(), bytearray()
 
     def fill(self, size: int) -> None:
-        """Inflates until `size` bytes are ready, or there are no more."""
+        """Inflates until `size` bytes are ready, or the stream ends."""
         while len(self.ready) < size and self.at < len(self.data) and not self.inflater.eof:
             try:
                 self.ready += self.inflater.decompress(self.data[self.at:self.at + BLOCK])
@@ -140,22 +140,22 @@ class Inflated:
             self.at += BLOCK
 
     def take(self, size: int, what: str) -> bytes:
-        """The next bytes, which are `what`."""
+        """Reads the next bytes; `what` names them in errors."""
         if size <= len(self.ready) + GREATEST_RATIO * (len(self.data) - self.at):  # else there cannot be as many
             self.fill(size)
         if len(self.ready) < size:
             raise ValueError(f"{self.place}: cut short, it ends in {what}, which need {size} bytes")
-        taken = bytes(self.ready[:size])
+        content = bytes(self.ready[:size])
         del self.ready[:size]
-        return taken
+        return content
 
     def table(self, name: str, rows: int, columns: int, kind: str) -> np.ndarray:
-        """(rows, columns) numbers."""
-        taken = self.take(rows * columns * np.dtype(kind).itemsize, f"its {name} ({rows} rows)")
-        return np.frombuffer(taken, kind).reshape(rows, columns)
+        """Reads a table of (rows, columns) numbers."""
+        content = self.take(rows * columns * np.dtype(kind).itemsize, f"its {name} ({rows} rows)")
+        return np.frombuffer(content, kind).reshape(rows, columns)
 
     def name(self) -> None:
-        """Passes over text that a zero ends."""
+        """Skips a text that ends with a zero."""
         self.fill(LONGEST_NAME)
         end = self.ready.find(b"\0", 0, LONGEST_NAME)
         if end < 0:
@@ -163,7 +163,7 @@ class Inflated:
         del self.ready[:end + 1]
 
     def finish(self) -> None:
-        """Raises ValueError if anything is left, or the checksum at the end is missing or wrong."""
+        """Raises ValueError if bytes are left, or the checksum at the end is missing or wrong."""
         self.fill(1)
         if self.ready:
             raise ValueError(f"{self.place}: more follows after its faces")

@@ -1,4 +1,4 @@
-"""Lines, words and decimal numbers of large text files, as numpy arrays: the ground of the OBJ and PLY readers.
+"""Lines, words and decimal numbers of large text files as numpy arrays, for the OBJ and PLY readers.
 
 Files are read in blocks of whole lines, so that a million lines need no more memory than the numbers in them. Every word is
 checked while it is converted; the first one that is no number is named with its line.
@@ -25,12 +25,12 @@ POWERS = 10.0 ** np.arange(FAST_LENGTH + 1)
 
 
 class Lines(NamedTuple):
-    """Lines that are not blank, divided into words."""
+    """Lines of text, without blank ones, split into words."""
 
     text: np.ndarray  # (B,) uint8
-    starts: np.ndarray  # (W,) where each word begins in `text`
-    ends: np.ndarray  # (W,) where it ends
-    first: np.ndarray  # (L + 1,) the first word of each line, and of the line after the last one
+    starts: np.ndarray  # (W,) offset in `text` at which each word begins
+    ends: np.ndarray  # (W,) and ends
+    first: np.ndarray  # (L + 1,) index of each line's first word, and of the word after the last line
     numbers: np.ndarray  # (L,) line numbers in the file, from 1
 
     @property
@@ -43,16 +43,16 @@ class Lines(NamedTuple):
         return self._replace(first=self.first[start:stop + 1], numbers=self.numbers[start:stop])
 
     def word(self, index: int) -> str:
-        """One word, as messages quote it."""
+        """The text of one word, for messages."""
         text = self.text[self.starts[index]:self.ends[index]].tobytes().decode("utf-8", "backslashreplace")
         return repr(text if len(text) <= 40 else f"{text[:40]}...")
 
     def line_of_word(self, index: int) -> int:
-        """The number of the line that has a word."""
+        """The number of the line that contains a word."""
         return int(self.numbers[np.searchsorted(self.first, index, side="right") - 1])
 
     def values(self, words: np.ndarray, place: str, finite: bool = True) -> np.ndarray:
-        """The numbers that the chosen words stand for; `place` is the file, for messages.
+        """Converts words to numbers; `place` is the file, for messages.
 
         Args:
             words: (N,) indices into `starts`.
@@ -94,7 +94,7 @@ def read_lines(file: BinaryIO, place: str, first_line: int = 1, comments: bool =
 
 
 def _whole_lines(file: BinaryIO, place: str, first_line: int, comments: bool) -> bytes:
-    """About `BLOCK` bytes, up to the end of a line that is not continued; empty at the end of the file."""
+    """Reads about `BLOCK` bytes, up to the end of a line that is not continued; empty at the end of the file."""
     block = bytearray(file.read(BLOCK))
     rest = block
     while rest and (not rest.endswith(b"\n") or (comments and rest.rstrip(b" \t\r\n").endswith(b"\\"))):
@@ -107,7 +107,7 @@ def _whole_lines(file: BinaryIO, place: str, first_line: int, comments: bool) ->
 
 
 def split(block: bytes, place: str, first_line: int, comments: bool) -> Lines:
-    """The lines and words of a block of whole lines; see `read_lines`."""
+    """Splits a block of whole lines into lines and words; see `read_lines`."""
     newlines = np.flatnonzero(np.frombuffer(block, np.uint8) == 10)
     if comments:
         block = COMMENT.sub(lambda match: b" " * len(match[0]), block)
@@ -134,7 +134,7 @@ def _refuse_binary(text: np.ndarray, place: str, first_line: int) -> None:
 
 
 def decimals(text: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The decimal numbers in text[starts:ends].
+    """Converts the words text[starts:ends] to decimal numbers.
 
     Words without an exponent are read by columns of characters: the mantissa as an integer below 2^53, divided by a power
     of ten below 10^22; both are exact in float64, so that the quotient is correctly rounded. All others are read one by one.

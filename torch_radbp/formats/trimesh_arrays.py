@@ -1,4 +1,4 @@
-"""Meshes of trimesh as arrays.
+"""Meshes of the library trimesh as arrays.
 
 Their surface coordinates have v upwards, as in OBJ; here v points down, as in glTF. Colours are linear, as in glTF.
 """
@@ -20,7 +20,7 @@ RESERVED = ("positions", "normals", "texcoords", "color")  # names of attributes
 
 
 class PlacedMesh(NamedTuple):
-    """A mesh of a `trimesh.Scene`, where a node shows it."""
+    """A mesh in a `trimesh.Scene`, at one node that shows it."""
 
     name: str
     mesh: trimesh.Trimesh
@@ -28,19 +28,19 @@ class PlacedMesh(NamedTuple):
 
 
 def note(place: str, what: str) -> None:
-    """Tells what is left out; an error where the reader is strict."""
+    """Warns of what is left out; an error where the reader is strict."""
     with Repairs() as repairs:
         repairs.add(place, what)
 
 
 def is_trimesh(value: Any) -> bool:
-    """True for a `trimesh.Trimesh` or `trimesh.Scene`; does not import trimesh, without which there is none."""
+    """True for a `trimesh.Trimesh` or `trimesh.Scene`; works without importing trimesh."""
     trimesh = sys.modules.get("trimesh")
     return trimesh is not None and isinstance(value, trimesh.Trimesh | trimesh.Scene)
 
 
 def placed_meshes(source: trimesh.Trimesh | trimesh.Scene) -> list[PlacedMesh]:
-    """The meshes of a scene, node by node, or a mesh by itself; point clouds and paths are left out, which is told.
+    """The meshes of a scene, node by node, or a single mesh; warns of point clouds and paths, which are left out.
 
     Raises:
         ValueError: if there are no triangles.
@@ -66,12 +66,12 @@ def placed_meshes(source: trimesh.Trimesh | trimesh.Scene) -> list[PlacedMesh]:
 
 
 def arrays_of(source: trimesh.Trimesh | trimesh.Scene) -> MeshArrays:
-    """A mesh or all meshes of a scene where its nodes show them, as one; see `mesh_arrays`."""
+    """A mesh, or all meshes of a scene in the world, joined to one; see `mesh_arrays`."""
     return joined_meshes([transformed_mesh(mesh_arrays(placed.mesh), placed.to_world) for placed in placed_meshes(source)])
 
 
 def mesh_arrays(mesh: trimesh.Trimesh) -> MeshArrays:
-    """A mesh with normals if it holds any, surface coordinates, colours and attributes.
+    """A mesh as arrays: vertex normals if it has any, uv, colours and attributes.
 
     It holds the normals that it was given, or that were asked of it (`mesh.vertex_normals`), as for trimesh's own writer of
     glTF; without any it is flat. Colours become `vertex_color` or `face_color`, fractions of 255.
@@ -82,12 +82,12 @@ def mesh_arrays(mesh: trimesh.Trimesh) -> MeshArrays:
                                ("face", len(mesh.faces), mesh.face_attributes)):
         for name, array in values.items():
             numbers = _column(array, rows)
-            own = str(name).lstrip("_").replace(".", "_")
-            if numbers is None or not own or own in RESERVED:
+            attribute = str(name).lstrip("_").replace(".", "_")
+            if numbers is None or not attribute or attribute in RESERVED:
                 note(f"the {kind} attribute {name!r} of trimesh", f"is left out: one of numbers, with one or three for each "
                      f"{kind}, and a name that is not another's, is read")
             else:
-                attributes[f"{kind}_{own}"] = numbers
+                attributes[f"{kind}_{attribute}"] = numbers
     name, colours = colours_of(visual)
     if name:
         if (colours[:, 3:] != 255).any():
@@ -102,7 +102,7 @@ def mesh_arrays(mesh: trimesh.Trimesh) -> MeshArrays:
 
 
 def _column(values: Any, rows: int) -> np.ndarray | None:
-    """(rows, 1 or 3) float64 of an attribute; None if it is another thing."""
+    """(rows, 1 or 3) float64 of an attribute; None if it has no such shape."""
     array = np.asarray(values)
     array = array[:, None] if array.ndim == 1 else array
     fits = array.ndim == 2 and array.shape[0] == rows and array.shape[1] in (1, 3)
@@ -110,7 +110,7 @@ def _column(values: Any, rows: int) -> np.ndarray | None:
 
 
 def colours_of(visual: Any) -> tuple[str, np.ndarray]:
-    """The name of the attribute that the colours of a mesh become, and (V or F, 4) bytes; an empty name if it has none."""
+    """The attribute that the colours of a mesh become, and (V or F, 4) bytes; an empty name if it has none."""
     if visual.kind in ("vertex", "face"):
         return f"{visual.kind}_color", np.asarray(getattr(visual, f"{visual.kind}_colors"))
     colours = getattr(visual, "vertex_attributes", {}).get("color")  # beside surface coordinates
@@ -118,7 +118,7 @@ def colours_of(visual: Any) -> tuple[str, np.ndarray]:
 
 
 def normals_of(mesh: trimesh.Trimesh) -> np.ndarray | None:
-    """(V, 3) the normals that a mesh holds; those of vertices without a triangle, which trimesh leaves zero, point up."""
+    """(V, 3) the vertex normals that a mesh stores; those of unused vertices, which trimesh leaves zero, point up."""
     if "vertex_normals" not in mesh._cache:  # the one place where trimesh keeps them
         return None
     normals = np.array(mesh.vertex_normals, dtype=np.float64)
@@ -129,7 +129,7 @@ def normals_of(mesh: trimesh.Trimesh) -> np.ndarray | None:
 
 
 def joined_meshes(parts: list[MeshArrays]) -> MeshArrays:
-    """Several meshes as one; what only some of them have is left out, which is told."""
+    """Joins several meshes to one; warns of columns that only some have, which are left out."""
     if len(parts) == 1:
         return parts[0]
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
@@ -146,7 +146,7 @@ def joined_meshes(parts: list[MeshArrays]) -> MeshArrays:
 
 
 def transformed_mesh(arrays: MeshArrays, to_world: np.ndarray) -> MeshArrays:
-    """A mesh under an affine transform; one that mirrors leaves it facing outwards, as `trimesh.apply_transform` does."""
+    """Transforms a mesh; after a mirroring transform it still faces outwards, as with `trimesh.apply_transform`."""
     linear, normals = to_world[:3, :3], arrays.normals
     if np.array_equal(to_world, np.eye(4)):
         return arrays

@@ -1,4 +1,4 @@
-"""Meshes of the formats that have no reader of their own here, by trimesh: STL, OFF, 3MF, COLLADA, glTF as a mesh, ...
+"""Reads meshes in other formats through trimesh: STL, OFF, 3MF, COLLADA, glTF as a mesh, ...
 
 OBJ, PLY and serialized files are not read by it: the readers beside this one refuse damaged files, and are faster (their
 docstrings say by how much).
@@ -38,12 +38,12 @@ def read_trimesh(path: str | os.PathLike) -> trimesh.Scene:
     if suffix in OWN:
         raise ValueError(f"{name}: a {suffix} file is read by the shape type {OWN[suffix]!r}: write \"type\": "
                          f"\"{OWN[suffix]}\"")
-    known = {f".{kind}" for kind in trimesh.available_formats() if kind != "stl_ascii"} | NEEDS.keys()
+    supported = {f".{kind}" for kind in trimesh.available_formats() if kind != "stl_ascii"} | NEEDS.keys()
     double = "".join(Path(path).suffixes[-2:]).lower()  # .tar.gz
-    kind = double if double in known else suffix
-    if kind not in known or not os.path.isfile(path):
+    kind = double if double in supported else suffix
+    if kind not in supported or not os.path.isfile(path):
         with opened(path):
-            raise ValueError(unknown_kind(path, "mesh", [*OWN, *sorted(known - OWN.keys())]))
+            raise ValueError(unknown_kind(path, "mesh", [*OWN, *sorted(supported - OWN.keys())]))
     try:
         with opened(path) as file:
             scene = trimesh.load(file, file_type=kind[1:], force="scene", process=False,

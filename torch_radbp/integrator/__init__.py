@@ -1,4 +1,4 @@
-"""Integrators by Mitsuba's names: what they set is what `Renderer` takes for granted.
+"""Integrators by Mitsuba's names: they set the defaults of `Renderer`.
 
 Each file is imported, and registers its plugins.
 """

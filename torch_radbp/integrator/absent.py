@@ -1,4 +1,4 @@
-"""Integrators of Mitsuba that are not there, and what to use in their place."""
+"""Integrators of Mitsuba that are missing here, and what to use instead."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arbitrary output variables: what the camera sees first, beside the image."""
+"""The integrator `aov`: AOVs beside an image."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ArbitraryOutputVariables(Nesting):
 
 
 def _listed(aovs: str) -> tuple[tuple[str, str], ...]:
-    """The names and quantities in a list such as "dd.y:depth,nn:sh_normal"; raises ValueError as the class says."""
+    """Parses a list of AOVs such as "dd.y:depth,nn:sh_normal"; raises ValueError as the class says."""
     pairs: dict[str, str] = {}
     for item in aovs.replace(",", " ").split():
         name, colon, quantity = item.rpartition(":")

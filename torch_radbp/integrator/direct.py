@@ -1,4 +1,4 @@
-"""Direct light: path tracing to a depth of 2."""
+"""The integrator `direct`: path tracing to a depth of 2."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Second moments of the samples, from which variances follow."""
+"""The integrator `moment`: second moments of samples, from which variances follow."""
 
 from __future__ import annotations
 

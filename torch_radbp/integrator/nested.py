@@ -1,4 +1,4 @@
-"""Integrators that hold another one, which makes the image."""
+"""Integrators that nest another one, which makes the image."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch_radbp.plugin import BSDF, Integrator
 
 
 class Nesting(IntegratorSettings):
-    """The base of integrators that add outputs to those of a nested one.
+    """Base class of integrators that add AOVs to those of a nested one.
 
     Args:
         integrators: one, or none for outputs without an image of a name.
@@ -37,7 +37,7 @@ class Nesting(IntegratorSettings):
         self.hide_emitters = self.inner[0].hide_emitters
 
     def nested_outputs(self) -> dict[str, str]:
-        """The outputs of the nested integrator, their names after its own."""
+        """The AOVs of the nested integrator, their names prefixed by its own."""
         return {f"{name}.{output}": quantity for name, integrator in self.integrators.items()
                 for output, quantity in integrator.outputs().items()}
 

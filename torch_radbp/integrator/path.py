@@ -1,4 +1,4 @@
-"""Path tracing, the one algorithm there is; Mitsuba's differentiable integrators are other names for it."""
+"""The integrator `path` (path tracing), and Mitsuba's differentiable integrators, which render the same."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Mitsuba's integrators whose derivatives have boundary terms, with the terms that there are here."""
+"""Mitsuba's projective integrators, rendered with the boundary terms of `Renderer`."""
 
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from typing import Any, NamedTuple
 
 from torch_radbp.integrator.path import PathReplay
 from torch_radbp.integrator.settings import IntegratorSettings
@@ -13,23 +13,33 @@ GUIDING = ("none", "grid", "octree")
 SEEDS = ("both", "bsdf", "emitter")
 
 
-def sampling_of_boundaries(name: str, plain: str, sppc: int | None, sppp: int | None, sppi: int | None, guiding: str,
-                           guiding_proj: bool, guiding_rounds: int, project_seed: str) -> dict[str, Any]:
-    """The settings of Mitsuba's projective sampling, checked; they are without effect, and a warning says what is there.
+class ProjectiveSampling(NamedTuple):
+    """Mitsuba's settings of the sampling of boundary terms."""
+
+    sppc: int | None  # samples of the interior
+    sppp: int | None  # of edges in view
+    sppi: int | None  # of other edges, as are the settings below
+    guiding: str
+    guiding_proj: bool
+    guiding_rounds: int
+    project_seed: str
+
+
+def checked_sampling(name: str, plain: str, given: ProjectiveSampling) -> dict[str, Any]:
+    """Checks the settings of Mitsuba's projective sampling, and warns that they are without effect.
 
     Args:
         name: of the integrator.
         plain: of the one that it is rendered as.
-        sppc, sppp, sppi: samples of the interior, of edges in view, and of others.
-        guiding, guiding_proj, guiding_rounds, project_seed: how others are found.
+        given: the settings.
     """
-    for key, value, known in (("guiding", guiding, GUIDING), ("project_seed", project_seed, SEEDS)):
-        if value not in known:
-            raise ValueError(f"{key} {value!r} is not known; {nearest(str(value), known)}")
-    counts = {"sppc": sppc, "sppp": sppp, "sppi": sppi}
-    settings: dict[str, Any] = {key: value if value is None else integer(key, value, 0) for key, value in counts.items()}
-    settings |= {"guiding": guiding, "guiding_proj": boolean("guiding_proj", guiding_proj),
-                 "guiding_rounds": integer("guiding_rounds", guiding_rounds, 1), "project_seed": project_seed}
+    for key, value, supported in (("guiding", given.guiding, GUIDING), ("project_seed", given.project_seed, SEEDS)):
+        if value not in supported:
+            raise ValueError(f"{key} {value!r} is not known; {nearest(str(value), supported)}")
+    counts: dict[str, Any] = {
+        key: value if value is None else integer(key, value, 0) for key, value in zip(given._fields, given[:3])}
+    settings = given._replace(**counts, guiding_proj=boolean("guiding_proj", given.guiding_proj),
+                              guiding_rounds=integer("guiding_rounds", given.guiding_rounds, 1))._asdict()
     warnings.warn(f"{name} is rendered as {plain}: derivatives have the interior, the edges in view and the borders of "
                   "shadows, as Renderer(terms=) says; what edges contribute that surfaces see by reflection is missing, "
                   "and Renderer warns where it does; sppc, sppp, sppi, guiding and project_seed are without effect",
@@ -52,8 +62,8 @@ class ProjectivePathReplay(PathReplay):
                  timeout: float = -1.0):
         super().__init__(max_depth=max_depth, rr_depth=rr_depth, hide_emitters=hide_emitters, block_size=block_size,
                          samples_per_pass=samples_per_pass, timeout=timeout)
-        self.__dict__ |= sampling_of_boundaries("prb_projective", "prb", sppc, sppp, sppi, guiding, guiding_proj,
-                                                guiding_rounds, project_seed)
+        self.__dict__ |= checked_sampling("prb_projective", "prb", ProjectiveSampling(
+            sppc, sppp, sppi, guiding, guiding_proj, guiding_rounds, project_seed))
 
 
 @register("integrator", "direct_projective")
@@ -72,8 +82,8 @@ class ProjectiveDirect(IntegratorSettings):
                  project_seed: str = "both", block_size: int = 0, samples_per_pass: int = -1, timeout: float = -1.0):
         super().__init__(hide_emitters=hide_emitters, block_size=block_size, samples_per_pass=samples_per_pass,
                          timeout=timeout)
-        self.__dict__ |= sampling_of_boundaries("direct_projective", "direct", sppc, sppp, sppi, guiding, guiding_proj,
-                                                guiding_rounds, project_seed)
+        self.__dict__ |= checked_sampling("direct_projective", "direct", ProjectiveSampling(
+            sppc, sppp, sppi, guiding, guiding_proj, guiding_rounds, project_seed))
 
     def alpha(self) -> str:
         return "hit"

@@ -1,4 +1,4 @@
-"""Mitsuba's particle tracer, rendered from the other end."""
+"""Mitsuba's particle tracer `ptracer`, rendered by path tracing."""
 
 from __future__ import annotations
 

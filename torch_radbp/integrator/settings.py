@@ -1,4 +1,4 @@
-"""What an integrator element says, checked: depths, and what Mitsuba needs to know about blocks and passes."""
+"""The checked settings that all integrators share."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from torch_radbp.plugin import Integrator, boolean, integer
 
 
 class IntegratorSettings(Integrator):
-    """The base of all integrators: defaults of `Renderer`.
+    """Base class of all integrators: defaults of `Renderer`.
 
     Args:
         hide_emitters: do not show emitters that the camera sees directly.
@@ -31,16 +31,16 @@ class IntegratorSettings(Integrator):
                              "its samples; set their number by sample_count or spp")
 
     def outputs(self) -> dict[str, str]:
-        """The outputs beside the image: the quantity of each name, see `torch_radbp.aov`."""
+        """The AOVs beside the image: the quantity of each name, see `torch_radbp.aov`."""
         return {}
 
     def alpha(self) -> str:
-        """The quantity that is the alpha channel of the image."""
+        """The AOV that becomes the alpha channel of the image."""
         return "alpha"
 
 
 def depths(max_depth: int, rr_depth: int) -> tuple[int, int]:
-    """Both depths as integers.
+    """Checks both depths, and converts them to integers.
 
     Raises:
         ValueError: if one is not an integer, or out of range.

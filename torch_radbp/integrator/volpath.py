@@ -1,4 +1,4 @@
-"""Mitsuba's integrators of participating media, in scenes without any: path tracing."""
+"""Mitsuba's integrators for participating media, rendered without media by path tracing."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch_radbp.plugin import BSDF, boolean, register
 
 
 class WithoutMedia(Path):
-    """Path tracing in the place of an integrator of participating media.
+    """Path tracing in place of an integrator for participating media.
 
     Media are not supported, and refused by name. Without them both agree in expectation, but for one thing: there, light
     that passes straight through a surface (`null`, `mask`, `thindielectric`) is not counted towards `max_depth`, and
@@ -18,7 +18,7 @@ class WithoutMedia(Path):
     """
 
     def check(self, materials: Iterable[BSDF]) -> None:
-        """Warns if paths of a limited number of bounces may pass straight through one of the materials."""
+        """Warns if a path of limited depth may pass straight through one of the materials."""
         if self.max_depth != -1 and any(material.kind().transmits for material in materials):
             warnings.warn(f"{self.type} is rendered as path: light that passes straight through a surface counts towards "
                           f"max_depth={self.max_depth}, which it does not in Mitsuba's {self.type}; set max_depth to -1 if "

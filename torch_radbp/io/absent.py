@@ -1,4 +1,4 @@
-"""Plugins of Mitsuba that are not there, why, and what to use in their place; integrators have a table of their own."""
+"""Plugins of Mitsuba that are missing here, why, and what to use instead; integrators have a table of their own."""
 
 from __future__ import annotations
 

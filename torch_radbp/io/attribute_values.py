@@ -71,7 +71,7 @@ def convert(name: str, value: Any, annotation: Any) -> Any:
 
 
 def live(name: str, value: Tensor, members: tuple[Any, ...]) -> nn.Parameter:
-    """`value`, which is to become a parameter of the scene itself, where an attribute takes a tensor.
+    """Checks that a tensor in a scene description may become a parameter of the scene itself, and returns it.
 
     Raises:
         ValueError: if the attribute takes plain numbers, or `value` is no `nn.Parameter`.
@@ -82,7 +82,7 @@ def live(name: str, value: Tensor, members: tuple[Any, ...]) -> nn.Parameter:
 
 
 def value_text(value: Any) -> str:
-    """A value as messages print it, a long one by its beginning."""
+    """A value as text for messages, shortened if long."""
     if hasattr(value, "shape") and len(value.shape) > 0:
         dtype = str(getattr(value, "dtype", ""))
         kind = f" of {value.dtype}" if "complex" in dtype or "bool" in dtype else ""
@@ -97,7 +97,7 @@ def value_text(value: Any) -> str:
 
 
 def _array(value: Any) -> np.ndarray:
-    """A float64 array of what may be a list, a numpy array, a torch tensor or a Mitsuba type; of real numbers only."""
+    """A float64 array from a list, a numpy array, a torch tensor or a Mitsuba type; of real numbers only."""
     if isinstance(value, (str, bytes, dict)) or value is None:
         raise TypeError
     try:

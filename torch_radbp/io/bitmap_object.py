@@ -1,4 +1,4 @@
-"""Mitsuba's `Bitmap` objects in the place of image arrays: what their numbers mean is known to them alone."""
+"""Mitsuba's `Bitmap` objects as image arrays."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ GREY, COLOURED = ("Y", "YA"), ("RGB", "RGBA", "XYZ", "XYZA")
 
 
 def is_bitmap_object(value: Any) -> bool:
-    """True for a Mitsuba `Bitmap`, of whatever variant; Mitsuba itself need not be installed."""
+    """True for a Mitsuba `Bitmap` of any variant; Mitsuba itself need not be installed."""
     return all(callable(getattr(value, name, None)) for name in ("pixel_format", "srgb_gamma", "convert"))
 
 
@@ -28,10 +28,10 @@ def linear_values(bitmap: Any, raw: bool) -> Tensor:
     Raises:
         ValueError: on bitmaps of other pixel formats.
     """
-    found = bitmap.pixel_format().name
-    if found not in (*GREY, *COLOURED):
-        raise ValueError(f"a Bitmap must have one of the pixel formats {', '.join((*GREY, *COLOURED))}, got {found}")
-    wanted = bitmap.PixelFormat.Y if found in GREY else bitmap.PixelFormat.RGB
+    pixel_format = bitmap.pixel_format().name
+    if pixel_format not in (*GREY, *COLOURED):
+        raise ValueError(f"a Bitmap must have one of the pixel formats {', '.join((*GREY, *COLOURED))}, got {pixel_format}")
+    wanted = bitmap.PixelFormat.Y if pixel_format in GREY else bitmap.PixelFormat.RGB
     converted = bitmap.convert(pixel_format=wanted, component_format=bitmap.Float32,
                                srgb_gamma=raw and bitmap.srgb_gamma())
     values = np.array(converted, dtype=np.float32)

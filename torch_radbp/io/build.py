@@ -1,4 +1,4 @@
-"""Builds the scene from Mitsuba's dict vocabulary, for XML and dicts alike.
+"""Builds a scene from Mitsuba's dict vocabulary, for XML and dicts alike.
 
 Nothing here knows a plugin: types come from the registry, attributes from the constructors' signatures.
 """
@@ -45,7 +45,6 @@ from torch_radbp.shape.mesh import TensorMesh
 MAX_DEPTH = 100  # of objects in objects, references followed
 MAX_OBJECTS = 100_000
 
-TOP_LEVEL = ("shape", "bsdf", "texture", "emitter", "sensor", "integrator", "sampler", "film", "rfilter")
 PARTS_OF_SENSORS = ("sampler", "film", "rfilter")  # stand there to be referred to
 
 
@@ -63,7 +62,7 @@ def build_scene(description: dict[str, Any], base_dir: str | os.PathLike | None 
 
 
 def build_plugin(description: dict[str, Any], category: str) -> Plugin:
-    """The object of one category that a dict describes, without a scene; its parameters have torch's default dtype.
+    """Builds one object of a category from a dict, without a scene; its parameters have torch's default dtype.
 
     Raises:
         SceneError: as `build_scene`.
@@ -85,11 +84,11 @@ class _Builder:
         self.depth = self.objects = 0  # of the object being made, and how many there are, to be limited
 
     def scene(self) -> Scene:
-        """All objects of the top level, handed to `Scene`."""
+        """Builds all objects of the top level, and the `Scene` of them."""
         root = self.description
         if not isinstance(root, dict) or root.get("type") != "scene":
-            found = repr(root.get("type")) if isinstance(root, dict) else type(root).__name__
-            raise SceneError(f"a scene dict must have \"type\": \"scene\" and contain its objects by name, got {found}")
+            got = repr(root.get("type")) if isinstance(root, dict) else type(root).__name__
+            raise SceneError(f"a scene dict must have \"type\": \"scene\" and contain its objects by name, got {got}")
         self.collect_ids((), root)
         for name, value in with_shapes(root):
             if name not in self.ids and _is_object(value) and not _is_reference(value):
@@ -105,7 +104,7 @@ class _Builder:
             if _is_reference(value):
                 raise self.error((name,), value, "a reference cannot stand directly in the scene; put it inside the "
                                  "object that uses it")
-            plugin = self.plugin((name,), value, TOP_LEVEL)
+            plugin = self.plugin((name,), value, REGISTRY)
             if plugin.category not in PARTS_OF_SENSORS:
                 children[name] = plugin
             if plugin.category == "integrator":
@@ -126,7 +125,7 @@ class _Builder:
             raise self.error((), root, str(error)) from error
 
     def collect_ids(self, path: tuple[str, ...], node: dict[str, Any]) -> None:
-        """Notes every object that a reference may name: those of the top level by key, others by "id"."""
+        """Collects all objects that references may name: top-level ones by key, others by "id"."""
         if len(path) > MAX_DEPTH:
             raise self.error(path[:3], node, f"objects are nested more than {MAX_DEPTH} deep; does a dict contain itself?")
         self.objects += 1
@@ -150,7 +149,7 @@ class _Builder:
                 self.collect_ids((*path, key), value)
 
     def plugin(self, path: tuple[str, ...], value: Any, expected: Iterable[str]) -> Plugin:
-        """The object at `path`, of one of the categories `expected`; built once however often it is used."""
+        """Builds the object at `path`, of one of the categories `expected`; once however often it is used."""
         if _is_reference(value):
             return self.referenced(path, value, expected)
         if isinstance(value, dict) and path not in self.built:
@@ -173,19 +172,19 @@ class _Builder:
         if not isinstance(plugin, Plugin) and ("texture" not in expected or len(path) == 1):
             raise self.error(path, value, f"a {type(plugin).__name__} cannot stand here; supported: {', '.join(expected)}")
         if isinstance(plugin, Plugin) and plugin.category not in expected:
-            found = with_article(plugin.category)
-            raise self.error(path, value, f"{found} cannot stand here; supported: {', '.join(expected)}")
+            got = with_article(plugin.category)
+            raise self.error(path, value, f"{got} cannot stand here; supported: {', '.join(expected)}")
         return plugin
 
     def check_live(self, path: tuple[str, ...], node: dict[str, Any], arguments: dict[str, Any], plugin: Plugin) -> None:
         """Raises SceneError if an `nn.Parameter` was given that has not become a parameter of the plugin."""
-        own = {id(parameter) for parameter in plugin.parameters()}
+        ids = {id(parameter) for parameter in plugin.parameters()}
         for key, value in arguments.items():
-            if isinstance(value, nn.Parameter) and id(value) not in own:
+            if isinstance(value, nn.Parameter) and id(value) not in ids:
                 raise self.error((*path, key), node, str(no_gradient(key)), key)
 
     def referenced(self, path: tuple[str, ...], value: dict[str, Any], expected: Iterable[str]) -> Plugin:
-        """The object that a reference names."""
+        """Builds the object that a reference names."""
         unknown = [str(key) for key in value if key not in ("type", "id")]
         name = value.get("id")
         if unknown or not isinstance(name, str):
@@ -205,15 +204,15 @@ class _Builder:
         return plugin
 
     def plugin_class(self, path: tuple[str, ...], node: dict[str, Any], expected: Iterable[str]) -> type[Plugin]:
-        """The class of an object, by its type and, in XML, its tag."""
+        """The plugin class of an object, by its type and, in XML, its tag."""
         name = str(node["type"])
         tag = node.category if isinstance(node, XMLObject) else None
         if tag is not None and tag not in expected:
             raise self.error(path, node, f"{with_article(tag)} cannot stand here; supported: {', '.join(expected)}")
         possible = [tag] if tag else list(expected)
-        found = next((REGISTRY[category][name] for category in possible if name in REGISTRY[category]), None)
-        if found is not None:
-            return found
+        plugin_class = next((REGISTRY[category][name] for category in possible if name in REGISTRY[category]), None)
+        if plugin_class is not None:
+            return plugin_class
         elsewhere = next((category for category in REGISTRY if name in REGISTRY[category]), None)
         if elsewhere and tag:
             raise self.error(path, node, f"{name!r} is {with_article(elsewhere)}, not {with_article(tag)}; "
@@ -230,7 +229,7 @@ class _Builder:
                          f"{nearest(name, known)}")
 
     def arguments(self, path: tuple[str, ...], node: dict[str, Any], cls: type[Plugin]) -> dict[str, Any]:
-        """The constructor's arguments of an object, every value checked against the schema of its class."""
+        """The constructor's arguments for an object, all checked against the schema of its class."""
         schema = attributes(cls)
         arguments: dict[str, Any] = {}
         for key, value in with_shapes(node):
@@ -260,7 +259,7 @@ class _Builder:
 
     def nested(self, path: tuple[str, ...], key: str, value: Any, parent: dict[str, Any],
                cls: type[Plugin]) -> tuple[str, Plugin]:
-        """A nested object and the attribute that it is for: the one it is named after, or the one of its category."""
+        """Builds a nested object, and finds its attribute: by its name, or else by its category."""
         schema = attributes(cls)
         accepted = {name: plugin_categories(attribute.annotation) for name, attribute in schema.items()}
         if accepted.get(key):
@@ -278,7 +277,7 @@ class _Builder:
         return next(name for name in accepted if category in accepted[name]), plugin
 
     def value(self, path: tuple[str, ...], key: str, value: Any, node: dict[str, Any], cls: type[Plugin]) -> Any:
-        """The attribute `key` of the object `node` at `path`: a plain value or a colour, as its annotation wants it."""
+        """Converts the attribute `key` of the object `node` at `path`: a plain value or a colour, as annotated."""
         annotation = attributes(cls)[key].annotation
         try:
             if is_colour(value):
@@ -294,22 +293,22 @@ class _Builder:
     def file(self, key: str, name: str, node: dict[str, Any]) -> str:
         """The path of a file that the object `node` names."""
         folders = node.folders if isinstance(node, XMLObject) else [self.base_dir]
-        found = find_file(name, folders)
-        if found is None:
+        path = find_file(name, folders)
+        if path is None:
             looked = ", ".join(str(folder.resolve()) for folder in folders)
             like = next(filter(None, (otherwise_spelled(folder / name) for folder in folders)), None)
             raise ValueError(f"{key} {value_text(name)} not found; looked in {looked}"
                              f"{f'; did you mean {like}?' if like else ''}")
-        return str(found)
+        return str(path)
 
     def colour(self, key: str, value: dict[str, Any], node: dict[str, Any], cls: type[Plugin]) -> Any:
-        """One number, three, or a spectrum over wavelengths, for the attribute `key` of the object `node`."""
+        """Converts a colour to one number, three, or a spectrum, for the attribute `key` of the object `node`."""
         if value["type"] == "spectrum" and set(value) == {"type", "filename"}:
             return read_spectrum(self.file("filename", convert("filename", value["filename"], str), node))
         return colour_value(key, value, of_emitter=cls.category == "emitter")
 
     def place(self, path: tuple[str, ...], node: Any, key: str | None = None) -> str:
-        """The place of an object in its source, for people: the line of the XML file, or the path of keys in the dict."""
+        """The place of an object for messages: the line of the XML file, or the path of keys in the dict."""
         if isinstance(node, XMLObject):
             if key in node.places:
                 kind = "".join(f' {name}="{node[name]}"' for name in ("type", "id") if name in node)
@@ -319,12 +318,12 @@ class _Builder:
         return (".".join(path) or "scene dict") + kind
 
     def error(self, path: tuple[str, ...], node: Any, message: str, key: str | None = None) -> SceneError:
-        """The error to raise about an object, or about its attribute `key`."""
+        """The error about an object, or about its attribute `key`."""
         return SceneError(f"{self.place(path, node, key)}: {message}")
 
 
 def warn_of_poles(children: dict[str, Plugin]) -> None:
-    """Warns of an emitter whose pole is not where a data set of cameras has its sky."""
+    """Warns of an environment whose pole is not at the data set's up direction."""
     ups = {child.up for child in children.values() if isinstance(child, Sensor)} - {None}
     for name, child in children.items():
         pole = child.up() if isinstance(child, Emitter) else None
@@ -344,14 +343,14 @@ def _is_reference(value: Any) -> bool:
 
 
 def _with_file(message: str, cls: type[Plugin], arguments: dict[str, Any]) -> str:
-    """The message, with the file that the object is made of if it does not name it."""
+    """The message with the name of the file that the object is made of, if that is missing."""
     schema = attributes(cls)
     files = [value for name, value in arguments.items() if Filename in options(schema[name].annotation)]
     return ": ".join([*(file for file in files if isinstance(file, str) and file not in message), message])
 
 
 def _advice(value: Any) -> str:
-    """What to do about an object that Mitsuba has already made."""
+    """What to do about an object that Mitsuba has already made, for an error message."""
     is_made = type(value).__module__.startswith("mitsuba") and hasattr(value, "class_name")
     if is_made and hasattr(value, "vertex_positions_buffer"):
         return ("; a mesh that Mitsuba has made is given as {\"type\": \"mesh\"} with arrays: vertex_positions of its "

@@ -72,21 +72,21 @@ def cameras_from_colmap(folder: str | os.PathLike, *, scale: float = 1.0, rfilte
     is_binary = not (folder / "cameras.txt").exists() and (folder / "cameras.bin").exists()
     of_cameras, of_images = (folder / f"{name}{'.bin' if is_binary else '.txt'}" for name in ("cameras", "images"))
     cameras = read_cameras(records(of_cameras, binary_cameras(of_cameras)) if is_binary else lines_of(of_cameras))
-    found: dict[str, Calibrated] = {}
+    sensors: dict[str, Calibrated] = {}
     for line, pose, camera, name in read_images(
             records(of_images, binary_images(of_images)) if is_binary else image_lines(of_images)):
         if camera not in cameras:
             raise line.fail(f"no camera has the id {camera}; {of_cameras.name} has {', '.join(cameras) or 'none'}")
-        if name in found:
+        if name in sensors:
             raise line.fail(f"a second image is called {name!r}")
-        found[name] = sensor_of(cameras[camera], pose, scale, rfilter, attributes)
-    if not found:
+        sensors[name] = sensor_of(cameras[camera], pose, scale, rfilter, attributes)
+    if not sensors:
         raise SceneError(f"{of_images}: has no image")
-    return found
+    return sensors
 
 
 class Line(NamedTuple):
-    """A line of a text file, divided into words, or a record of a binary one."""
+    """A line of a COLMAP text file, or a record of a binary one, as words."""
 
     path: Path
     number: int
@@ -94,7 +94,7 @@ class Line(NamedTuple):
     unit: str = "line"
 
     def fail(self, message: str) -> SceneError:
-        """The error about this line."""
+        """The error about this line or record, to be raised."""
         return SceneError(f"{self.path}, {self.unit} {self.number}: {message}")
 
     def numbers(self, first: int, last: int, what: str) -> list[float]:
@@ -109,7 +109,7 @@ class Line(NamedTuple):
 
 
 def lines_of(path: Path) -> Iterator[Line]:
-    """The lines that are no comments; blank ones have no words."""
+    """Yields the lines of a text file without comments; blank ones have no words."""
     with opened(path) as file:
         for number, text in enumerate(file, 1):
             text = text.removeprefix(BYTE_ORDER_MARK) if number == 1 else text
@@ -121,13 +121,13 @@ def lines_of(path: Path) -> Iterator[Line]:
                 raise SceneError(f"{path}, line {number}: is no text; is the file binary?") from None
 
 
-def records(path: Path, found: Iterable[tuple[int, list[str]]]) -> Iterator[Line]:
-    """The records of a binary file."""
-    return (Line(path, number, words, "record") for number, words in found)
+def records(path: Path, numbered: Iterable[tuple[int, list[str]]]) -> Iterator[Line]:
+    """Wraps the records of a binary file as lines."""
+    return (Line(path, number, words, "record") for number, words in numbered)
 
 
 def read_cameras(lines: Iterable[Line]) -> dict[str, Intrinsics]:
-    """The cameras by id: CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS."""
+    """Reads the intrinsics of cameras, by id, from lines CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS."""
     cameras = {}
     for line in lines:
         if not line.words:
@@ -162,7 +162,7 @@ def read_cameras(lines: Iterable[Line]) -> dict[str, Intrinsics]:
 
 
 def image_lines(path: Path) -> Iterator[Line]:
-    """The lines of images in a text file, each of which is followed by one of points, which may be blank."""
+    """Yields the lines of images in a text file, skipping the line of points after each, which may be blank."""
     of_points = False
     for line in lines_of(path):
         if of_points:
@@ -176,7 +176,7 @@ def image_lines(path: Path) -> Iterator[Line]:
 
 
 def read_images(lines: Iterable[Line]) -> Iterator[tuple[Line, np.ndarray, str, str]]:
-    """Line, `to_world`, camera id and name of the images: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME."""
+    """Yields each image's line, `to_world`, camera id and name: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME."""
     for line in lines:
         if len(line.words) < 10:
             raise line.fail(f"expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got {' '.join(line.words)[:80]!r}")
@@ -190,7 +190,7 @@ def read_images(lines: Iterable[Line]) -> Iterator[tuple[Line, np.ndarray, str, 
 
 
 def _rotation(quaternion: np.ndarray) -> np.ndarray:
-    """(3, 3) of a quaternion w, x, y, z of any length."""
+    """The (3, 3) rotation matrix of a quaternion w, x, y, z of any length."""
     w, x, y, z = quaternion / np.linalg.norm(quaternion)
     return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
                      [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],

@@ -1,4 +1,4 @@
-"""Reads the records of a COLMAP model in its binary format, as the words of the lines that the text format has.
+"""Reads COLMAP's binary format into the words of its text format.
 
 Reference: COLMAP's documentation, "Output Format", and its source, `src/colmap/sensor/models.h`, for the numbers of models.
 """
@@ -24,7 +24,7 @@ LONGEST_NAME = 4096  # bytes
 
 
 class Records:
-    """A binary file that is read piece by piece; little-endian.
+    """A little-endian binary file that is read piece by piece.
 
     Args:
         path: of the file, for messages.
@@ -37,17 +37,17 @@ class Records:
         self.count, = self.take("Q")
 
     def __iter__(self) -> Iterator[int]:
-        """The numbers of the records, from 1, each while it is being read."""
+        """Yields the numbers of the records, from 1, each while it is being read."""
         while self.number < self.count:
             self.number += 1
             yield self.number
 
     def fail(self, message: str) -> SceneError:
-        """The error about this record."""
+        """The error about this record, to be raised."""
         return SceneError(f"{self.path}, record {self.number}: {message}")
 
     def take(self, layout: str) -> tuple:
-        """The next numbers, as `struct` lays them out without gaps."""
+        """Reads the next numbers, in the layout of `struct` without gaps."""
         length = struct.calcsize(f"<{layout}")
         data = self.file.read(length)
         if len(data) < length:
@@ -55,26 +55,26 @@ class Records:
         return struct.unpack(f"<{layout}", data)
 
     def text(self) -> str:
-        """The next characters up to a zero."""
-        found = bytearray()
+        """Reads characters up to a zero."""
+        content = bytearray()
         while (byte := self.take("c")[0]) != b"\0":
-            found += byte
-            if len(found) > LONGEST_NAME:
+            content += byte
+            if len(content) > LONGEST_NAME:
                 raise self.fail(f"the name of an image has more than {LONGEST_NAME} bytes; is the file damaged?")
         try:
-            return found.decode()
+            return content.decode()
         except UnicodeDecodeError:
             raise self.fail("the name of an image is no text; is the file damaged?") from None
 
     def skip(self, length: int) -> None:
-        """Leaves out some bytes, which must be there."""
+        """Skips bytes, which must exist."""
         if self.file.tell() + length > self.size:
             raise self.fail(f"the file ends after {self.size} bytes; is it cut short?")
         self.file.seek(length, os.SEEK_CUR)
 
 
 def binary_cameras(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Numbers of records and the words CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS of cameras.bin."""
+    """Yields the number of each record of cameras.bin and its words CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS."""
     with opened(path) as file:
         records = Records(path, file)
         for number in records:
@@ -86,7 +86,7 @@ def binary_cameras(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def binary_images(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Numbers of records and the words IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME of images.bin; NAME may have spaces."""
+    """Yields each record's number and words IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME of images.bin."""
     with opened(path) as file:
         records = Records(path, file)
         for number in records:

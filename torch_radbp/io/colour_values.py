@@ -19,12 +19,12 @@ EQUAL_ENERGY = tuple(map(sum, LINEAR_SRGB_OF_XYZ))
 
 
 def is_colour(value: Any) -> bool:
-    """True for <rgb> and <spectrum>, which are values and no objects of their own."""
+    """True for <rgb> and <spectrum>, which are values rather than objects."""
     return isinstance(value, dict) and value.get("type") in COLOURS
 
 
 def colour_value(name: str, node: dict[str, Any], of_emitter: bool) -> float | list[float] | Samples | nn.Parameter:
-    """The value of {"type": "rgb" or "spectrum", "value": ...}: three numbers of an rgb, of a spectrum what it has.
+    """Converts {"type": "rgb" or "spectrum", "value": ...} to a number, three numbers or a spectrum.
 
     Raises:
         ValueError: on other entries, and on wavelengths that do not increase.

@@ -11,7 +11,7 @@ LONGEST = 120  # bytes
 
 
 def file_name(name: str) -> str:
-    """`name` as a part of a file name: one that a file can have stays as it is, and different names stay different.
+    """Encodes `name` as part of a file name: valid names stay as they are, different names stay different.
 
     Other characters become their code, `images%2Fv000_png`; long names are cut, and end in a hash of the whole.
     """

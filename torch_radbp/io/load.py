@@ -93,7 +93,7 @@ def load_dict(description: dict[str, Any], base_dir: str | os.PathLike | None = 
 
 
 def built(build: Callable[[], Scene], strict: bool) -> Scene:
-    """What `build` returns in torch's default dtype, on the CPU; errors as `load` says."""
+    """Builds a scene in torch's default dtype, on the CPU; errors as `load` says."""
     dtype = torch.get_default_dtype()
     if dtype not in DTYPES:
         raise TypeError(f"scenes are float32 or float64, but torch's default dtype is {dtype}; load under "

@@ -82,7 +82,7 @@ def cameras_from_nerf(path: str | os.PathLike, *, width: int | None = None, heig
 def nerf_cameras(path: Path, names: Collection[str] | None, *, width: int | None = None, height: int | None = None,
                  scale: float = 1.0, rfilter: ReconstructionFilter | str | None = None, missing: str = "skip",
                  **attributes: Unpack[CameraAttributes]) -> dict[str, Calibrated]:
-    """The cameras of the frames of these names, or of all; arguments and errors as of `cameras_from_nerf`."""
+    """Reads the cameras of some frames, or of all; arguments and errors as of `cameras_from_nerf`."""
     missing_of(missing)
     document = read_json(path)
     frames = [frame for frame in frames_of(path, document) if names is None or frame.name in names]
@@ -108,19 +108,19 @@ def nerf_cameras(path: Path, names: Collection[str] | None, *, width: int | None
 
 
 def left_out(path: str | os.PathLike) -> str:
-    """What is said of images of a data set that are not there."""
+    """The warning about images of a data set that are missing."""
     return f"left out of {path}: the image is not there (missing=\"error\" insists on all)"
 
 
 def missing_of(missing: str) -> str:
-    """What to do with images that are not there, checked."""
+    """Checks the option that says what to do with missing images."""
     if missing not in MISSING:
         raise ValueError(f"missing must be {' or '.join(map(repr, MISSING))}, got {missing!r:.60}")
     return missing
 
 
 class NerfFrame(NamedTuple):
-    """An entry of "frames"."""
+    """A frame of a NeRF data set: an entry of "frames"."""
 
     path: Path  # of the document
     place: str  # in it, for messages
@@ -153,14 +153,14 @@ def frames_of(path: Path, document: dict[str, Any]) -> list[NerfFrame]:
 
 
 def given_of(document: dict[str, Any], frame: NerfFrame) -> dict[str, Any]:
-    """What is said of a frame's camera: what the frame says, and what the document says of other things."""
+    """The camera entries for a frame: its own, or else those of the document."""
     of_frame = {key: frame.entry[key] for key in INTRINSICS if frame.entry.get(key) is not None}
     said = {*of_frame}.union(*(keys for keys in TOGETHER if any(key in of_frame for key in keys)))
     return of_frame | {key: document[key] for key in INTRINSICS if document.get(key) is not None and key not in said}
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """The object in a JSON file."""
+    """Reads a JSON file that contains an object."""
     try:
         with opened(path) as file, memory_for(path):
             document = json.loads(file.read())
@@ -185,7 +185,7 @@ def _number(place: str, given: dict[str, Any], key: str) -> float | None:
 
 def _size_of(frame: NerfFrame, given: dict[str, Any], folder: Path,
              other: tuple[int | None, int | None]) -> list[int] | None:
-    """Width and height as the file says them, or the caller, or the image does; None if that is not there."""
+    """Width and height from the file, the caller or the image; None if that is missing."""
     size = [_number(frame.place, given, key) for key in ("w", "h")]
     if None in size:
         image = image_file(folder, frame.name)
@@ -201,7 +201,7 @@ def _size_of(frame: NerfFrame, given: dict[str, Any], folder: Path,
 
 
 def image_file(folder: Path, name: str) -> Path | None:
-    """The file of an image, whose name may lack its extension, and have backslashes; None if there is none."""
+    """The file of an image, whose name may lack its extension, or have backslashes; None if there is none."""
     suffixes = ("",) if Path(name).suffix.lower() in READABLE else ("", *SUFFIXES)  # view.jpg.png is the mask of view.jpg
     images = [folder / f"{each}{suffix}" for each in (name, name.replace("\\", "/")) for suffix in suffixes]
     return next((image for image in images if is_file(image)), None)
@@ -216,7 +216,7 @@ def is_file(path: Path) -> bool:
 
 
 def size_of_image(path: Path) -> list[int]:
-    """Width and height of a picture, from its header."""
+    """Width and height of an image, from its header."""
     try:
         return list(image_size(path))
     except (OSError, ValueError) as error:
@@ -224,7 +224,7 @@ def size_of_image(path: Path) -> list[int]:
 
 
 def intrinsics(frame: NerfFrame, given: dict[str, Any], size: list[int]) -> Intrinsics:
-    """What a frame says of its camera, with what is said of all."""
+    """The intrinsics of a frame's camera."""
     place, fisheye = frame.place, given.get("is_fisheye")
     if fisheye is not None and not isinstance(fisheye, bool):
         raise SceneError(f"{place}: is_fisheye must be true or false, got {fisheye!r:.80}")
@@ -247,16 +247,16 @@ def intrinsics(frame: NerfFrame, given: dict[str, Any], size: list[int]) -> Intr
         focal.append(length)
     if focal == [None, None]:
         raise SceneError(f"{place}: the focal length is missing: give fl_x (pixels) or camera_angle_x (radians)")
-    fx, fy = (own if own is not None else other for own, other in (focal, reversed(focal)))
+    fx, fy = (along_axis if along_axis is not None else other for along_axis, other in (focal, reversed(focal)))
     cx, cy = (0.5 * side if middle is None else middle
               for side, middle in ((width, _number(place, given, "cx")), (height, _number(place, given, "cy"))))
-    known = COEFFICIENTS.get(model, ())
+    names = COEFFICIENTS.get(model, ())
     values = {key: _number(place, given, key) for key in ("k1", "k2", "k3", "k4", "p1", "p2")}
-    stray = [key for key, value in values.items() if value and key not in known]
+    stray = [key for key, value in values.items() if value and key not in names]
     if stray:
         raise SceneError(f"{place}: {stray[0]} = {values[stray[0]]:g} is no coefficient of the camera_model {model}; "
-                         f"known: {', '.join(known) or 'none'}")
-    coefficients = {key: values[key] for key in known if values[key] is not None}
+                         f"known: {', '.join(names) or 'none'}")
+    coefficients = {key: values[key] for key in names if values[key] is not None}
     return Intrinsics(width, height, fx, fy, cx - 0.5, cy - 0.5, model=LENSES[model], coefficients=coefficients)
 
 

@@ -24,7 +24,7 @@ FROM_OPENGL = np.diag([-1.0, 1.0, -1.0])  # where x points to the right, y up an
 
 
 class Intrinsics(NamedTuple):
-    """What a calibration says of a camera without its pose; pixels, from the centre of the first one."""
+    """The intrinsics and distortion of a calibrated camera; pixels, from the centre of the first one."""
 
     width: int
     height: int
@@ -95,7 +95,7 @@ def cameras_from_kornia(pinhole: Any, *, scale: float = 1.0, rfilter: Reconstruc
 
 
 def whole(name: str, value: Tensor) -> int:
-    """A tensor of one whole number, of any dtype, as an int."""
+    """Converts a tensor with one whole number, of any dtype, to an int."""
     number = value.item()
     if number != int(number):
         raise ValueError(f"the {name} of pinhole must be whole numbers, got {number}")
@@ -103,7 +103,7 @@ def whole(name: str, value: Tensor) -> int:
 
 
 def intrinsics_of(K: Any, width: int, height: int, distortion: Sequence[float], fisheye: bool) -> Intrinsics:
-    """K and OpenCV's vector of coefficients as a record; raises as `camera_from_opencv`."""
+    """The record of intrinsics from K and OpenCV's distortion vector; raises as `camera_from_opencv`."""
     matrix = array("K", K, (3, 3))
     if matrix[1, 0] != 0 or (matrix[2] != (0, 0, 1)).any():
         raise ValueError(f"K must be fx, skew, cx; 0, fy, cy; 0, 0, 1, got {matrix.tolist()}")
@@ -117,7 +117,7 @@ def intrinsics_of(K: Any, width: int, height: int, distortion: Sequence[float], 
 
 
 def pose_of(R: Any, t: Any) -> np.ndarray:
-    """(4, 4) float64 `to_world` of a camera from its rotation and translation, world to camera; raises as above."""
+    """(4, 4) float64 `to_world` from a camera's rotation and translation, world to camera; raises as above."""
     rotation, translation = array("R", R, (3, 3)), array("t", t, None)
     if translation.shape not in ((3,), (3, 1)):
         raise ValueError(f"t must have shape (3,) or (3, 1), got {translation.shape}")
@@ -130,7 +130,7 @@ def pose_of(R: Any, t: Any) -> np.ndarray:
 
 def sensor_of(camera: Intrinsics, to_world: np.ndarray, scale: float, rfilter: ReconstructionFilter | str | None,
               attributes: CameraAttributes) -> Calibrated:
-    """The sensor of a calibration and a pose, its image scaled to whole pixels."""
+    """Builds a sensor from intrinsics and a pose, its image scaled to whole pixels."""
     width, height = (max(1, round(size * positive("scale", scale))) for size in (camera.width, camera.height))
     x, y = width / camera.width, height / camera.height
     film = HDRFilm(width=width, height=height, rfilter=filter_of(rfilter))
@@ -141,7 +141,7 @@ def sensor_of(camera: Intrinsics, to_world: np.ndarray, scale: float, rfilter: R
 
 
 def filter_of(rfilter: ReconstructionFilter | str | None) -> ReconstructionFilter | None:
-    """A filter, by its name too.
+    """A reconstruction filter, given itself or by name.
 
     Raises:
         ValueError: on unknown names.
@@ -149,17 +149,17 @@ def filter_of(rfilter: ReconstructionFilter | str | None) -> ReconstructionFilte
     """
     if rfilter is None or isinstance(rfilter, ReconstructionFilter):
         return rfilter
-    known = REGISTRY["rfilter"]
+    filters = REGISTRY["rfilter"]
     if not isinstance(rfilter, str):
-        raise TypeError(f"rfilter must be a reconstruction filter or the name of one ({', '.join(sorted(known))}), got "
+        raise TypeError(f"rfilter must be a reconstruction filter or the name of one ({', '.join(sorted(filters))}), got "
                         f"{rfilter!r:.60}")
-    if rfilter not in known:
-        raise ValueError(f"rfilter {rfilter!r} is not known; {nearest(rfilter, known)}")
-    return known[rfilter]()
+    if rfilter not in filters:
+        raise ValueError(f"rfilter {rfilter!r} is not known; {nearest(rfilter, filters)}")
+    return filters[rfilter]()
 
 
 def array(name: str, value: Any, shape: tuple[int, ...] | None) -> np.ndarray:
-    """`value` as float64 numbers.
+    """Converts `value` to float64 numbers, checked.
 
     Raises:
         ValueError: if they are of another shape, not finite, or require a gradient.

@@ -13,7 +13,7 @@ from torch_radbp.texture.spectrum import Samples
 
 
 def read_spectrum(path: str | os.PathLike) -> Samples:
-    """The spectrum in a file.
+    """Reads a spectrum from an .spd file.
 
     Raises:
         FileNotFoundError: if there is no such file.

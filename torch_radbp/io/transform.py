@@ -1,4 +1,4 @@
-"""The 4 x 4 matrices of the transform elements of a scene: world from local, float64, column vectors."""
+"""Matrices of a scene's transform elements, 4 x 4: world from local, float64, column vectors."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import numpy as np
 
 
 def translate(offset: Sequence[float]) -> np.ndarray:
-    """Moves by `offset` (3,)."""
+    """The translation by `offset` (3,)."""
     matrix = np.eye(4)
     matrix[:3, 3] = offset
     return matrix
 
 
 def scale(factors: Sequence[float]) -> np.ndarray:
-    """Scales along the axes by `factors` (3,)."""
+    """The scaling along the axes by `factors` (3,)."""
     return np.diag([*factors, 1.0])
 
 
 def rotate(axis: Sequence[float], angle: float) -> np.ndarray:
-    """Turns counter-clockwise by `angle` degrees about `axis` (3,), of any length.
+    """The counter-clockwise rotation by `angle` degrees about `axis` (3,), of any length.
 
     Raises:
         ValueError: if the axis is zero.
@@ -32,7 +32,7 @@ def rotate(axis: Sequence[float], angle: float) -> np.ndarray:
 
 
 def rotate_unchecked(axis: Sequence[float], angle: float) -> np.ndarray:
-    """As `rotate` for an axis of length one; any other is not normalised, so that the matrix scales and shears.
+    """The rotation about an axis of length one; another axis is not normalised, and the matrix scales and shears.
 
     Reference: Rodrigues' formula, in the form in which Mitsuba 3.9 has it.
     """

@@ -1,4 +1,4 @@
-"""Shapes and scenes as meshes and scenes of trimesh, with their current values; materials by the writer of glTF.
+"""Converts shapes and scenes to trimesh, with their current values; materials by the writer of glTF.
 
 It sets `Surface.converter` and `Scene.converter`, which `to_trimesh` of shapes and scenes calls.
 """
@@ -34,7 +34,7 @@ STRENGTH = "KHR_materials_emissive_strength"  # which trimesh does without
 
 
 class Pictured(Written):
-    """A glTF document whose images stay as they are."""
+    """A glTF document whose images stay unencoded."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -46,7 +46,7 @@ class Pictured(Written):
 
 
 class Meshes:
-    """Meshes of trimesh of the shapes of one scene; shapes with the same look have the same material."""
+    """Converts the shapes of one scene to trimesh meshes; shapes with the same look share a material."""
 
     def __init__(self, root: nn.Module) -> None:
         self.root, self.out, self.losses = root, Pictured(), Losses()
@@ -54,7 +54,7 @@ class Meshes:
         self.materials: dict[int, Any] = {}
 
     def of(self, name: str, shape: Surface) -> trimesh.Trimesh:
-        """A shape as it stands in world space, or in the space of its group."""
+        """Converts a shape, in world space or in the space of its group."""
         import trimesh
         surface = shape.oriented()
         appearance = self.appearances.of(shape, is_upright_in_v(surface))
@@ -63,14 +63,14 @@ class Meshes:
             mesh.vertex_normals = array_of(surface.normals)
         kept = appearance.colours[0] if appearance.colours else ""
         for attribute, values in surface.attributes:
-            kind, _, own = attribute.partition("_")
+            kind, _, short = attribute.partition("_")
             if attribute != kept:
-                (mesh.vertex_attributes if kind == "vertex" else mesh.face_attributes)[own] = array_of(values)
+                (mesh.vertex_attributes if kind == "vertex" else mesh.face_attributes)[short] = array_of(values)
         mesh.visual = self.visual(name, surface, appearance)
         return mesh
 
     def visual(self, name: str, surface: Triangles, appearance: PrimitiveMaterial) -> Any:
-        """The colours of a mesh if they are its base colour, or its material."""
+        """The trimesh visual of a mesh: vertex or face colours if these are its base colour, or its material."""
         from trimesh.visual import ColorVisuals, TextureVisuals
         material = self.material(appearance.material)
         uv = None if surface.uv is None else array_of(surface.uv) * (1, -1) + (0, 1)
@@ -96,7 +96,7 @@ class Meshes:
         return self.materials[number]
 
     def made(self, entries: dict[str, Any]) -> Any:
-        """A new material; what trimesh has no place for is a loss."""
+        """Converts a material; notes what trimesh has no entry for."""
         from trimesh.visual.material import PBRMaterial
         flat = {**entries, **entries["pbrMetallicRoughness"]}
         extensions = flat.pop("extensions", {})
@@ -116,7 +116,7 @@ class Meshes:
         return material
 
     def picture(self, what: str, info: dict[str, Any]) -> Image.Image:
-        """The image of a texture info; that it is read in another way than repeated and interpolated is a loss."""
+        """The image of a texture info; notes it if it is not repeated and bilinear, as trimesh assumes."""
         texture = self.out.lists["textures"][info["index"]]
         plain = {"wrapS": WRAPS["repeat"], "wrapT": WRAPS["repeat"], "magFilter": LINEAR}
         if self.out.lists["samplers"][texture["sampler"]] != plain or "extensions" in info:
@@ -124,19 +124,19 @@ class Meshes:
         return self.out.pictures[texture["source"]]
 
     def warn(self) -> None:
-        """Warns of what trimesh cannot say."""
+        """Warns of all that trimesh cannot represent."""
         if losses := list(self.losses):
             warnings.warn(f"trimesh: {said(losses)}", SceneWarning, stacklevel=4)
 
 
 def array_of(values: Tensor) -> np.ndarray:
-    """A tensor as an array of float64, or of its integers."""
+    """Converts a tensor to an array of float64, or of its integers."""
     values = values.detach().cpu()
     return (values.double() if values.is_floating_point() else values).numpy()
 
 
 def mesh_of_shape(shape: Surface) -> trimesh.Trimesh:
-    """See `Surface.to_trimesh`."""
+    """Converts a shape to a mesh, for `Surface.to_trimesh`."""
     with torch.no_grad():
         meshes = Meshes(shape)
         mesh = meshes.of(shape.id or shape.type, shape)
@@ -145,33 +145,33 @@ def mesh_of_shape(shape: Surface) -> trimesh.Trimesh:
 
 
 def scene_of_scene(scene: Scene) -> trimesh.Scene:
-    """See `Scene.to_trimesh`."""
+    """Converts a scene, for `Scene.to_trimesh`."""
     import trimesh
-    meshes, found = Meshes(scene), trimesh.Scene()
+    meshes, converted = Meshes(scene), trimesh.Scene()
 
     def add(name: str, shape: Surface, node: str, to_world: np.ndarray | None = None) -> None:
-        if name not in found.geometry:
-            found.geometry[name] = meshes.of(name, shape)
-        found.graph.update(frame_to=node, matrix=np.eye(4) if to_world is None else to_world, geometry=name)
+        if name not in converted.geometry:
+            converted.geometry[name] = meshes.of(name, shape)
+        converted.graph.update(frame_to=node, matrix=np.eye(4) if to_world is None else to_world, geometry=name)
 
     with torch.no_grad():
         for name, child in scene.named_children():
             if isinstance(child, Instance):
                 group = scene.name_of(child.shapegroup)
-                for own, shape in child.shapegroup.shapes.items():
-                    add(f"{group}_{own}", shape, f"{name}_{own}", matrix_of(child.to_world))
+                for leaf, shape in child.shapegroup.shapes.items():
+                    add(f"{group}_{leaf}", shape, f"{name}_{leaf}", matrix_of(child.to_world))
             elif isinstance(child, Surface):
                 add(name, child, name)
             elif isinstance(child, Emitter):
                 meshes.losses.add(name, f"a {child.type} emitter is left out: only surfaces shine in what trimesh keeps")
             elif isinstance(child, Sensor):
-                look_through(found, name, child, meshes.losses)
+                look_through(converted, name, child, meshes.losses)
     meshes.warn()
-    return found
+    return converted
 
 
 def look_through(scene: trimesh.Scene, name: str, sensor: Sensor, losses: Losses) -> None:
-    """Gives a scene of trimesh the camera that a sensor is, if it has none yet."""
+    """Sets a trimesh scene's camera from a sensor, if it has none yet."""
     import trimesh
     written = None if scene.has_camera else lamp_out.camera_of_sensor(sensor, name, losses)
     if written is None or "perspective" not in written[0]:

@@ -1,4 +1,4 @@
-"""A scene of trimesh as a `Scene`."""
+"""Converts a trimesh scene to a `Scene`."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def scene_from_trimesh(source: trimesh.Trimesh | trimesh.Scene, *, resolution: i
 
 
 def _read_scene(source: trimesh.Trimesh | trimesh.Scene, chosen: Options, strict: bool) -> Scene:
-    """The scene, in torch's default dtype."""
+    """Converts a trimesh scene, in torch's default dtype."""
     losses, names = Losses(), Names()
     children: dict[str, Plugin] = {}
     looks = Looks(losses, names, children)
@@ -95,7 +95,7 @@ def _read_scene(source: trimesh.Trimesh | trimesh.Scene, chosen: Options, strict
 
 
 def _camera_of(scene: trimesh.Scene, chosen: Options, reach: float) -> Plugin:
-    """The camera of a scene, as of glTF: it looks along -z."""
+    """The camera of a trimesh scene: as in glTF it looks along -z."""
     width, height = (int(side) for side in scene.camera.resolution)
     perspective = {"yfov": math.radians(float(scene.camera.fov[1])), "aspectRatio": width / height,
                    "znear": float(scene.camera.z_near)}

@@ -1,4 +1,4 @@
-"""Meshes and scenes of trimesh as shapes with materials, which become what they are in glTF (`io.gltf.material`).
+"""Converts trimesh meshes to shapes with materials, as their glTF would be (`io.gltf.material`).
 
 A `PBRMaterial` is read by the reader of glTF, and so are colours, which glTF multiplies with its default material, a rough
 metal. A `SimpleMaterial`, as of OBJ files, is what trimesh makes of it for glTF, but no metal. A mesh without either has no
@@ -44,14 +44,14 @@ SURFACE = ("normalTexture", "emissiveTexture", "occlusionTexture")
 
 
 class Dressed(NamedTuple):
-    """A mesh as a shape needs it."""
+    """A mesh with its look: material, emission and texture coordinates."""
 
     arrays: MeshArrays
-    look: Look | None  # None: trimesh says nothing about it
+    look: Look | None  # None: trimesh has no material for it
 
 
 class ImagesInMemory:
-    """Pictures in memory, in the place of those of a glTF document."""
+    """Images in memory, in place of those of a glTF document."""
 
     def __init__(self) -> None:
         self.pictures: list[np.ndarray] = []
@@ -62,7 +62,7 @@ class ImagesInMemory:
 
 
 class Looks:
-    """The looks of meshes, each made once: materials that are equal are one, as where trimesh writes glTF.
+    """The looks of meshes, one for each distinct material.
 
     Args:
         losses: filled in.
@@ -97,7 +97,7 @@ class Looks:
         return Dressed(arrays, look)
 
     def number(self, material: Any, place: str) -> int:
-        """The number of a material in the document, to which it is added if it is new."""
+        """The index of a material in the document, to which it is added if it is new."""
         key = hash(material)
         if key not in self.numbers:
             if hasattr(material, "materials"):
@@ -108,11 +108,11 @@ class Looks:
         return self.numbers[key]
 
     def entries(self, material: Any) -> dict[str, Any]:
-        """A material as a document has it."""
+        """Converts a trimesh material to entries of a glTF document."""
         if hasattr(material, "baseColorFactor"):
-            pbr, found = material, {}
+            pbr, entries = material, {}
         else:
-            pbr, found = material.to_pbr(), {"metallicFactor": 0.0, "name": material.name}
+            pbr, entries = material.to_pbr(), {"metallicFactor": 0.0, "name": material.name}
         for name in (*PLAIN, *ROUGH, *SURFACE):
             value = getattr(pbr, name)
             if value is None:
@@ -120,17 +120,17 @@ class Looks:
             if name.endswith("Texture"):
                 self.images.pictures.append(bytes_of(value))
                 self.document.value["textures"].append({"source": len(self.images.pictures) - 1})
-                found[name] = {"index": len(self.images.pictures) - 1}
+                entries[name] = {"index": len(self.images.pictures) - 1}
             elif name == "baseColorFactor":
-                found[name] = (np.asarray(value) / 255.0).tolist()
+                entries[name] = (np.asarray(value) / 255.0).tolist()
             else:
-                found[name] = value.tolist() if isinstance(value, np.ndarray) else value
-        found["pbrMetallicRoughness"] = {name: found.pop(name) for name in ROUGH if name in found}
-        return {name: value for name, value in found.items() if value is not None}
+                entries[name] = value.tolist() if isinstance(value, np.ndarray) else value
+        entries["pbrMetallicRoughness"] = {name: entries.pop(name) for name in ROUGH if name in entries}
+        return {name: value for name, value in entries.items() if value is not None}
 
 
 def shape_of_mesh(source: trimesh.Trimesh | trimesh.Scene) -> TensorMesh:
-    """A mesh, or all meshes of a scene as one, as a shape with its material, in torch's default dtype.
+    """Converts a mesh, or all meshes of a scene joined, to a shape, in torch's default dtype.
 
     Raises:
         ValueError: as `with_arrays`.
@@ -143,20 +143,20 @@ def shape_of_mesh(source: trimesh.Trimesh | trimesh.Scene) -> TensorMesh:
 
 
 def _shapes_of(name: str, value: Any, others: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """A mesh of trimesh as the description of a shape, and a scene as one for each node that shows a mesh."""
+    """Yields descriptions of shapes for a trimesh mesh, or for each node of a trimesh scene that shows a mesh."""
     try:
         placed = placed_meshes(value)
     except ValueError as error:
         raise SceneError(f"{name}: {error}") from error
     for each in placed:
-        own = name if len(placed) == 1 else f"{name}_{each.name}".replace(".", "_")
-        while own != name and own in others:
-            own += "_"
-        yield own, {"type": "mesh", "mesh": each.mesh, "to_world": each.to_world}
+        key = name if len(placed) == 1 else f"{name}_{each.name}".replace(".", "_")
+        while key != name and key in others:
+            key += "_"
+        yield key, {"type": "mesh", "mesh": each.mesh, "to_world": each.to_world}
 
 
 def with_shapes(node: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """The entries of an object, with descriptions of shapes in the place of what trimesh has made."""
+    """Yields the entries of an object, with trimesh objects replaced by descriptions of shapes."""
     for key, value in node.items():
         cls = REGISTRY["shape"].get(str(node.get("type"))) if is_trimesh(value) else None
         if not is_trimesh(value) or (cls is not None and key in attributes(cls)):
@@ -166,7 +166,7 @@ def with_shapes(node: dict[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def with_arrays(arguments: dict[str, Any], looks: Looks) -> dict[str, Any]:
-    """The arguments of a shape `mesh`, with arrays and a material in the place of a mesh of trimesh, or of a file.
+    """The arguments of a shape `mesh`, with a trimesh mesh or a file replaced by arrays and a material.
 
     Raises:
         ValueError: if there are several materials, and none is given; as the shape.
@@ -174,7 +174,7 @@ def with_arrays(arguments: dict[str, Any], looks: Looks) -> dict[str, Any]:
     source, file = arguments.get("mesh"), arguments.get("filename")
     if (source is None) == (file is None) or "vertex_positions" in arguments:
         return arguments  # the shape says what is wrong
-    found = {name: value for name, value in arguments.items() if name != "filename"}
+    changed = {name: value for name, value in arguments.items() if name != "filename"}
     placed = placed_meshes(read_trimesh(file) if source is None else source)
     if arguments.get("bsdf") is not None:
         parts = [Dressed(mesh_arrays(each.mesh), None) for each in placed]
@@ -184,17 +184,17 @@ def with_arrays(arguments: dict[str, Any], looks: Looks) -> dict[str, Any]:
         raise ValueError(f"one shape has one material, and the {len(parts)} meshes have several: give a bsdf for all of "
                          "them, or put the trimesh.Scene (of a file: trimesh.load_scene(filename)) into the dict by itself, "
                          "which makes a shape of each")
-    found["mesh"] = joined_meshes([transformed_mesh(part.arrays, each.to_world) for part, each in zip(parts, placed)])
+    changed["mesh"] = joined_meshes([transformed_mesh(part.arrays, each.to_world) for part, each in zip(parts, placed)])
     bsdf, emitter = dress(parts[0].look)
     if bsdf is not None:
-        found["bsdf"] = bsdf
+        changed["bsdf"] = bsdf
     if emitter is not None:
-        found.setdefault("emitter", emitter)
-    return found
+        changed.setdefault("emitter", emitter)
+    return changed
 
 
 def dress(look: Look | None) -> tuple[BSDF | None, Emitter | None]:
-    """The material of a look, and an emitter of its own for one shape that has it."""
+    """The material of a look, and a new emitter for one shape with that look."""
     if look is None:
         return None, None
     return look.bsdf, None if look.radiance is None else Area(radiance=look.radiance)

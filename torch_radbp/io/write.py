@@ -1,4 +1,4 @@
-"""Writes a scene back out as Mitsuba 3 XML or glTF, with the parameters' current values."""
+"""Writes a scene as Mitsuba 3 XML or glTF, with the parameters' current values."""
 
 from __future__ import annotations
 
@@ -101,12 +101,12 @@ class _Writer:
         plugins = [module for module in scene.modules() if isinstance(module, Plugin)]
         owners = Counter(id(part) for plugin in plugins for part in _parts(plugin))
         self.shared = {part for part, count in owners.items() if count > 1}
-        self.taken = {*self.ids.values(), *(plugin.id for plugin in plugins)}
+        self.used = {*self.ids.values(), *(plugin.id for plugin in plugins)}
         self.files: list[Path] = []
         self.lacking: list[str] = []  # what Mitsuba has no counterpart of
 
     def scene_element(self) -> ElementTree.Element:
-        """The whole scene."""
+        """The XML of the whole scene."""
         root = ElementTree.Element("scene", version=VERSION)
         root.append(self.plugin_element(self.scene.integrator, "integrator"))
         children = [(name, child) for name, child in self.scene.named_children() if self.check(name, child)]
@@ -117,14 +117,14 @@ class _Writer:
         return root
 
     def check(self, name: str, module: nn.Module) -> bool:
-        """True for a registered plugin, for which there is an element."""
+        """True if a module is a registered plugin, which can be written."""
         if not isinstance(module, Plugin) or not module.type:
             raise SceneError(f"{name}: a {type(module).__name__} cannot be written as XML, only Mitsuba's plugins can; "
                              "save its `state_dict()` with torch.save or safetensors, or put a bitmap in its place")
         return True
 
     def plugin_element(self, plugin: Plugin, name: str) -> ElementTree.Element:
-        """One plugin, called `name` in the scene, with the attributes that differ from their defaults."""
+        """The XML of a plugin called `name`, with the attributes that differ from their defaults."""
         try:
             plugin = plugin.for_mitsuba()
         except ValueError as error:
@@ -153,7 +153,7 @@ class _Writer:
         return element
 
     def mesh_element(self, plugin: Plugin, name: str) -> ElementTree.Element:
-        """A mesh as a PLY file. Without vertex normals it says so, or Mitsuba would make smooth ones."""
+        """The XML of a mesh, which is written as a PLY file; without vertex normals it is marked flat."""
         surface = plugin.triangles()
         arrays = (surface.vertices, surface.normals, surface.uv)
         for parameter, values in zip(MESH_PARAMETERS, arrays, strict=True):
@@ -175,7 +175,7 @@ class _Writer:
         return element
 
     def add(self, element: ElementTree.Element, plugin: Plugin, attribute: str, name: str) -> None:
-        """Appends one attribute of `plugin`, called `name`, unless it has its default value."""
+        """Appends the XML of one attribute of `plugin`, called `name`, unless it has its default value."""
         annotation, default, _ = attributes(type(plugin))[attribute]
         try:
             value = plugin.as_written(attribute)
@@ -194,7 +194,7 @@ class _Writer:
             element.append(_value_element(attribute, value, annotation, f"{name}.{attribute}"))
 
     def nested(self, plugin: nn.Module, attribute: str, name: str) -> ElementTree.Element:
-        """A plugin inside another one: a reference, a plain colour or an element of its own."""
+        """The XML of a nested plugin: a reference, a plain colour or an element of its own."""
         if id(plugin) in self.ids:
             element = ElementTree.Element("ref", id=_text(self.ids[id(plugin)]))
         elif self.check(name, plugin) and isinstance(plugin, RGB) and id(plugin) not in self.shared:
@@ -210,24 +210,24 @@ class _Writer:
 
     def new_id(self, name: str) -> str:
         """An id that no other object has, without the dots that Mitsuba refuses."""
-        found = name.replace(".", "_")
-        while found in self.taken:
-            found += "_"
-        self.taken.add(found)
-        return found
+        unused = name.replace(".", "_")
+        while unused in self.used:
+            unused += "_"
+        self.used.add(unused)
+        return unused
 
     def file(self, name: str, suffix: str) -> Path:
-        """A path for one more file of the scene."""
-        taken = {file.name for file in self.files}
+        """A new path for a file of the scene."""
+        used = {file.name for file in self.files}
         stem = f"{self.stem}_{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}"
-        while f"{stem}{suffix}" in taken:
+        while f"{stem}{suffix}" in used:
             stem += "_"
         self.files.append(self.folder / f"{stem}{suffix}")
         return self.files[-1]
 
 
 def _parts(plugin: Plugin) -> Iterator[nn.Module]:
-    """The modules that are attributes of a plugin, those that it only refers to included."""
+    """The modules that are attributes of a plugin, shared ones included."""
     for name, attribute in attributes(type(plugin)).items():
         value = getattr(plugin, name, None)
         if isinstance(value, nn.Module) and not is_list(attribute.annotation) and not is_named(attribute.annotation):
@@ -239,7 +239,7 @@ def _parts(plugin: Plugin) -> Iterator[nn.Module]:
 
 
 def _is_as_constructed(plugin: Plugin) -> bool:
-    """True if a mesh is what its constructor makes of its plain attributes: an unchanged cube, never a file's mesh.
+    """True if a mesh still is what its constructor makes of its plain attributes: an unchanged cube, never a file's mesh.
 
     It may have been made in either dtype, whatever torch's default dtype is now.
     """
@@ -274,7 +274,7 @@ def _equal(value: Any, other: Any) -> bool:
 
 
 def _value_element(name: str, value: Any, annotation: Any, place: str) -> ElementTree.Element:
-    """A plain value as the element of its type."""
+    """The XML of a plain value."""
     kinds = options(annotation)
     if Matrix4 in kinds:
         element = ElementTree.Element("transform", name=name)
@@ -299,7 +299,7 @@ def _colour_element(name: str, value: Tensor, place: str) -> ElementTree.Element
 
 
 def _numbers(values: Any, place: str, separator: str = ", ") -> str:
-    """Numbers with as many digits as it takes to read back the same value of their dtype."""
+    """Numbers as text, with as many digits as restore the same value of their dtype."""
     array = np.ravel(values.detach().cpu().numpy() if isinstance(values, Tensor) else np.float64(values))
     if not np.isfinite(array).all():
         raise SceneError(f"{place}: not written, it is NaN or infinite: {array.tolist()}")
@@ -307,5 +307,5 @@ def _numbers(values: Any, place: str, separator: str = ", ") -> str:
 
 
 def _text(text: str) -> str:
-    """Text that is not to be read as a variable."""
+    """Escapes a text so that it is not read as a variable."""
     return str(text).replace("$", "\\$")

@@ -1,4 +1,4 @@
-"""Reads an XML file into a tree of elements that know their line, and nothing else of XML.
+"""Reads an XML file into a tree of elements that know their line.
 
 A scene file may come from anywhere, so that document type declarations, and with them entities of every kind, are
 refused before they are read, and nesting is limited. Text between elements is left out with a warning.
@@ -33,17 +33,17 @@ class Element(NamedTuple):
         return f"{self.file}, line {self.line}: <{self.tag}{named}>"
 
     def fail(self, message: str) -> SceneError:
-        """An error about this element, for the caller to raise."""
+        """An error about this element, to be raised."""
         return SceneError(f"{self}: {message}")
 
 
 def abridged(text: str, length: int = 80) -> str:
-    """The beginning of a long text, for messages."""
+    """Shortens a long text, for messages."""
     return text if len(text) <= length else f"{text[:length]}..."
 
 
 def read_xml(path: str | os.PathLike) -> Element:
-    """The root element of a file.
+    """Reads an XML file and returns its root element.
 
     Raises:
         SceneError: if the file cannot be read, is not well-formed XML, declares a document type or entities, or nests
@@ -58,7 +58,7 @@ def read_xml(path: str | os.PathLike) -> Element:
 
 
 def parse_xml(content: bytes, file: str) -> Element:
-    """The root element of an XML document in memory; `file` is the name for messages. Raises as `read_xml`."""
+    """Parses an XML document in memory and returns its root; `file` is the name for messages. Raises as `read_xml`."""
     parser = expat.ParserCreate()
     document = Element("", {}, [], file, 0)
     open_elements = [document]

@@ -1,4 +1,4 @@
-"""Mitsuba 3 scene XML as the dict vocabulary, with the place of every value kept beside it.
+"""Converts Mitsuba 3 scene XML to the dict vocabulary, with the place of every value beside it.
 
     <scene version="3.0.0">                      {"type": "scene",
         <default name="spp" value="16"/>
@@ -39,7 +39,7 @@ VERSION = re.compile(r"(\d{1,9})(\.\d+){0,2}", re.ASCII)
 
 
 class XMLObject(dict):
-    """An object of a scene as a dict, with the element it came from and those of its attributes."""
+    """An object of a scene as a dict, with its XML element and those of its attributes."""
 
     def __init__(self, element: Element, folders: list[Path]):
         super().__init__()
@@ -49,7 +49,7 @@ class XMLObject(dict):
 
     @property
     def category(self) -> str:
-        """Category of plugins that the element's tag stands for."""
+        """The plugin category of the element's tag."""
         return "texture" if self.element.tag == "spectrum" else self.element.tag
 
 
@@ -80,7 +80,7 @@ def _as_text(value: Any) -> str:
 
 
 class _Reader:
-    """The state of reading one scene: variables, ids and files seen so far."""
+    """Reads one scene: holds its variables, ids and files."""
 
     def __init__(self, variables: dict[str, str]):
         self.variables = variables
@@ -94,7 +94,7 @@ class _Reader:
         self.includes = self.elements = self.characters = 0  # so far, to be limited
 
     def open(self, path: Path) -> Element:
-        """The root of a scene file, its version checked; relative names are looked for beside it from here on."""
+        """Opens a scene file and checks its version; from here on relative names are looked for beside it."""
         root = self.substitute(read_xml(path))
         if _is_of_old_version(root):
             root = upgraded(root)
@@ -103,7 +103,7 @@ class _Reader:
         return root
 
     def scene(self, root: Element) -> XMLObject:
-        """The whole scene; children without an id are called by their type: rectangle, rectangle_1, ..."""
+        """Converts the whole scene; children without an id are called by their type: rectangle, rectangle_1, ..."""
         check_element(root, ("version",), ("type", "id", "name"))
         scene = XMLObject(root, self.folders)
         scene["type"] = "scene"
@@ -112,16 +112,16 @@ class _Reader:
             if element.tag in PROPERTIES and "type" not in element.attributes:
                 raise element.fail(f"<scene> takes no values; supported inside it: {_supported()}")
             children.append(self.child(element))
-        taken = {"type": 0, **{child["id"]: 0 for child in children if "id" in child and child["type"] != "ref"}}
+        used = {"type": 0, **{child["id"]: 0 for child in children if "id" in child and child["type"] != "ref"}}
         for child in children:
             name = child.get("id") if child["type"] != "ref" else None
-            scene[name or _free_name(child["type"], taken)] = child
+            scene[name or _free_name(child["type"], used)] = child
         for reference in self.references:
             reference["id"] = self.aliases.get(reference["id"], reference["id"])
         return scene
 
     def child(self, element: Element) -> XMLObject:
-        """A plugin or a reference to one."""
+        """Converts a plugin or a reference to one."""
         if element.tag == "ref":
             check_element(element, ("id",), ("name",))
             reference = XMLObject(element, self.folders)
@@ -131,7 +131,7 @@ class _Reader:
         return self.plugin(element)
 
     def plugin(self, element: Element) -> XMLObject:
-        """One object with its attributes and nested objects."""
+        """Converts one object with its attributes and nested objects."""
         if element.tag in UNSUPPORTED_OBJECTS:
             raise element.fail("media and volumes are not supported, light travels between surfaces only; supported here: "
                                f"{_supported()}")
@@ -146,11 +146,11 @@ class _Reader:
         node["type"] = element.attributes["type"]
         if element.attributes.get("id"):
             node["id"] = self.register(element)
-        taken = {child.attributes["name"]: 0 for child in element.children if "name" in child.attributes}
+        used = {child.attributes["name"]: 0 for child in element.children if "name" in child.attributes}
         for child in self.expand(element.children):
             is_value = child.tag in PROPERTIES and not (child.tag == "spectrum" and "type" in child.attributes)
             value = property_value(child) if is_value else self.child(child)
-            name = child.attributes.get("name") or _free_name(child.tag, taken)
+            name = child.attributes.get("name") or _free_name(child.tag, used)
             if name in node.places or name in ("type", "id"):
                 first = f"first in line {node.places[name].line}" if name in node.places else "it is reserved"
                 raise child.fail(f"the name {name!r} is given twice in <{element.tag}> ({first})")
@@ -159,7 +159,7 @@ class _Reader:
         return node
 
     def register(self, element: Element) -> str:
-        """The id of an element, checked to be new."""
+        """Registers the id of an element, which must be new."""
         name = element.attributes["id"]
         if name == "type":
             raise element.fail("the id 'type' is reserved; use another")
@@ -170,7 +170,7 @@ class _Reader:
         return name
 
     def expand(self, children: list[Element]) -> Iterator[Element]:
-        """The elements in order, variables replaced, directives obeyed, included files in the place of <include>."""
+        """Yields elements with variables replaced, directives applied, and <include> replaced by the file's elements."""
         for child in children:
             self.elements += 1
             if self.elements > MAX_ELEMENTS:
@@ -185,7 +185,7 @@ class _Reader:
                 yield element
 
     def include(self, element: Element) -> Iterator[Element]:
-        """The contents of a file: the children of its <scene>, or its only object."""
+        """Yields the elements of an included file: the children of its <scene>, or its only object."""
         check_element(element, ("filename",), ("name",))
         filename = element.attributes["filename"]
         path = find_file(filename, self.folders)
@@ -210,12 +210,12 @@ class _Reader:
         self.folders = outer
 
     def default(self, element: Element) -> None:
-        """A value for a variable that has none yet."""
+        """Sets the default of a variable."""
         check_element(element, ("name", "value"))
         self.variables.setdefault(element.attributes["name"], element.attributes["value"])
 
     def path(self, element: Element) -> None:
-        """One more folder in which files are looked for."""
+        """Adds a folder in which files are looked for."""
         check_element(element, ("value",))
         folder = find_file(element.attributes["value"], self.folders, os.path.isdir)
         if folder is None:
@@ -223,7 +223,7 @@ class _Reader:
         self.folders = [folder, *self.folders]
 
     def alias(self, element: Element) -> None:
-        """A second id for an object that came before."""
+        """Registers a second id for an earlier object."""
         check_element(element, ("id", "as"))
         source, alias = element.attributes["id"], element.attributes["as"]
         if source not in self.ids and source not in self.aliases:
@@ -233,14 +233,14 @@ class _Reader:
         self.aliases[alias] = self.aliases.get(source, source)
 
     def substitute(self, element: Element) -> Element:
-        """The element with `$name` replaced in its attributes, and in the operations of a transform."""
+        """Replaces `$name` in the element's attributes, and in the operations of a transform."""
         attributes = {key: self.replace(value, element) for key, value in element.attributes.items()}
         if element.tag == "transform":
             element = element._replace(children=[self.substitute(child) for child in element.children])
         return element._replace(attributes=attributes)
 
     def replace(self, text: str, element: Element) -> str:
-        """`text` with variables replaced, the longest name that fits first; a backslash before $ keeps it."""
+        """Replaces variables in `text`, the longest matching name first; a backslash before $ escapes it."""
         result, *pieces = text.split("$")
         for piece in pieces:
             if result.endswith("\\"):
@@ -262,12 +262,12 @@ class _Reader:
 
 
 def find_file(name: str, folders: list[Path], exists: Callable[[Path], bool] = os.path.isfile) -> Path | None:
-    """The first of `folders` that has `name`, or None; an absolute name stands for itself."""
+    """The path of `name` in the first of `folders` that has it, or None; an absolute name stands for itself."""
     return next((folder / name for folder in folders if exists(folder / name)), None)
 
 
 def _is_of_old_version(root: Element) -> bool:
-    """True if a file is for Mitsuba 0.x or 1.x; its version is checked."""
+    """True if a file is for Mitsuba 0.x or 1.x; raises on unknown versions."""
     version = root.attributes.get("version")
     if version is None:
         raise root.fail("the attribute 'version' is missing; scenes of Mitsuba 3 begin with <scene version=\"3.0.0\">")
@@ -279,14 +279,14 @@ def _is_of_old_version(root: Element) -> bool:
     return int(match[1]) < 2
 
 
-def _free_name(name: str, taken: dict[str, int]) -> str:
-    """`name`, or name_1, name_2, ...; the result is added to `taken`, which holds the last number given to each name."""
-    number, free = taken.get(name, 0), name
-    while free in taken:
+def _free_name(name: str, used: dict[str, int]) -> str:
+    """A free name: `name`, or name_1, name_2, ...; `used` holds the last number of each name, and is updated."""
+    number, free = used.get(name, 0), name
+    while free in used:
         number += 1
         free = f"{name}_{number}"
-    taken[name] = number
-    taken.setdefault(free, 0)
+    used[name] = number
+    used.setdefault(free, 0)
     return free
 
 

@@ -1,4 +1,4 @@
-"""Scenes that were written for Mitsuba before version 2, with the names that Mitsuba 3 gives to the same attributes.
+"""Upgrades scenes for Mitsuba before version 2 to the attribute names of Mitsuba 3.
 
     <texture type="bitmap" name="diffuseReflectance">      <texture type="bitmap" name="reflectance">
         <float name="uscale" value="2"/>                       <transform name="to_uv"><scale x="2" y="1"/></transform>
@@ -19,7 +19,7 @@ REFLECTANCE = {"diffuse_reflectance": "reflectance"}  # of a diffuse BSDF, where
 
 
 def upgraded(element: Element) -> Element:
-    """The element with all names in it as in Mitsuba 3; ids, types and values stay as they are."""
+    """Renames all attributes in an element to Mitsuba 3's; ids, types and values stay as they are."""
     attributes = dict(element.attributes)
     if "name" in attributes and element.tag != "default":
         attributes["name"] = snake_case(attributes["name"])
@@ -33,12 +33,12 @@ def upgraded(element: Element) -> Element:
 
 
 def snake_case(name: str) -> str:
-    """to_world for toWorld, int_ior for intIOR."""
+    """Converts a name to snake case: to_world for toWorld, int_ior for intIOR."""
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
 def with_placement(children: list[Element]) -> list[Element]:
-    """The children of a texture, with one `to_uv` for the numbers that shift and scale it."""
+    """Replaces the numbers that shift and scale a texture by one `to_uv` transform."""
     numbers = {child.attributes["name"]: child for child in children if child.attributes.get("name") in PLACEMENT}
     if not numbers:
         return children

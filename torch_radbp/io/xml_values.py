@@ -1,4 +1,4 @@
-"""Values written in scene XML: numbers, vectors, colours and transforms, in all of Mitsuba's spellings."""
+"""Parses the values in scene XML: numbers, vectors, colours and transforms, in all of Mitsuba's spellings."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ INTEGER = re.compile(r"[+-]?\d{1,18}", re.ASCII)
 def check_element(element: Element, required: Iterable[str] = (), optional: Iterable[str] = ()) -> None:
     """Raises SceneError unless the element has all `required` attributes and no others than those and `optional`."""
     required = list(required)
-    known = [*required, *optional]
+    allowed = [*required, *optional]
     for name in element.attributes:
-        if name not in known:
-            raise element.fail(f"unknown attribute {name!r}; {nearest(name, known)}")
+        if name not in allowed:
+            raise element.fail(f"unknown attribute {name!r}; {nearest(name, allowed)}")
     for name in required:
         if name not in element.attributes:
-            raise element.fail(f"the attribute {name!r} is missing; expected {', '.join(known)}")
+            raise element.fail(f"the attribute {name!r} is missing; expected {', '.join(allowed)}")
 
 
 def _numbers(element: Element, attribute: str, counts: tuple[int, ...]) -> list[float]:
-    """The numbers in an attribute, separated by commas or blanks.
+    """Parses the numbers in an attribute, separated by commas or blanks.
 
     Raises:
         SceneError: if one cannot be read, or there are not as many as one of `counts`.
@@ -51,7 +51,7 @@ def _numbers(element: Element, attribute: str, counts: tuple[int, ...]) -> list[
 
 
 def vector(element: Element, default: float | None = None, extra: tuple[str, ...] = ()) -> list[float]:
-    """Three numbers from value="1, 2, 3", value="1" or x= y= z=; `default` stands for a component not given."""
+    """Parses a vector from value="1, 2, 3", value="1" or x= y= z=; `default` stands for missing components."""
     check_element(element, extra, ("value", "x", "y", "z"))
     axes = [axis for axis in "xyz" if axis in element.attributes]
     if "value" in element.attributes:
@@ -111,7 +111,7 @@ PROPERTIES = (*SCALARS, "point", "vector", "transform")
 
 
 def property_value(element: Element) -> Any:
-    """The value of a property element: int, float, bool, str, [x, y, z], {"type": "rgb", ...}, or a 4 x 4 array."""
+    """Parses a property element: int, float, bool, str, [x, y, z], {"type": "rgb", ...}, or a 4 x 4 array."""
     if element.tag == "transform":
         check_element(element, ("name",))
         return transform_value(element)
@@ -127,7 +127,7 @@ def property_value(element: Element) -> Any:
 
 
 def _rotation(element: Element) -> np.ndarray:
-    """A rotation; one about an axis of another length than one is what Mitsuba makes of it, with a warning."""
+    """Parses a rotation; warns of an axis that is not of length one, from which Mitsuba makes no rotation."""
     axis, angle = vector(element, 0.0, extra=("angle",)), _numbers(element, "angle", (1,))[0]
     length = math.hypot(*axis)
     if length == 0 or abs(length - 1.0) <= UNIT:
@@ -159,7 +159,7 @@ OPERATIONS: dict[str, Callable[[Element], np.ndarray]] = {
 
 
 def transform_value(element: Element) -> np.ndarray:
-    """The product of the operations inside <transform>; the first one listed is applied to the object first."""
+    """Multiplies the operations inside <transform>; the first one listed is applied to the object first."""
     matrix = np.eye(4)
     for operation in element.children:
         if operation.tag not in OPERATIONS:

@@ -17,7 +17,8 @@ In the order of data:
    `dual.py` has a loop compute tangents beside values, in forward mode.
 5. `stages.py` runs functions that are declared as stages, compiled or in plain torch. What calls them, casts rays and moves
    lanes about, bounce after bounce, is itself noted once by a `tape.py` (`recording.py`) and then run as machine code
-   (`recorded.py`), whatever the numbers of lanes are; helpers take part by a `board.py`.
+   (`recorded.py`), whatever the numbers of lanes are; helpers take part by a `board.py`. On a GPU it is run as launches
+   (`launches.py`), whose numbers of lanes stay there (`lane_count.py`, `nvptx_order.py`).
 6. `later.py` has code made meanwhile, while other functions are traced: what is recorded needs none before it ends.
    `compiled.py` keeps it for later processes: on disk (`code_cache.py`), by what it depends on (`fingerprint.py`).
 

@@ -1,4 +1,4 @@
-"""Numbers of the lanes that are added to entries of tables: what a target has to know of it."""
+"""Scatter-additions: per-lane numbers that are added to entries of tables."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SCALARS = {torch.float32: "float", torch.float64: "double"}
 
 
 class Sums:
-    """What is added to: the sums for some tables of K entries that are read at one index. Checked once, used often.
+    """The float64 sums of some tables of K entries that share one index. Checked once, used often.
 
     Args:
         totals: of each table, (K, C) float64, written into: the sum over the C copies, a power of 2, counts; at most
@@ -45,21 +45,21 @@ class Sums:
 
 
 class Addition(NamedTuple):
-    """Numbers of N lanes that are added to entries of some tables, all at one index."""
+    """Numbers of N lanes, to be added to entries of some tables at one index."""
 
     index: Tensor  # (N,) int32
     numbers: Sequence[Tensor]  # for each of the totals, (N,) float32 or float64
     sums: Sums
 
     def contiguous(self) -> Addition:
-        """The same, for machine code."""
+        """The addition with contiguous tensors, for machine code."""
         if self.index.is_contiguous() and all([number.is_contiguous() for number in self.numbers]):
             return self
         return self._replace(index=self.index.contiguous(), numbers=[number.contiguous() for number in self.numbers])
 
 
 def side_by_side(additions: Sequence[Addition]) -> list[list[Addition]]:
-    """The additions in groups, the largest first, no two of which add to the same table; within each in their order."""
+    """Groups additions, the largest group first, so that no two in a group add to the same table; order is kept in each."""
     groups: list[tuple[set[int], list[Addition]]] = []  # with the tables that they add to
     for addition in additions:
         tables = set(addition.sums.addresses)

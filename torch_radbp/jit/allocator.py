@@ -1,4 +1,4 @@
-"""Freed memory of the C library, which tensors take theirs from, stays in the process to be used again.
+"""Makes the C library's allocator keep freed memory, so that tensors reuse it.
 
 By default large blocks go back to the system when they are freed, and come again as pages of zeros that are made when they
 are first touched. Loops over lanes free and ask for the same blocks again and again, so that up to a tenth of their time
@@ -24,7 +24,7 @@ HEAP = 64 << 20  # bytes of addresses that a heap has in reserve, which take no 
 
 @made_once
 def keep_freed_memory() -> bool:
-    """Has the C library keep freed memory from now on; False if it is not GNU's, or the environment says otherwise."""
+    """Makes the C library keep freed memory from now on; False if it is not GNU's, or the environment says otherwise."""
     chosen = any(name.startswith("MALLOC_") for name in os.environ) or "malloc" in os.environ.get("GLIBC_TUNABLES", "")
     set_parameter = None if chosen or sys.platform != "linux" else getattr(ctypes.CDLL(None), "mallopt", None)
     parameters = (TRIM_THRESHOLD, KEPT), (MMAP_THRESHOLD, KEPT), (TOP_PAD, HEAP)

@@ -1,4 +1,4 @@
-"""Functions of angles, and log1p, from what they have in common: the same formulas in float32 and in float64.
+"""Trigonometric functions, and log1p: formulas common to float32 and float64.
 
 What depends on the precision is given: the reduction to a quadrant, the series of atan, the logarithm.
 """
@@ -15,7 +15,7 @@ Quadrant = tuple[Tensor, Tensor, Tensor]  # sin and cos of x less a multiple of 
 
 
 def polynomial(x: Tensor, coefficients: Sequence[float]) -> Tensor:
-    """The sum of coefficients[k] x^k."""
+    """Evaluates the polynomial with coefficients[k] of x^k."""
     total = torch.full_like(x, coefficients[-1])
     for coefficient in reversed(coefficients[:-1]):
         total = total * x + coefficient
@@ -56,7 +56,7 @@ def _angle_of(y: Tensor, x: Tensor, series: Sequence[float]) -> Tensor:
 
 
 def angle_functions(quadrant: Callable[[Tensor], Quadrant], series: Sequence[float]) -> dict[str, Callable[..., Tensor]]:
-    """The functions of angles by their names.
+    """The trigonometric functions of one precision, by name.
 
     Args:
         quadrant: reduces an angle.

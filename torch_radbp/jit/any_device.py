@@ -1,22 +1,26 @@
-"""Any device of torch's as a target: lanes are moved by torch's own operations, and nothing is compiled."""
+"""The target for devices without a compiler here: torch's own operations move lanes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torch_radbp.jit.addition import Addition
 from torch_radbp.jit.graph import Program
+from torch_radbp.jit.recording import NotRecordable
 
 
 class AnyDevice:
-    """A device that torch alone computes on; see `target.Target`.
+    """A device on which only torch computes; see `target.Target`.
 
     Args:
         reason: why nothing is compiled for it, and what to do about it.
     """
+
+    counts_stay = False
 
     def __init__(self, reason: str = "lanes are compiled for the CPU and for GPUs of NVIDIA's; run the function as it is"):
         self.reason = reason
@@ -37,8 +41,11 @@ class AnyDevice:
     def compile(self, program: Program):
         raise RuntimeError(self.reason)
 
+    def recorded(self, recording, given: Sequence[Tensor | int], results: Any):
+        raise NotRecordable(self.reason)
+
     def chosen(self, flags: Tensor) -> Tensor:
-        """Waits for the device, which has to tell how many there are."""
+        """The lanes whose flag is set; waits for the device to know their number."""
         return flags.nonzero().squeeze(1).to(torch.int32)
 
     def inverted(self, flags: Tensor) -> Tensor:
@@ -48,7 +55,7 @@ class AnyDevice:
         return torch.zeros_like(flags)
 
     def partition(self, number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
-        """Waits for the device once, which has to tell how many there are."""
+        """As `order.partition`; waits for the device once to know the queues' sizes."""
         dtype = torch.uint8 if queues <= 256 else torch.int32  # a radix sort takes a turn for each byte
         numbers, order = number.to(dtype).sort(stable=True)
         queue = torch.arange(queues, dtype=dtype, device=number.device)
@@ -56,7 +63,7 @@ class AnyDevice:
         return order.to(torch.int32), [end - first for first, end in zip([0, *ends], ends)]
 
     def in_order(self, major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Waits for the device as `partition` does."""
+        """As `order.in_order`; waits for the device once."""
         order, _ = self.partition(minor, queues)
         order = order.index_select(0, self.partition(major.index_select(0, order), queues)[0])
         return order, major.index_select(0, order), minor.index_select(0, order)
@@ -69,7 +76,7 @@ class AnyDevice:
         return 1
 
     def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
-        """Neighbouring lanes take different copies; in order if torch is told to be deterministic."""
+        """As `scatter.scatter_add`: neighbouring lanes use different copies; in order if torch shall be deterministic."""
         for index, numbers, sums in additions:
             copy = torch.arange(lanes, device=index.device) % sums.copies
             for number, total in zip(numbers, sums.totals):

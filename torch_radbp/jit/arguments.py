@@ -1,4 +1,4 @@
-"""The arguments of a call, taken apart: tensors with their kinds, and the structure that a function is compiled for.
+"""Takes the arguments of a call apart: tensors with their kinds, and the structure that code is compiled for.
 
 Calls with few lanes come by the hundred. So arguments of a structure that has been met are taken apart by a function that is
 written for it.
@@ -27,7 +27,7 @@ counter = itertools.count()
 
 
 class Form:
-    """The structure of one argument.
+    """The structure of one argument, with a generated function that takes it apart.
 
     Args:
         argument: one that has it.
@@ -52,7 +52,7 @@ class Form:
         self.lanes = [place for place, kind in enumerate(self.kinds) if kind == LANES]
 
     def tensors(self, argument: Any) -> Sequence[Tensor] | None:
-        """The tensors of an argument, or None if it has another structure, or columns that lie otherwise."""
+        """The tensors of an argument; None if it has another structure or memory layout."""
         leaves = self.unpack(argument)
         same = (leaves is not None and list(map(type, leaves)) == self.types
                 and [leaf.dtype for leaf in leaves] == self.dtypes and [leaf.dim() for leaf in leaves] == self.dimensions
@@ -61,7 +61,7 @@ class Form:
 
 
 class Parameter:
-    """A parameter of a function, and the structures that its arguments have had.
+    """A parameter of a function, with the structures that its arguments have had so far.
 
     Args:
         function: its name, for errors.
@@ -103,15 +103,15 @@ class Parameter:
 
 
 class Column(NamedTuple):
-    """A table that is a column of others, whose rows stand one after the other (`interleaved.py`)."""
+    """The layout of a table that is one column of interleaved rows (`interleaved.py`)."""
 
-    block: int  # number of these, among those of an argument
-    width: int  # entries from one row to the next
-    place: int  # in a row
+    block: int  # index of the rows, among those of an argument
+    width: int  # entries per row
+    place: int  # index of the column in a row
 
 
 def _columns_of(leaves: Sequence[Tensor]) -> tuple[Column | None, ...]:
-    """Of each table the column that it is, None of one whose entries stand one after the other; () if so do all."""
+    """For each table its column layout, None if it is contiguous; () if all are."""
     if all([leaf.is_contiguous() for leaf in leaves]):
         return ()
     blocks: dict[tuple[int, int, int], int] = {}
@@ -120,7 +120,7 @@ def _columns_of(leaves: Sequence[Tensor]) -> tuple[Column | None, ...]:
 
 
 def column_of(leaf: Tensor, blocks: dict[tuple[int, int, int], int]) -> Column | None:
-    """The column that a table is; None if it is none, or of rows that are long or not whole.
+    """The column layout of a table; None if it is contiguous, or its rows are too long or incomplete.
 
     Args:
         leaf: any tensor.
@@ -137,7 +137,7 @@ def column_of(leaf: Tensor, blocks: dict[tuple[int, int, int], int]) -> Column |
 
 
 class PreparedArgument:
-    """An argument, taken apart: for one call, or for several that get the very same.
+    """An argument that was taken apart, for one call or for several with the very same object.
 
     Args:
         parameter: that it belongs to, or others of whatever function; all hold tables, or all tensors of lanes.
@@ -167,7 +167,7 @@ class PreparedArgument:
                 raise unequal(parameter, self.lanes, self.sizes[place])
 
     def checked_device(self, parameter: Parameter) -> torch.device | None:
-        """The device of the tensors, None if there are none; raises the errors of single tensors."""
+        """The device of the tensors, None if there are none; raises the errors about single tensors."""
         if torch.is_grad_enabled() and any([leaf.requires_grad for leaf in self.leaves]):
             raise RuntimeError(f"{parameter.function} is compiled and records no derivative: call it under "
                                "torch.no_grad(), or with detached tensors")
@@ -182,24 +182,24 @@ class PreparedArgument:
 
 
 def laid_out(leaf: Tensor) -> Tensor:
-    """The tensor if it is contiguous and lies at a multiple of its element's size, else a copy that does."""
+    """The tensor if it is contiguous and aligned, else a copy that is."""
     whole = leaf.contiguous()
     return whole if whole.data_ptr() % whole.itemsize == 0 else whole.clone()
 
 
 def unequal(parameter: Parameter, lanes: int, others: int) -> ValueError:
-    """The error about tensors of lanes that differ in length."""
+    """The error about tensors with different numbers of lanes."""
     return ValueError(f"{parameter.function} got tensors of {lanes} and of {others} lanes")
 
 
 def elsewhere(parameter: Parameter, device: torch.device, other: torch.device) -> ValueError:
-    """The error about tensors on two devices, or on one that nothing is compiled for."""
+    """The error about tensors on two devices, or on one without a compiler."""
     return ValueError(f"{parameter.function} is compiled for tensors that lie all on the CPU or all on one GPU, "
                       f"got one on {device} and one on {other}")
 
 
 class Arguments:
-    """The arguments of one call, or the first of them.
+    """The arguments of one call (or its first ones), taken apart.
 
     Args:
         parameters: of the function, those that the arguments belong to.
@@ -246,12 +246,12 @@ class Arguments:
 
     @property
     def kinds(self) -> list[str]:
-        """Of each tensor, whether it is of the lanes, a table, or a number."""
+        """For each tensor its kind: of the lanes, a table, or a number."""
         return [kind for form in self.forms for kind in form.kinds]
 
     @property
     def columns(self) -> dict[int, Column]:
-        """By the place of the tensor, the columns among the tables, with blocks counted through all arguments."""
+        """The column layouts of tables, by index of the tensor; rows are counted through all arguments."""
         found, place, blocks = {}, 0, 0
         for form in self.forms:
             for number, column in enumerate(form.columns):
@@ -261,7 +261,7 @@ class Arguments:
         return found
 
     def sharing(self) -> tuple[tuple[int, int], ...]:
-        """The places of tensors that are the same as one before, each with the place of the first.
+        """The indices of tensors that are the same as an earlier one, each with the index of the first.
 
         Tables that share their memory are the same; whether lanes do may differ from call to call.
         """
@@ -276,10 +276,10 @@ class Arguments:
 
     @property
     def firsts(self) -> list[int]:
-        """Of each tensor, the place of the first that is the same."""
+        """For each tensor the index of the first one that is the same."""
         return [dict(self.shared).get(place, place) for place in range(len(self.leaves))]
 
     @property
     def key(self) -> tuple:
-        """Equal of arguments that one compiled function serves."""
+        """A key that is equal for arguments that one compiled function serves."""
         return (*[form.number for form in self.forms], *self.shared, self.device)

@@ -1,4 +1,4 @@
-"""Loops that are run from machine code: on the thread that runs it, and on helpers that look for them on a board.
+"""Runs loops from machine code on several threads: helpers look for work on a shared board.
 
 A helper that finds no loop gives its core to others before it looks again, and sleeps a little once it has found none for
 long, so that it is in nobody's way.
@@ -104,24 +104,24 @@ define i32 @stay() {
 
 @made_once
 def board_code() -> MachineCode:
-    """The machine code of `TEXT`."""
+    """The machine code of this module's LLVM IR, `TEXT`."""
     return cached_code(TEXT.replace("{looks}", str(LOOKS)).replace("{job}", WRITE_JOB), entry="run_loop")
 
 
 def run_loop() -> int:
-    """The address of the function that runs a loop: board, body, lanes, lanes of a part, inputs and outputs."""
+    """The address of the C function that runs a loop: board, body, lanes, lanes of a part, inputs and outputs."""
     return board_code().address
 
 
 @made_once
 def helping() -> Callable[[int], None]:
-    """What a helper does with the board at an address."""
+    """The C function in which a helper works, given the address of a board."""
     return ctypes.CFUNCTYPE(None, ctypes.c_void_p)(board_code().address_of("help"))
 
 
 @made_once
 def resting() -> tuple[object, int, int, int]:
-    """The system's library, the addresses of its functions that give the core to others and that sleep, and how long."""
+    """The C library with the addresses of its yield and sleep functions, and the time to sleep."""
     if hasattr(os, "sched_yield"):
         library, time = ctypes.CDLL(None), MICROSECONDS
         functions = library.sched_yield, library.usleep
@@ -135,7 +135,7 @@ def resting() -> tuple[object, int, int, int]:
 
 
 class Board:
-    """A board, which helpers look at as long as it is open; then they are not free for other work.
+    """A shared board on which helpers look for loops while it is open; they do no other work then.
 
     Args:
         words: its own; `DONE` while it is closed.
@@ -152,7 +152,7 @@ class Board:
             self.call()
 
     def close(self) -> None:
-        """Lets the helpers go; waits for none."""
+        """Dismisses the helpers, without waiting for them."""
         self.words[DONE] = 1
 
 

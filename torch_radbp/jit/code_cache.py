@@ -1,4 +1,4 @@
-"""Compiled code on disk, for later processes: entries by their name, a digest of all that they depend on.
+"""A cache of compiled code on disk: entries are named by a digest of all that they depend on.
 
 The folder is `torch_radbp/kernels` in the platform's folder for caches, or what the environment variable
 RADBP_KERNEL_CACHE names; `off` keeps nothing. It must belong to the user who runs this, since its code is run. Files are
@@ -29,7 +29,7 @@ OFF = "off"
 
 
 def folder() -> Path | None:
-    """Where code is kept; None: nowhere."""
+    """The folder of the cache; None: it is switched off."""
     if chosen := os.environ.get("RADBP_KERNEL_CACHE"):
         return None if chosen == OFF else Path(chosen)
     if sys.platform == "win32":
@@ -43,7 +43,7 @@ def folder() -> Path | None:
 
 @functools.cache
 def belongs_to_user(place: Path) -> bool:
-    """True if a folder, made now if there is none, belongs to this user and nobody else may write into it."""
+    """True if a folder, created if necessary, belongs to this user and nobody else may write into it."""
     try:
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
         state = place.stat()
@@ -53,7 +53,7 @@ def belongs_to_user(place: Path) -> bool:
 
 
 def _path_of(name: str) -> Path | None:
-    """The file of an entry; None: nothing is kept."""
+    """The file of an entry; None if the cache is switched off."""
     place = folder()
     return place / f"{name}{SUFFIX}" if place is not None and belongs_to_user(place) else None
 
@@ -63,7 +63,7 @@ def digest(name: str, contents: bytes) -> bytes:
 
 
 def read_code(name: str) -> bytes | None:
-    """What `write_code` kept under this name; None if there is nothing, or it is damaged."""
+    """Reads an entry; None if there is none, or it is damaged."""
     path = _path_of(name)
     if path is None:
         return None
@@ -80,7 +80,7 @@ def read_code(name: str) -> bytes | None:
 
 
 def write_code(name: str, code: bytes) -> None:
-    """Keeps code under a name; leaves it where the disk is full or read-only."""
+    """Writes an entry; fails silently if the disk is full or read-only."""
     path = _path_of(name)
     if path is None:
         return
@@ -100,7 +100,7 @@ def write_code(name: str, code: bytes) -> None:
 
 
 def files(place: Path) -> Iterator[tuple[Path, os.stat_result]]:
-    """The entries in a folder, and what writing left behind, with their states."""
+    """Yields the files in the cache, and temporary files left behind, with their status."""
     for path in (*place.glob(f"*{SUFFIX}"), *place.glob("*.part")):
         with contextlib.suppress(OSError):  # another process may have deleted it
             yield path, path.stat()
@@ -108,7 +108,7 @@ def files(place: Path) -> Iterator[tuple[Path, os.stat_result]]:
 
 @functools.cache
 def make_room(place: Path) -> None:
-    """Deletes entries, those first that were used longest ago, until 3/4 of LIMIT are left; once per process and folder."""
+    """Deletes the least recently used entries until 3/4 of LIMIT are left; once per process and folder."""
     found = sorted(files(place), key=lambda entry: entry[1].st_mtime)
     size = sum(state.st_size for _, state in found)
     if size <= LIMIT:
@@ -122,7 +122,7 @@ def make_room(place: Path) -> None:
 
 
 def clear() -> tuple[int, int]:
-    """Deletes all entries; returns how many there were, and their bytes."""
+    """Deletes all entries; returns their number and bytes."""
     place = folder()
     found = [] if place is None or not place.is_dir() else list(files(place))
     for path, _ in found:
@@ -131,7 +131,7 @@ def clear() -> tuple[int, int]:
 
 
 def machine_code(text: str, architecture: str, make: Callable[[str], bytes]) -> bytes:
-    """The machine code of a module, from disk if it was made before.
+    """Compiles a module to machine code, or reads it from the cache.
 
     Args:
         text: LLVM's, which tells all that the code computes.

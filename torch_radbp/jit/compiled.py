@@ -1,4 +1,4 @@
-"""A function that was compiled: how it is called, its code, and both on disk for later processes."""
+"""A compiled function with its calling convention, both cached on disk."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from torch import Tensor
 from torch_radbp.jit import code_cache
 from torch_radbp.jit.arguments import Arguments, Column
 from torch_radbp.jit.fingerprint import Opaque, fingerprint
-from torch_radbp.jit.graph import Program
+from torch_radbp.jit.graph import LANES, Program
 from torch_radbp.jit.later import Later
 from torch_radbp.jit.recording import NotRecordable, Recording
 from torch_radbp.jit.structure import assembler
@@ -30,18 +30,18 @@ UNREADABLE = (pickle.UnpicklingError, AttributeError, ImportError, EOFError, Ind
 
 
 class Interface(NamedTuple):
-    """How the code of a function is called, and what it returns."""
+    """The calling convention of compiled code, and how its outputs become results."""
 
-    inputs: tuple[int, ...]  # which tensors of the arguments the code reads
-    searched: tuple[int, ...]  # of which of these it needs the lengths
-    dtypes: tuple[torch.dtype, ...]  # of the outputs, each of which is computed once
-    results: tuple[int, ...]  # of each tensor that is returned: the output number k, or ~k: the argument number k as it is
-    returned: Any  # the nested tuples and lists, with a `Leaf` in the place of each tensor
+    inputs: tuple[int, ...]  # indices of the arguments' tensors that the code reads
+    searched: tuple[int, ...]  # indices of those whose lengths it needs
+    dtypes: tuple[torch.dtype, ...]  # of the outputs, each computed once
+    results: tuple[int, ...]  # for each returned tensor: the output number k, or ~k for the unchanged argument number k
+    returned: Any  # nested tuples and lists, with a `Leaf` for each tensor
     structure: tuple  # of these, as `flatten` tells it
 
 
 class Compiled:
-    """A function for arguments of one structure.
+    """A function compiled for arguments of one structure.
 
     Args:
         interface: of the code.
@@ -57,36 +57,37 @@ class Compiled:
         self.others = [place for place, k in enumerate(self.results) if k < 0 or self.firsts[k] != place]
 
     def run(self, given: Arguments, outputs: list[int]) -> None:
-        """Computes all lanes; the results go to the addresses `outputs`."""
+        """Computes all lanes; writes results to the addresses `outputs`."""
         if given.lanes and self.loop is not None:
             self.loop.result().run(given.lanes, [given.pointers[place] for place in self.inputs],
                                    [given.sizes[place] for place in self.inputs], outputs)
 
     def load(self) -> None:
-        """Gets the code ready, which a first run does else."""
+        """Loads the code now instead of at the first run."""
         if self.loop is not None:
             self.loop.result()
 
     @property
     def address(self) -> int:
-        """Of the loop's body, once there is one; see `team.LaneLoop`."""
+        """The address of the loop's body, once loaded; see `team.LaneLoop`."""
         address = getattr(self.loop.result(), "address", None)
         if address is None:
             raise NotRecordable("a loop is for another device")
         return address
 
     def recorded(self, listener: Recording, given: Arguments, outputs: Sequence[Tensor], first: int = 0) -> None:
-        """Has it recorded that all lanes are computed; the results go to `outputs`, from the entry `first` on."""
+        """Records the computation of all lanes; results go to `outputs`, from the entry `first` on."""
         if self.loop is None or not given.lanes:
             return
         if given.read is not given.leaves and any(map(operator.is_not, given.read, given.leaves)):
             raise NotRecordable("a tensor is copied before it is read")
+        kinds = given.kinds
         listener.loop(self, given.lanes, PART, [given.leaves[place] for place in self.inputs], outputs,
-                      first, lengths=True)
+                      first, lengths=True, of_lanes=[kinds[place] == LANES for place in self.inputs])
 
 
 def code_name(function: Callable, tables: tuple[str, ...], given: Arguments, target: Target) -> str | None:
-    """A digest of all that the code of a function depends on; None if that cannot be told.
+    """The cache name of a function's code: a digest of all that it depends on; None if that is unknown.
 
     Args:
         function: in plain torch.
@@ -102,13 +103,13 @@ def code_name(function: Callable, tables: tuple[str, ...], given: Arguments, tar
 
 
 def _plain(column: Column | None) -> tuple[int, ...] | None:
-    """How a table lies, as a tuple."""
+    """A table's column layout as a tuple."""
     return None if column is None else tuple(column)
 
 
 @functools.cache
 def compiler() -> tuple[str, ...]:
-    """What compiles: versions, and a digest of the source of this package, and of how it sees torch."""
+    """The versions that compiled code depends on: of libraries, this package's source, and its view of torch."""
     digest = hashlib.sha256()
     for path in (*sorted(Path(__file__).parent.glob("*.py")), Path(torch_internals.__file__)):
         digest.update(path.read_bytes())
@@ -116,7 +117,7 @@ def compiler() -> tuple[str, ...]:
 
 
 def read_compiled(name: str, target: Target) -> Compiled | None:
-    """What `write_compiled` kept under this name, also in an earlier process; None if there is nothing."""
+    """Reads a compiled function from the cache; None if there is none."""
     found = code_cache.read_code(name)
     if found is None:
         return None
@@ -128,7 +129,7 @@ def read_compiled(name: str, target: Target) -> Compiled | None:
 
 
 def compiled_program(name: str | None, interface: Interface, program: Program, target: Target) -> Compiled:
-    """The function of a program, whose code is made meanwhile, and kept for later processes under a name if it has one."""
+    """Starts to compile a program, and writes it to the cache if it has a name."""
     def code() -> bytes:
         found = target.code(program) if interface.dtypes else b""
         if name is not None:
@@ -144,12 +145,12 @@ def compiled_program(name: str | None, interface: Interface, program: Program, t
 
 
 def ready(interface: Interface, code: Later[bytes], target: Target) -> Compiled:
-    """The function of some code, which is loaded when it is first run; without outputs there is none."""
+    """A compiled function from code that is loaded at the first run; without outputs there is none."""
     return Compiled(interface, Later(lambda: target.loop(code.result(), interface.searched)) if interface.dtypes else None)
 
 
 def write_compiled(name: str, interface: Interface, code: bytes) -> None:
-    """Keeps a function for `read_compiled`, if what it returns can be told to other processes."""
+    """Writes a compiled function to the cache, if other processes can rebuild its results."""
     try:
         contents = pickle.dumps((interface, code))
     except (pickle.PicklingError, AttributeError, TypeError):  # constants that only this process has

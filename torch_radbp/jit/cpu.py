@@ -1,4 +1,4 @@
-"""The processor as a target: a loop over blocks of vectors, on as many threads as torch has.
+"""The CPU as a target: a loop over blocks of vectors, on as many threads as torch has.
 
     void lanes(i64 first, i64 last, ptr inputs, ptr outputs)
 
@@ -12,8 +12,10 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import torch
+from torch import Tensor
 
 from torch_radbp.jit import cpu_order, cpu_runs, cpu_scatter
 from torch_radbp.jit.emit import Body, emit
@@ -22,6 +24,8 @@ from torch_radbp.jit.instructions import alignment
 from torch_radbp.jit.loops import TAKE_PARTS, few_lanes
 from torch_radbp.jit.machine import MachineCode, host, host_features, host_width, object_code
 from torch_radbp.jit.prefetch import DECLARATION, prefetches
+from torch_radbp.jit.recorded import Recorded
+from torch_radbp.jit.recording import Recording
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.jit.window import window_of
 
@@ -29,37 +33,43 @@ COPIES, SMALL = 4, 1 << 12  # copies of the totals of `scatter.py`, for tables w
 
 
 class Cpu:
-    """The processor that this runs on.
+    """The CPU of this machine as a target.
 
     Args:
         width: lanes in a block; None: those of a float32 vector of the processor, of which float64 takes two. A search
             waits for one entry after the other, and two vectors wait together: float32 takes two too where it searches.
     """
 
+    counts_stay = False
+
     def __init__(self, width: int | None = None):
         self.width = width
 
     def text(self, program: Program) -> str:
-        """The module of a program."""
+        """The LLVM IR of a program."""
         width = self.width or host_width() * vectors(program)
         return loop_module(emit(program, width, window_of(host_features())), width)
 
     @property
     def platform(self) -> str:
-        """See `Target`."""
+        """The processor with its instruction sets; see `Target`."""
         return f"{host()}, {self.width or host_width()} lanes"
 
     def code(self, program: Program) -> bytes:
-        """See `Target`."""
+        """The machine code of a program; see `Target`."""
         return object_code(self.text(program))
 
     def loop(self, code: bytes, searched: Sequence[int] = ()) -> CpuLoop:
-        """See `Target`."""
+        """Loads machine code as a loop; see `Target`."""
         return CpuLoop(code)
 
     def compile(self, program: Program) -> CpuLoop:
-        """See `Target`."""
+        """Compiles and loads a program; see `Target`."""
         return self.loop(self.code(program))
+
+    def recorded(self, recording: Recording, given: Sequence[Tensor | int], results: Any) -> Recorded:
+        """See `Target`."""
+        return Recorded(recording, given, results)
 
     chosen = staticmethod(cpu_order.chosen_on_cpu)
     partition = staticmethod(cpu_order.partition_on_cpu)
@@ -70,12 +80,12 @@ class Cpu:
     scatter_add = staticmethod(cpu_scatter.scatter_add_on_cpu)
 
     def copies(self, entries: int) -> int:
-        """See `Target`."""
+        """Several copies of a small table's sums, one copy of a large table's; see `Target`."""
         return COPIES if entries <= SMALL else 1
 
 
 class CpuLoop:
-    """A program as machine code of the processor; see `target.Loop`.
+    """A program as machine code of the CPU; see `target.Loop`.
 
     Args:
         code: from `machine.object_code`.
@@ -86,7 +96,7 @@ class CpuLoop:
 
     @property
     def address(self) -> int:
-        """Of the loop's body; see `team.LaneLoop`."""
+        """The address of the loop's body; see `team.LaneLoop`."""
         return self.code.address
 
     def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
@@ -95,7 +105,7 @@ class CpuLoop:
 
 
 def loop_module(body: Body, width: int) -> str:
-    """The module that runs `body` for blocks of `width` lanes."""
+    """The LLVM IR of a loop that runs `body` for blocks of `width` lanes."""
     outputs = [value for value in body.program.outputs if value is not None]
     hints = prefetches(body.program, body.names, width) if width > 1 else ()
     sizes = ([alignment(value.dtype) if value.kind == LANES else 0 for value in body.program.inputs],
@@ -113,13 +123,13 @@ def loop_module(body: Body, width: int) -> str:
 
 
 def vectors(program: Program) -> int:
-    """The float32 vectors in a block; see `Cpu`."""
+    """The number of float32 vectors per block; see `Cpu`."""
     in_double = any(value is not None and value.dtype == torch.float64 for value in program.outputs)
     return 2 if program.searched and not in_double else 1
 
 
 def pointers(program: Program, outputs: int) -> Iterator[str]:
-    """Instructions that load what the arrays `%inputs` and `%outputs` hold."""
+    """Instructions that load the pointers in the arrays `%inputs` and `%outputs`."""
     inputs = len(program.inputs)
     for number in range(inputs):
         yield from (f"%place{number} = getelementptr ptr, ptr %inputs, i64 {number}",

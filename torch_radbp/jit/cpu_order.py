@@ -1,4 +1,4 @@
-"""`order.py` on the processor: loops that move data and compute nothing, as machine code.
+"""`order.py` on the CPU: compiled loops that only move data.
 
 Those that count run on the calling thread, and their order is that of the lanes; the others are shared by threads.
 """
@@ -14,7 +14,6 @@ from torch import Tensor
 
 from torch_radbp.jit.loops import FEW_LANES, TAKE_PARTS
 from torch_radbp.jit.machine import MachineCode, cached_code, made_once
-from torch_radbp.jit.recording import recording
 from torch_radbp.jit.team import run_lanes
 
 # The body may begin with values that are carried from turn to turn.
@@ -144,12 +143,12 @@ COUNTERS = "ptr %places, i64 %queues, i64 %first"
 
 
 def _loop(name: str, arguments: str, body: str, result: str = "void", end: str = "  ret void") -> str:
-    """The text of a function that runs `body` for each `%i` below its last argument, `%count`."""
+    """The LLVM IR of a function that runs `body` for each `%i` below its last argument, `%count`."""
     return LOOP.format(name=name, arguments=arguments, body=body, result=result, end=end)
 
 
 def _text() -> str:
-    """The module: how lanes are counted, partitioned and put into places, for each size of an element, and are chosen."""
+    """The LLVM IR of loops that count, partition, select and scatter lanes, for each size of an entry."""
     begins = "\n".join(BEGIN_RUN.format(k=k, after=k + 1) for k in range(ABREAST))
     functions = [_loop("choose", "ptr %flags, ptr %order", CHOOSE, "i64", CHOSEN),
                  _loop("begin", "ptr %places, ptr %found", BEGIN.format(runs=ABREAST, counters=begins))]
@@ -166,7 +165,7 @@ def _text() -> str:
 
 
 class _Code:
-    """The machine code of `_text`: functions by the bytes of an element."""
+    """The compiled functions of `_text`, by bytes of an entry."""
 
     def __init__(self) -> None:
         self.module = cached_code(_text(), entry="choose")
@@ -177,7 +176,7 @@ class _Code:
                                     ("partition_rest", "pppnnn")))
 
     def function(self, name: str, arguments: str, result: type | None = None) -> Callable:
-        """A function of the module; of each of its arguments whether it is a pointer (p) or a number (n)."""
+        """A compiled function; `arguments` has a letter for each argument: p for a pointer, n for a number."""
         kinds = {"p": ctypes.c_void_p, "n": ctypes.c_int64}
         return ctypes.CFUNCTYPE(result, *(kinds[letter] for letter in arguments))(self.module.address_of(name))
 
@@ -187,19 +186,19 @@ code = made_once(_Code)
 
 @made_once
 def putting(size: int) -> MachineCode:
-    """The loop that puts entries of a size into their places."""
+    """The compiled loop that scatters entries of a size."""
     return cached_code(TAKE_PARTS.format(width=1) + FEW_LANES + PUT.format(scalar=f"i{8 * size}"))
 
 
 @made_once
 def inverting() -> MachineCode:
-    """The loop that inverts flags."""
+    """The compiled loop that inverts flags."""
     return cached_code(TAKE_PARTS.format(width=1) + FEW_LANES + INVERT)
 
 
 @made_once
 def addresses() -> dict[str, int]:
-    """Where the functions of `_text` lie, by their names."""
+    """The addresses of the functions of `_text`, by name."""
     names = ["choose", "begin", *(f"{name}_i{bits}" for bits in BITS for name in (
         "count_abreast", "count_rest", "partition_abreast", "partition_rest"))]
     return {name: code().module.address_of(name) for name in names}
@@ -207,22 +206,16 @@ def addresses() -> dict[str, int]:
 
 def inverted_on_cpu(flags: Tensor) -> Tensor:
     """See `order.inverted`."""
-    if (listener := recording()) is not None:
-        return listener.inverted(flags, True)
     return ~flags
 
 
 def nothing_on_cpu(flags: Tensor) -> Tensor:
     """See `order.nothing`."""
-    if (listener := recording()) is not None:
-        return listener.inverted(flags, False)
     return torch.zeros_like(flags)
 
 
 def chosen_on_cpu(flags: Tensor) -> Tensor:
     """See `order.chosen`."""
-    if (listener := recording()) is not None:
-        return listener.chosen(flags)
     flags = flags.contiguous()
     order = flags.new_empty(flags.numel(), dtype=torch.int32)
     return order[:code().choose(flags.data_ptr(), order.data_ptr(), flags.numel())]
@@ -230,8 +223,6 @@ def chosen_on_cpu(flags: Tensor) -> Tensor:
 
 def partition_on_cpu(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
     """See `order.partition`."""
-    if (listener := recording()) is not None:
-        return listener.partition(number, queues)
     number, lanes, size = number.contiguous(), number.numel(), number.element_size()
     order = number.new_empty(lanes, dtype=torch.int32)
     if queues * FEW_LANES_OF_QUEUE > lanes:
@@ -249,7 +240,7 @@ def partition_on_cpu(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]
 
 
 def partitioned_by_many(number: Tensor, queues: int, order: Tensor) -> tuple[Tensor, Sequence[int]]:
-    """`partition_on_cpu` into queues of few lanes: counters for several runs would not fit into a cache; writes `order`."""
+    """Sorts lanes into many short queues, with one set of counters; writes `order`."""
     size, found = number.element_size(), ZERO * queues
     code().count_rest[size](number.data_ptr(), found.buffer_info()[0], queues, 0, number.numel())
     counts = torch.frombuffer(found, dtype=torch.int64)
@@ -260,9 +251,6 @@ def partitioned_by_many(number: Tensor, queues: int, order: Tensor) -> tuple[Ten
 
 def put_on_cpu(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
     """See `order.put`; all is contiguous."""
-    if (listener := recording()) is not None:
-        listener.put(targets, place, entries)
-        return
     for size in {target.element_size() for target in targets}:
         pairs = [(target, entry) for target, entry in zip(targets, entries) if target.element_size() == size]
         inputs = array("q", [place.data_ptr(), len(pairs), *[entry.data_ptr() for _, entry in pairs]])

@@ -1,4 +1,4 @@
-"""`order.in_order` on the processor: lanes are partitioned by one number, and the run of each sorted by another."""
+"""`order.in_order` on the CPU: lanes are partitioned by one number, and each part sorted by another."""
 
 from __future__ import annotations
 
@@ -79,8 +79,7 @@ LONGEST_RUN = 64  # that is sorted key by key
 
 
 class _Code:
-    """The machine code of `SORT_RUNS`: takes addresses of lanes, of their keys, of the numbers of their runs, which are
-    written, of the runs' lengths, and how many runs."""
+    """The compiled function of `SORT_RUNS`: addresses of lanes, keys, run numbers (written) and run lengths; their count."""
 
     def __init__(self) -> None:
         self.module = cached_code(SORT_RUNS, entry="sort_runs")
@@ -91,7 +90,7 @@ code = made_once(_Code)
 
 
 def in_order_on_cpu(major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor, Tensor]:
-    """See `order.in_order`."""
+    """Sorts lanes by two numbers on the CPU; see `order.in_order`."""
     order, found = partition_on_cpu(major, queues)
     counts = torch.frombuffer(found, dtype=torch.int64)
     if int(counts.max()) > LONGEST_RUN:

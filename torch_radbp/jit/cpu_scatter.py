@@ -1,4 +1,4 @@
-"""`scatter.py` on the processor: machine code, in the order of the lanes.
+"""`scatter.py` on the CPU: compiled loops in the order of the lanes.
 
 The tables of an addition are written in one loop over the lanes, and all additions to the same tables take turns in blocks
 of lanes, so that entries that lie near each other (the four texels around a point) are still in the cache. Those to other
@@ -131,8 +131,7 @@ done:
 
 
 def _text() -> str:
-    """The module: a loop over lanes for each dtype and number of tables, the loop over jobs in blocks of lanes, and that
-    over groups of jobs."""
+    """The LLVM IR: a loop over lanes for each dtype and number of tables, and loops over jobs and groups of these."""
     functions = [TAKE_PARTS.format(width=1), FEW_LANES, JOBS.format(block=BLOCK, job=JOB), GROUPS.format(job=JOB)]
     for dtype, scalar in SCALARS.items():
         widened = "fpext float %number{t} to double" if dtype == torch.float32 else "fadd double %number{t}, -0.0"
@@ -146,7 +145,7 @@ def _text() -> str:
 
 
 class _Code:
-    """The machine code of `_text`."""
+    """The compiled scatter-add functions of `_text`."""
 
     def __init__(self) -> None:
         self.module = cached_code(_text())
@@ -158,7 +157,7 @@ code = made_once(_Code)
 
 
 def scatter_add_on_cpu(additions: Sequence[Addition], lanes: int) -> None:
-    """See `scatter.scatter_add`; all is contiguous."""
+    """Scatter-adds on the CPU; see `scatter.scatter_add`; all is contiguous."""
     loops, groups = code().loops, side_by_side(additions)
     if (listener := recording()) is not None:
         listener.scatter_add(groups, lanes, loops)

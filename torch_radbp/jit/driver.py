@@ -1,4 +1,4 @@
-"""Kernels on a device of NVIDIA's, by CUDA's driver: loaded once, launched on torch's current stream.
+"""Loads and launches kernels on an NVIDIA GPU, by CUDA's driver, on torch's current stream.
 
 Machine code is made of PTX by the driver's own assembler, which takes seconds for the longest kernels; so it is kept on disk
 (`code_cache.py`). `tests/jit/test_driver.py` holds what is asked of the driver.
@@ -28,7 +28,7 @@ WORDS = 8192  # bytes of what the assembler says at most
 
 
 class Driver:
-    """A device; see `gpu.Launcher`.
+    """CUDA's driver for one device; see `gpu.Launcher`.
 
     Args:
         driver: the module `cuda.bindings.driver`.
@@ -42,7 +42,7 @@ class Driver:
         self.context = self.ask(driver.cuDevicePrimaryCtxRetain, self.ask(driver.cuDeviceGet, device.index or 0))
 
     def ask(self, function: Callable, *arguments) -> Any:
-        """The answer of a function of the driver.
+        """Calls a function of the driver, and returns its result.
 
         Raises:
             RuntimeError: with the driver's words, if it reports an error.
@@ -56,7 +56,7 @@ class Driver:
 
     @contextlib.contextmanager
     def current(self) -> Iterator[None]:
-        """Inside, this device is the driver's current one; afterwards that of before."""
+        """A context in which this device is the driver's current one."""
         self.ask(self.driver.cuCtxPushCurrent, self.context)
         try:
             yield
@@ -64,14 +64,14 @@ class Driver:
             self.ask(self.driver.cuCtxPopCurrent)
 
     def load(self, text: str, name: str) -> Any:
-        """The kernel `name` of a module in LLVM's text."""
+        """Loads the kernel `name` of a module in LLVM IR."""
         with self.current():
             code = code_cache.machine_code(text, self.architecture, self.assembled)
             module = self.ask(self.driver.cuModuleLoadData, code)  # stays until the process ends
             return self.ask(self.driver.cuModuleGetFunction, module, name.encode())
 
     def assembled(self, text: str) -> bytes:
-        """The machine code of a module, by the driver's assembler."""
+        """Compiles a module to machine code, by the driver's assembler."""
         driver, code = self.driver, ptx(text, self.architecture).encode() + b"\0"
         complaint = bytes(WORDS)  # the bindings take the address of bytes, and the assembler writes there
         option = driver.CUjit_option
@@ -89,16 +89,26 @@ class Driver:
 
     def launch(self, kernel: Any, blocks: int, threads: int, parameters: array) -> None:
         """Starts a kernel on torch's current stream; `parameters` are copied before this returns."""
-        address, count = parameters.buffer_info()
-        size = ctypes.c_size_t(8 * count)
-        words = (ctypes.c_void_p * 5)(BUFFER, address, SIZE, ctypes.addressof(size), END)
+        with self.together() as launch:
+            launch(kernel, blocks, threads, *parameters.buffer_info())
+
+    @contextlib.contextmanager
+    def together(self) -> Iterator[Callable[[Any, int, int, int, int], None]]:
+        """What starts kernels one after the other on torch's current stream, see `gpu.Launcher`."""
+        size, stream = ctypes.c_size_t(), self.stream()
+        words = (ctypes.c_void_p * 5)(BUFFER, 0, SIZE, ctypes.addressof(size), END)
+        extra = ctypes.addressof(words)
+
+        def launch(kernel: Any, blocks: int, threads: int, address: int, count: int) -> None:
+            words[1], size.value = address, 8 * count
+            self.ask(self.driver.cuLaunchKernel, kernel, blocks, 1, 1, threads, 1, 1, 0, stream, 0, extra)
+
         with self.current():
-            self.ask(self.driver.cuLaunchKernel, kernel, blocks, 1, 1, threads, 1, 1, 0, self.stream(), 0,
-                     ctypes.addressof(words))
+            yield launch
 
 
 def refused(code: bytes, complaint: bytes) -> str:
-    """What the assembler said of PTX that it did not take, and the file in which that is left for whoever looks into it."""
+    """The assembler's error about PTX, and the file in which the PTX was saved."""
     said = complaint.partition(b"\0")[0].decode(errors="replace").strip() or "nothing"
     handle, name = tempfile.mkstemp(prefix="torch_radbp-", suffix=".ptx")
     with os.fdopen(handle, "wb") as file:
@@ -107,11 +117,11 @@ def refused(code: bytes, complaint: bytes) -> str:
 
 
 class NoDriver(RuntimeError):
-    """Kernels cannot be launched; the message says what is missing, and what to do."""
+    """Error: kernels cannot be launched; the message says what is missing, and what to do."""
 
 
 def driver_of(device: torch.device) -> Driver:
-    """The driver of one of torch's CUDA devices.
+    """CUDA's driver for one of torch's devices.
 
     Raises:
         NoDriver: if `cuda-bindings` is not installed, or finds no driver.

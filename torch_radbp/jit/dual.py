@@ -1,4 +1,4 @@
-"""Fused loops over lanes that carry tangents: forward mode inside of the loop.
+"""Compiled loops that carry tangents: forward mode inside of the loop.
 
 torch's forward mode acts above the operations that a function comes down to. So a function of dual tensors is traced like
 any other, as a function of values and tangents, and both are computed in one loop.
@@ -25,7 +25,7 @@ from torch_radbp.tensors.torch_internals import inside_dual_level
 
 
 def values_and_tangents(record: Any) -> tuple[Any, Any]:
-    """The values of a record of dual tensors, and their tangents: None of what has none."""
+    """Splits a record of dual tensors into values and tangents; None where there is no tangent."""
     leaves = leaves_of(record)
     tangents = [tangent_of(leaf) if isinstance(leaf, Tensor) else None for leaf in leaves]
     values = [primal(leaf) if tangent is not None else leaf for leaf, tangent in zip(leaves, tangents)]
@@ -33,20 +33,19 @@ def values_and_tangents(record: Any) -> tuple[Any, Any]:
 
 
 def tangents_and_tensors(record: Any) -> list[Tensor]:
-    """The tangents in a record, in order, and then the tensors."""
+    """The tangents of a record, in order, and then its tensors."""
     values, tangents = values_and_tangents(record) if inside_dual_level() else (record, ())
     return [leaf for leaf in (*leaves_of(tangents), *leaves_of(values)) if isinstance(leaf, Tensor)]
 
 
 def dual(values: Any, tangents: Any) -> Any:
-    """The record of dual tensors of these parts."""
+    """Joins values and tangents to a record of dual tensors."""
     return with_leaves(values, [value if tangent is None else forward_ad.make_dual(value, tangent)
                                 for value, tangent in zip(leaves_of(values), leaves_of(tangents))])
 
 
 def with_tangents(function: Callable) -> Callable:
-    """A function of values, each followed by its tangents, and of what tangents are asked for, see `completed`; it returns
-    values and tangents, too."""
+    """A function of values, each followed by its tangents, that returns values and tangents of the given function."""
     names = list(inspect.signature(function).parameters)
     kind = inspect.Parameter.POSITIONAL_ONLY
 
@@ -64,7 +63,7 @@ def with_tangents(function: Callable) -> Callable:
 
 
 def completed(values: Any, tangents: Any, asked: tuple[bool, ...] | None) -> tuple[Any, Any]:
-    """Values and tangents, the latter 0 where there are none but some are asked for.
+    """Values and tangents, with zeros for missing tangents that are asked for.
 
     Args:
         values, tangents: as of `values_and_tangents`.
@@ -83,26 +82,26 @@ def completed(values: Any, tangents: Any, asked: tuple[bool, ...] | None) -> tup
 
 
 def tangents_of(name: str) -> str:
-    """The name of the parameter for the tangents of another."""
+    """The name of the parameter for another parameter's tangents."""
     return f"tangents_of_{name}"
 
 
 class DualParts(NamedTuple):
-    """Arguments of a dual function, taken apart."""
+    """Arguments of a dual function, split into values and tangents."""
 
     arguments: tuple[Any, ...]  # values and tangents of each
-    moving: bool  # there is a tangent
+    moving: bool  # True if there is any tangent
 
     @staticmethod
     def of(arguments: tuple) -> DualParts:
-        """Those of some arguments."""
+        """Splits arguments into values and tangents."""
         pairs = [values_and_tangents(argument) for argument in arguments]
         moving = any([leaf is not None for _, tangents in pairs for leaf in leaves_of(tangents)])
         return DualParts(tuple([part for pair in pairs for part in pair]), moving)
 
 
 class DualFunction:
-    """A function of dual tensors of the lanes, run as one fused loop. Arguments, errors: see `LaneFunction`."""
+    """A function of dual tensors, run as one compiled loop. Arguments, errors: see `LaneFunction`."""
 
     def __init__(self, function: Callable, tables: tuple[str, ...] = (), target: Target | None = None):
         self.fused = LaneFunction(with_tangents(function), (*tables, *map(tangents_of, tables)), target)
@@ -110,13 +109,13 @@ class DualFunction:
         self.known_parts: DualParts | None = None
 
     def knowing(self, *arguments) -> DualFunction:
-        """As of `LaneFunction`; for one dual level."""
+        """Prepares first arguments as `LaneFunction.knowing` does; for one dual level."""
         other = copy(self)
         other.known, other.known_parts = arguments, None
         return other
 
     def parts(self, arguments: tuple) -> DualParts:
-        """Arguments taken apart; known ones once."""
+        """Splits arguments into values and tangents; prepared ones only once."""
         if not self.known or not all(map(operator.is_, self.known, arguments)):
             return DualParts.of(arguments)
         if self.known_parts is None:
@@ -126,12 +125,11 @@ class DualFunction:
         return DualParts((*self.known_parts.arguments, *rest.arguments), self.known_parts.moving or rest.moving)
 
     def of_parts(self, parts: DualParts):
-        """What a call with arguments of these parts returns."""
+        """Calls the function with split arguments."""
         return dual(*self.fused(*parts.arguments, None))
 
     def into(self, results, first: int, parts: DualParts) -> None:
-        """Writes what a call with arguments of these parts would return into a record of dual tensors, from the entry
-        `first` on; the tangents that it has are asked for."""
+        """Calls the function with split arguments, and writes into dual tensors from the entry `first` on."""
         values, tangents = values_and_tangents(results)
         asked = tuple([tangent is not None for tangent in leaves_of(tangents)])
         self.fused.into((values, tangents), first, *parts.arguments, asked)

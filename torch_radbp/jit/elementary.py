@@ -1,4 +1,4 @@
-"""Elementary functions of float32 in basic operations, so that a vector of lanes needs no call of the C library.
+"""Elementary functions of float32 by basic operations, without calls of the C library.
 
 Each reduces its argument to a small interval and sums a polynomial there, of degree and coefficients such that the error of
 the polynomial is below a quarter of a rounding (least squares at Chebyshev nodes, relative to the function;
@@ -43,12 +43,12 @@ IN_LIBRARY = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh
 
 
 def in_double(function: Callable[..., Tensor], *arguments: Tensor | float) -> Tensor:
-    """`function` of float32 arguments by way of float64."""
+    """`function` of float32 arguments, evaluated in float64."""
     return function(*(argument.double() if isinstance(argument, Tensor) else argument for argument in arguments)).float()
 
 
 def power_of_two(exponent: Tensor) -> Tensor:
-    """2^exponent of int32 exponents from -126 to 127, by its bits."""
+    """2^exponent of int32 exponents from -126 to 127, by setting bits."""
     return ((exponent + 127) << 23).view(torch.float32)
 
 
@@ -60,12 +60,12 @@ def exp(x: Tensor) -> Tensor:
 
 
 def exp_near_zero(x: Tensor) -> Tensor:
-    """exp(x) for 2 |x| <= ln 2."""
+    """exp(x) for |x| <= ln(2) / 2."""
     return 1.0 + (x + x * x * polynomial(x, EXP))
 
 
 def _scaled(x: Tensor, exponent: Tensor) -> Tensor:
-    """x 2^exponent of exponents that are whole numbers; also where the result is subnormal."""
+    """x 2^exponent for exponents that are whole numbers; also where the result is subnormal."""
     whole = exponent.to(torch.int32)
     half = whole >> 1
     return x * power_of_two(half) * power_of_two(whole - half)
@@ -101,7 +101,7 @@ def log1p(x: Tensor) -> Tensor:
 
 
 def quadrant(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """sin and cos of x less a multiple of pi / 2, and which multiple, modulo 4; the difference is taken in float64."""
+    """sin and cos of x reduced by a multiple of pi / 2, and the multiple modulo 4; the reduction is in float64."""
     turns = torch.round(x.double() * (2 / math.pi))
     rest = (x.double() - turns * (math.pi / 2)).float()
     square = rest * rest

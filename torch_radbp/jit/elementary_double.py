@@ -1,4 +1,4 @@
-"""Elementary functions of float64 in basic operations, for targets that have no C library.
+"""Elementary functions of float64 by basic operations, for targets without a C library.
 
 Each reduces its argument to a small interval and sums the function's power series there, with so many terms that what is
 left out is below a quarter of a rounding; only that of erfc is a polynomial through Chebyshev nodes. Errors in units in the
@@ -44,24 +44,24 @@ ERFC = (1.2329951186255526, -0.13962111684056253, 0.015379652102620118, 0.068097
 
 
 def _power_of_two(exponent: Tensor) -> Tensor:
-    """2^exponent of int64 exponents from -1022 to 1023, by its bits."""
+    """2^exponent of int64 exponents from -1022 to 1023, by setting bits."""
     return ((exponent + 1023) << 52).view(torch.float64)
 
 
 def _scaled(x: Tensor, exponent: Tensor) -> Tensor:
-    """x 2^exponent of exponents that are whole numbers; also where the result is subnormal."""
+    """x 2^exponent for exponents that are whole numbers; also where the result is subnormal."""
     whole = exponent.to(torch.int64)
     half = whole >> 1
     return x * _power_of_two(half) * _power_of_two(whole - half)
 
 
 def expm1_near_zero(x: Tensor) -> Tensor:
-    """exp(x) - 1 for 2 |x| <= ln 2."""
+    """exp(x) - 1 for |x| <= ln(2) / 2."""
     return x + x * x * polynomial(x, EXP)
 
 
 def _reduced(x: Tensor) -> tuple[Tensor, Tensor]:
-    """x less a multiple of ln 2, and which."""
+    """x reduced by a multiple of ln 2, and the multiple."""
     exponent = torch.round(x * (1 / math.log(2)))
     return (x - exponent * LN2_HIGH) - exponent * LN2_LOW, exponent
 
@@ -85,7 +85,7 @@ def expm1(x: Tensor) -> Tensor:
 
 
 def parts_of_log(x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """exponent, f, f^2 / 2 and the rest r, for which log(x) = exponent ln 2 + f - (f^2 / 2 - r)."""
+    """exponent, f, f^2 / 2 and the rest r, with log(x) = exponent ln 2 + f - (f^2 / 2 - r)."""
     subnormal = x < 2.0**-1022
     bits = torch.where(subnormal, x * 2.0**54, x).view(torch.int64)
     # The exponent for which the mantissa lies between sqrt(1/2) and sqrt(2).
@@ -99,7 +99,7 @@ def parts_of_log(x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 
 def at_the_ends(x: Tensor, result: Tensor) -> Tensor:
-    """A logarithm of x, of which `result` holds for finite positive numbers."""
+    """Completes a logarithm at 0, negative numbers, infinity and NaN; elsewhere it is `result`."""
     result = torch.where(x > 0, result, torch.where(x == 0, -math.inf, math.nan))
     return torch.where(x == math.inf, x, result)
 
@@ -124,7 +124,7 @@ def _log1p(x: Tensor) -> Tensor:
 
 
 def _quadrant(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """sin and cos of x less a multiple of pi / 2, and which multiple, modulo 4."""
+    """sin and cos of x reduced by a multiple of pi / 2, and the multiple modulo 4."""
     turns = torch.round(x * (2 / math.pi))
     rest = ((x - turns * QUARTER_HIGH) - turns * QUARTER_MIDDLE) - turns * QUARTER_LOW
     square = rest * rest

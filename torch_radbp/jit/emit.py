@@ -1,4 +1,4 @@
-"""From a program to the text of LLVM's intermediate representation: the instructions for a block of W lanes.
+"""Emits LLVM IR from a program: the instructions for a block of W lanes.
 
 They are of vectors of W lanes or, for W = 1, of scalars. What stands around them is the target's: a loop over blocks on a
 processor (`cpu.py`), a lane for each thread on a GPU (`nvptx.py`). It defines `%i`, the first lane of the block, the
@@ -44,17 +44,17 @@ from torch_radbp.jit.window import TableWindow, WindowReading, at_one_index
 
 
 class Body(NamedTuple):
-    """The instructions of a program for a block of lanes."""
+    """The LLVM IR of a program for one block of lanes."""
 
     program: Program
-    before: list[str]  # computed once, before the first block
+    before: list[str]  # executed once, before the first block
     block: list[str]
-    functions: tuple[str, ...]  # that they call, defined or declared
+    functions: tuple[str, ...]  # functions that are called, defined or declared
     names: dict[Value, str]  # of all values
 
 
 class ProgramText:
-    """The text of one program for blocks of `width` lanes; `window`: in which entries of tables may lie together."""
+    """Emits one program for blocks of `width` lanes; `window`: for table entries that may lie close together."""
 
     def __init__(self, program: Program, width: int, window: TableWindow | None = None):
         self.program, self.width = program, width
@@ -68,7 +68,7 @@ class ProgramText:
         self.names: dict[Value, str] = {}
 
     def instructions(self) -> Body:
-        """All of them."""
+        """Emits all instructions of the program."""
         waiting: dict[Value, list[int]] = {}  # the outputs that each value is
         for number, value in enumerate(value for value in self.program.outputs if value is not None):
             waiting.setdefault(value, []).append(number)
@@ -86,11 +86,11 @@ class ProgramText:
     # -- Types and constants --------------------------------------------------------------------------------------------
 
     def vector(self, scalar: str) -> str:
-        """The type of a block of lanes."""
+        """The LLVM type of a block of lanes."""
         return scalar if self.width == 1 else f"<{self.width} x {scalar}>"
 
     def suffix(self, name: str) -> str:
-        """The part of the name of an LLVM function that stands for a block of lanes."""
+        """The suffix of LLVM intrinsics' names for a block of lanes."""
         return name if self.width == 1 else f"v{self.width}{name}"
 
     def everywhere(self, scalar: str, literal: str) -> str:
@@ -98,20 +98,20 @@ class ProgramText:
         return literal if self.width == 1 else f"splat ({scalar} {literal})"
 
     def constant(self, value: Value) -> str:
-        """A constant of the program."""
+        """Emits a constant of the program."""
         return self.everywhere(SCALARS[value.dtype], literal(value.static, value.dtype))
 
     # -- Values ---------------------------------------------------------------------------------------------------------
 
     def line(self, text: str, lines: list[str] | None = None) -> str:
-        """Adds an instruction and returns the name of its result."""
+        """Appends an instruction and returns the name of its result."""
         lines = self.here if lines is None else lines
         name = f"%{'e' if lines is self.entry else 'b'}{len(lines)}"
         lines.append(f"{name} = {text}")
         return name
 
     def emit(self, value: Value) -> str:
-        """The name of a value, after the instructions that compute it."""
+        """Emits the instructions that compute a value, and returns its name."""
         operation, dtype = value.operation, value.dtype
         if operation == "constant":
             return self.constant(value)
@@ -148,14 +148,14 @@ class ProgramText:
         raise NotImplementedError(f"{value!r} has no instruction")
 
     def call(self, function: str, dtype: torch.dtype, names: list[str], more: str = "") -> str:
-        """A call of a function of blocks of lanes."""
+        """Emits a call of a function of blocks of lanes."""
         kind = self.vector(SCALARS[dtype])
         parameters = ", ".join([kind] * len(names)) + (", i1" if more else "")
         self.declared[function] = f"declare {kind} @{function}({parameters})"
         return self.line(f"call {kind} @{function}({', '.join(f'{kind} {name}' for name in names)}{more})")
 
     def divided(self, a: str, b: str, remainder: bool) -> str:
-        """The quotient of int32, truncated, or the remainder: by way of float64, since vectors divide no integers; exact.
+        """The quotient of int32, truncated, or the remainder, exactly: by float64, since vectors cannot divide integers.
 
         The quotient differs from the next integer by at least 1 / b, far more than float64 rounds off. Where the divisor is
         zero the result is some integer.
@@ -170,7 +170,7 @@ class ProgramText:
         return self.line(f"sub {whole} {a}, {product}")
 
     def lane_by_lane(self, function: str, names: list[str]) -> str:
-        """Calls of a function of the C library, one a lane."""
+        """Emits calls of a function of the C library, one per lane."""
         self.declared[function] = f"declare double @{function}({', '.join(['double'] * len(names))})"
         if self.width == 1:
             return self.line(f"call double @{function}({', '.join(f'double {name}' for name in names)})")
@@ -182,7 +182,7 @@ class ProgramText:
         return result
 
     def cast(self, name: str, have: torch.dtype, want: torch.dtype) -> str:
-        """Conversions as `Tensor.to` makes them; a float beyond the range of an integer gives some integer."""
+        """Emits a conversion as `Tensor.to` makes it; a float beyond an integer's range gives any integer."""
         source, target = self.vector(SCALARS[have]), self.vector(SCALARS[want])
         if want == torch.bool:
             zero = "zeroinitializer" if self.width > 1 else literal(0, have)
@@ -199,7 +199,7 @@ class ProgramText:
     # -- Memory ---------------------------------------------------------------------------------------------------------
 
     def load(self, value: Value) -> str:
-        """An input: the pointer of a table, a number in every lane, or the block of lanes."""
+        """Emits the load of an input: a table's pointer, a number in every lane, or the block of lanes."""
         number, scalar = self.program.inputs.index(value), SCALARS[value.dtype]
         pointer = f"%in{number}"
         if value.kind == TABLE:
@@ -219,7 +219,7 @@ class ProgramText:
         return self.line(f"trunc {kind} {loaded} to {self.vector('i1')}") if value.dtype == torch.bool else loaded
 
     def read(self, value: Value) -> str:
-        """Entries of a table, and of those that are read with it at the same index."""
+        """Emits a table look-up, together with others at the same index."""
         table, index = value.arguments
         column, place = self.program.column(table), (self.names[index], SCALARS[index.dtype])
         gathers = self.near.get(index, ()) if column is None else self.rows.get((index, column.block), ())
@@ -236,7 +236,7 @@ class ProgramText:
         return self.line(f"load i64, ptr {place}, align 8", self.entry)
 
     def gather(self, value: Value) -> str:
-        """Entries of a table: base and 32-bit index, which is one instruction where there is one."""
+        """Emits a gather: base and 32-bit index, one instruction where the processor has one."""
         table, index = value.arguments
         at, column = self.names[index], self.program.column(table)
         if column is not None:
@@ -252,7 +252,7 @@ class ProgramText:
         return self.gather_words(SCALARS[table.dtype], self.names[table], at, SCALARS[index.dtype])
 
     def gather_words(self, scalar: str, table: str, index: str, index_scalar: str) -> str:
-        """Entries of a table of 4 or 8 bytes each."""
+        """Emits a gather from a table with entries of 4 or 8 bytes."""
         kind, pointers, flags = self.vector(scalar), self.vector("ptr"), self.vector("i1")
         places = self.line(f"getelementptr {scalar}, ptr {table}, {self.vector(index_scalar)} {index}")
         function = f"llvm.masked.gather.{self.suffix(scalar_suffix(scalar))}.{self.suffix('p0')}"
@@ -262,7 +262,7 @@ class ProgramText:
                          f"{self.everywhere('i1', 'true')}, {kind} poison)")
 
     def gather_bits(self, table: str, index: str, scalar: str) -> str:
-        """Entries of a table of bools, a byte each, from the aligned words that they lie in; these never cross a page."""
+        """Emits a gather from a table of bools, by the aligned words around these, which never cross a page."""
         kind, words = self.vector(scalar), self.vector("i32")
         address = self.line(f"ptrtoint ptr {table} to i64", self.entry)
         before = self.line(f"and i64 {address}, 3", self.entry)  # bytes in the first word that are not of the table
@@ -280,7 +280,7 @@ class ProgramText:
         return self.line(f"trunc {words} " + self.line(f"lshr {words} {word}, {bits}") + f" to {self.vector('i1')}")
 
     def search(self, value: Value) -> str:
-        """The number of entries of a sorted table that are at most the lane's number, by bisection."""
+        """Emits a bisection: the number of entries of a sorted table that are at most the lane's number."""
         table, number = value.arguments
         length, scalar = f"%length{self.program.inputs.index(table)}", SCALARS[table.dtype]
         function = f"search_{scalar}"
@@ -298,7 +298,7 @@ class ProgramText:
         return self.line(f"call {counts} @{function}(ptr {self.names[table]}, i64 {length}, {numbers} {self.names[number]})")
 
     def spread(self, name: str) -> str:
-        """Instructions that make `%step` of an i64 in every lane."""
+        """Emits `%step`, a vector with an i64 in every lane."""
         if self.width == 1:
             return f"%step = add i64 {name}, 0"
         vector = self.vector("i64")
@@ -306,7 +306,7 @@ class ProgramText:
                 f"  %step = shufflevector {vector} %first, {vector} poison, <{self.width} x i32> zeroinitializer")
 
     def store(self, value: Value, numbers: Sequence[int]) -> None:
-        """Writes a block of some outputs."""
+        """Emits the store of a block of some outputs."""
         kind, self.here = self.vector(memory(value.dtype)), self.body
         for number in numbers:
             name = self.names[value]
@@ -317,7 +317,7 @@ class ProgramText:
 
 
 def gathers_first(values: Sequence[Value]) -> list[Value]:
-    """The same values, each after those that it is computed from, with the gathers as early as that allows.
+    """Orders values with gathers as early as possible, each value after those that it is computed from.
 
     So the processor waits for many entries at a time, not for one after the other. For that, vectors are kept in memory; a
     thread of a GPU waits while others go on.
@@ -334,5 +334,5 @@ def gathers_first(values: Sequence[Value]) -> list[Value]:
 
 
 def emit(program: Program, width: int, window: TableWindow | None = None) -> Body:
-    """The instructions of `program` for blocks of `width` lanes; 1 is a lane at a time. `window`: as for `ProgramText`."""
+    """Emits the instructions of `program` for blocks of `width` lanes (1: scalar). `window`: as for `ProgramText`."""
     return ProgramText(program, width, window).instructions()

@@ -1,4 +1,4 @@
-"""What functions and values mean, as a digest that is the same in every process that has the same source.
+"""Digests of what functions and values mean, equal in every process with the same source.
 
 Compiled code outlives its process (`code_cache.py`), so its name must change with whatever it depends on: not only with the
 function that was compiled, but with each function, class and constant that this one may reach. These are found as Python
@@ -39,11 +39,11 @@ MOST = 20_000  # definitions that are read
 
 
 class Opaque(Exception):
-    """Something whose meaning the source does not tell; the message names it."""
+    """Error: something whose meaning its source does not tell; the message names it."""
 
 
 def fingerprint(*things: Any) -> str:
-    """A digest of what these things mean.
+    """A digest of what functions, classes and values mean.
 
     Args:
         things: functions, classes, numbers, strings, dtypes, tensors, dataclasses, and tuples, lists and dicts of these.
@@ -61,21 +61,21 @@ def fingerprint(*things: Any) -> str:
 
 
 class DefinitionReader:
-    """Puts things into words. Functions, classes and objects are named by number in place, and defined once."""
+    """Describes things in text. Functions, classes and objects are referred to by number, and defined once."""
 
     def __init__(self) -> None:
         self.named: list[Any] = []
         self.numbers: dict[int, int] = {}  # by identity
 
     def name(self, thing: Any) -> str:
-        """The number of something that is to be defined."""
+        """The number of a thing that is to be defined."""
         number = self.numbers.setdefault(id(thing), len(self.named))
         if number == len(self.named):
             self.named.append(thing)
         return f"#{number}"
 
     def words(self, value: Any) -> str:
-        """A value in words."""
+        """The text of a value."""
         kind = type(value)
         if kind in PLAIN:
             return repr(value)
@@ -125,7 +125,7 @@ class DefinitionReader:
         return f"{getattr(thing, '__module__', None)}.{getattr(thing, '__qualname__', None)}"
 
     def definition(self, thing: Any) -> str:
-        """A function, class or object by its parts."""
+        """The text of a function, class or object by its parts."""
         if isinstance(thing, FunctionType):
             return self.function(thing)
         if isinstance(thing, type):
@@ -145,7 +145,7 @@ class DefinitionReader:
         return f"object of {self.words(type(thing))}: {self.words(state)}"
 
     def function(self, function: FunctionType) -> str:
-        """A function by its code and all that the code names."""
+        """The text of a function: its code and all that the code refers to."""
         if hasattr(function, "__wrapped__"):  # by what it does with the function, but not what it remembers of it
             return f"around {self.words(function.__wrapped__)}: {self.code(function.__code__)}"
         known = function.__globals__
@@ -169,28 +169,28 @@ class DefinitionReader:
                 f"{self.words(function.__kwdefaults__)} {self.listed(cells)}) {self.words(found)}")
 
     def code(self, code: CodeType) -> str:
-        """What a code object does, wherever it stands."""
+        """The text of a code object, independent of its place in the source."""
         return f"code {instructions(code)} {self.words(code.co_consts)}"
 
 
 @functools.cache
 def instructions(code: CodeType) -> str:
-    """A code object without its constants."""
+    """The text of a code object's instructions, without constants."""
     return repr((code.co_code, code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags,
                  code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars))
 
 
 def names(code: CodeType) -> list[str]:
-    """The names that a function refers to, and functions inside of it, each once; what Python notes of modules left out."""
+    """The names that a function and its inner functions refer to, each once; dunder names are left out."""
     inner = [name for constant in code.co_consts if isinstance(constant, CodeType) for name in names(constant)]
     return [name for name in dict.fromkeys([*code.co_names, *inner]) if not name.startswith("__")]
 
 
 def is_library(module: str) -> bool:
-    """True if a module's name stands for its contents."""
+    """True if a module belongs to a library, whose version stands for its contents."""
     return module.partition(".")[0] in LIBRARIES or module.startswith(f"{__package__}.")
 
 
 def in_library(thing: Any) -> bool:
-    """True if a function or class belongs to a module of which that holds."""
+    """True if a function or class belongs to such a library."""
     return is_library(getattr(thing, "__module__", None) or "builtins")

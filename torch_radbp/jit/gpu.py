@@ -1,39 +1,46 @@
-"""A GPU of NVIDIA's as a target: the kernels of `nvptx.py` and `nvptx_lanes.py`, launched by the driver of the device.
+"""An NVIDIA GPU as a target: launches the kernels of `nvptx.py` and `nvptx_lanes.py`.
 
-Lanes are chosen and partitioned by torch's own operations.
+Lanes are chosen and partitioned by torch's own operations, unless it is recorded what is done with them (`launches.py`).
 """
 
 from __future__ import annotations
 
+import ctypes
 from array import array
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from threading import Lock
 from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.addition import Addition
+from torch_radbp.jit.addition import MOST_TABLES, SCALARS, Addition
 from torch_radbp.jit.any_device import AnyDevice
 from torch_radbp.jit.driver import NoDriver, driver_of
 from torch_radbp.jit.emit import emit
 from torch_radbp.jit.graph import Program
+from torch_radbp.jit.launches import Caster, Launch, RayQuery
 from torch_radbp.jit.lowered import without_library
 from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.nvptx import BLOCK, kernel_module
 from torch_radbp.jit.nvptx_lanes import COPIES, SMALL, put_text, scatter_text
+from torch_radbp.jit.recorded_launches import RecordedLaunches
+from torch_radbp.jit.recording import NotRecordable, Recording, recording
+
+SCATTERED = {(dtype, tables): (dtype, tables) for dtype in SCALARS for tables in range(1, MOST_TABLES + 1)}
 
 
 class Launcher(Protocol):
-    """What runs kernels: the driver of a device (`driver.py`), or whatever stands in for it."""
+    """Loads and launches kernels: the driver of a device (`driver.py`), or a stand-in for tests."""
 
     architecture: str
 
     def load(self, text: str, name: str) -> Any:
-        """The kernel `name` of a module in LLVM's text, ready to be launched."""
+        """Loads the kernel `name` of a module in LLVM IR."""
 
     def launch(self, kernel: Any, blocks: int, threads: int, parameters: array) -> None:
-        """Starts a kernel.
+        """Launches a kernel.
 
         Args:
             kernel: from `load`.
@@ -41,9 +48,12 @@ class Launcher(Protocol):
             parameters: 64-bit words; read before this returns.
         """
 
+    def together(self) -> AbstractContextManager[Callable[[Any, int, int, int, int], None]]:
+        """What starts several kernels, one after the other: as `launch`, but of an address and a number of words."""
+
 
 class LoadedKernel:
-    """A kernel, loaded.
+    """A kernel that was loaded on a device.
 
     Args:
         launcher: of the device.
@@ -56,7 +66,7 @@ class LoadedKernel:
 
     def __call__(self, lanes: int, words: Sequence[int]) -> None:
         """Starts it for all lanes, at least 1, and does not wait for it; `words`: its other parameters."""
-        self.launcher.launch(self.kernel, -(-lanes // BLOCK), BLOCK, array("q", [lanes, *words]))
+        self.launcher.launch(self.kernel, -(-lanes // BLOCK), BLOCK, array("q", [lanes, 0, 0, *words]))
 
 
 class KernelLoop:
@@ -66,16 +76,18 @@ class KernelLoop:
         self.kernel, self.searched = kernel, searched
 
     def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
-        """Starts the kernel for all lanes, and does not wait for it."""
+        """Launches the kernel for all lanes, without waiting."""
         self.kernel(lanes, [*inputs, *[lengths[number] for number in self.searched], *outputs])
 
 
 class Gpu(AnyDevice):
-    """A GPU of NVIDIA's; see `target.Target`.
+    """An NVIDIA GPU as a target; see `target.Target`.
 
     Args:
         launcher: of the device.
     """
+
+    counts_stay = True
 
     def __init__(self, launcher: Launcher):
         super().__init__()
@@ -84,24 +96,24 @@ class Gpu(AnyDevice):
         self.loading = Lock()
 
     def text(self, program: Program) -> str:
-        """The module of a program, LLVM's text."""
+        """The LLVM IR of a program's kernel."""
         return kernel_module(emit(without_library(program), width=1))
 
     @property
     def platform(self) -> str:
-        """The text is the same for all; machine code of it is kept by the driver."""
+        """The same for all GPUs: code is LLVM IR, whose machine code the driver caches."""
         return "NVIDIA"
 
     def code(self, program: Program) -> bytes:
-        """The text of a program's module."""
+        """The LLVM IR of a program's kernel, as bytes."""
         return self.text(program).encode()
 
     def loop(self, code: bytes, searched: Sequence[int]) -> KernelLoop:
-        """The kernel of a module."""
+        """Loads a kernel as a loop."""
         return KernelLoop(LoadedKernel(self.launcher, code.decode(), "lanes"), searched)
 
     def compile(self, program: Program) -> KernelLoop:
-        """The kernel of a program."""
+        """Compiles and loads the kernel of a program."""
         return self.loop(self.code(program), program.searched)
 
     def kernel(self, name: str, case: tuple, text: Callable[[tuple], str]) -> LoadedKernel:
@@ -112,6 +124,27 @@ class Gpu(AnyDevice):
                 if key not in self.kernels:
                     self.kernels[key] = LoadedKernel(self.launcher, text(case), name)
         return self.kernels[key]
+
+    def recorded(self, recording: Recording, given: Sequence[Tensor | int], results: Any) -> RecordedLaunches:
+        """See `Target`."""
+        return RecordedLaunches(self, recording, given, results)
+
+    def launch_all(self, launches: Sequence[Launch], words: Tensor, lanes: int, caster: Caster | None) -> None:
+        """Starts kernels, one after the other, and waits for none.
+
+        Args:
+            launches: in this order.
+            words: of all, int64 on the CPU.
+            lanes: as many as there may be.
+            caster: of rays.
+        """
+        address = words.data_ptr()
+        with self.launcher.together() as launch:
+            for kernel, blocks, first, last in launches:
+                if isinstance(kernel, RayQuery):
+                    caster.launch(kernel.kernel, lanes, *(ctypes.c_int64 * (last - first)).from_address(address + 8 * first))
+                else:
+                    launch(kernel.kernel, blocks, BLOCK, address + 8 * first, last - first)
 
     def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
         words = [place.data_ptr()]
@@ -124,6 +157,11 @@ class Gpu(AnyDevice):
 
     def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
         """By atomic additions of float64, or, if torch is told to be deterministic, by its sums of what it has sorted."""
+        if (listener := recording()) is not None:
+            if torch.are_deterministic_algorithms_enabled():
+                raise NotRecordable("torch sums what it has sorted")
+            listener.scatter_add([additions], lanes, SCATTERED)
+            return
         if torch.are_deterministic_algorithms_enabled():
             return super().scatter_add(additions, lanes)
         words: list[int] = []
@@ -137,7 +175,7 @@ class Gpu(AnyDevice):
 
 @made_once
 def gpu_of(device: torch.device) -> AnyDevice:
-    """The target of a CUDA device; without NVIDIA's driver one that compiles nothing, and tells why if it is to."""
+    """The target of a CUDA device; without a driver one that compiles nothing, and says why when it should."""
     try:
         return Gpu(driver_of(device))
     except NoDriver as reason:

@@ -1,4 +1,4 @@
-"""The program of a function of lanes: values in the order in which they are computed.
+"""Programs: functions of lanes as values in the order in which they are computed.
 
 A value is of the *lanes* (one number a lane), a *number* (one for all lanes) or a *table* (read at indices only). There are
 some forty operations; whatever torch has beyond them is written in terms of these while a function is traced.
@@ -32,7 +32,7 @@ OPERATIONS = {
 
 
 class Value:
-    """One value of a program; two are the same if they are the same object."""
+    """One value of a program, as a node of its graph; compared by identity."""
 
     __slots__ = ("operation", "arguments", "dtype", "kind", "static", "order")
 
@@ -51,20 +51,20 @@ class Value:
 
 
 class Program(NamedTuple):
-    """A function of lanes as values, each after those that it is computed from; what no output needs is left out."""
+    """A function of lanes as a sequence of values, without those that no output needs."""
 
-    inputs: tuple[Value, ...]  # those that are used
-    values: tuple[Value, ...]  # all that are used, inputs among them
+    inputs: tuple[Value, ...]  # that are used
+    values: tuple[Value, ...]  # inputs included
     outputs: tuple[Value | None, ...]  # in the order of the function's results; None where it returns None
-    columns: Mapping[int, Any] = {}  # of tables that are columns of others, by the place of the argument; see `arguments.py`
+    columns: Mapping[int, Any] = {}  # column layouts of tables by index of the argument; see `arguments.py`
 
     def column(self, table: Value) -> Any:
-        """The column that a table is; None if its entries stand one after the other."""
+        """The column layout of a table; None if it is contiguous."""
         return self.columns.get(table.static) if table.operation == "input" else None
 
     @property
     def searched(self) -> tuple[int, ...]:
-        """The numbers of the inputs whose lengths are needed."""
+        """The indices of inputs whose lengths are needed, for bisection."""
         tables = {value.arguments[0] for value in self.values if value.operation == "search"}
         return tuple(number for number, value in enumerate(self.inputs) if value in tables)
 
@@ -74,14 +74,14 @@ class Program(NamedTuple):
 
 
 class Builder:
-    """Makes values; the same operation on the same values is one value."""
+    """Makes values; the same operation on the same values gives the same value."""
 
     def __init__(self) -> None:
         self.values: dict[tuple, Value] = {}
 
     def value(self, operation: str, arguments: tuple[Value, ...], dtype: torch.dtype, kind: str | None = None,
               static: Any = None) -> Value:
-        """A value; of the lanes unless all arguments are numbers, if `kind` is not given."""
+        """Makes a value; per lane, unless all arguments are numbers or `kind` says otherwise."""
         if kind is None:
             kind = NUMBER if all(argument.kind == NUMBER for argument in arguments) else LANES
         assert len(arguments) == OPERATIONS[operation], (operation, arguments)
@@ -91,11 +91,11 @@ class Builder:
         return self.values[key]
 
     def constant(self, number: bool | int | float, dtype: torch.dtype) -> Value:
-        """A number that is known now, rounded to `dtype`."""
+        """Makes a constant, rounded to `dtype`."""
         return self.value("constant", (), dtype, NUMBER, _rounded(number, dtype))
 
     def cast(self, value: Value, dtype: torch.dtype) -> Value:
-        """The value in another dtype, as `Tensor.to` converts it."""
+        """Converts a value to another dtype, as `Tensor.to` does."""
         if value.dtype == dtype:
             return value
         if value.operation == "constant":
@@ -104,7 +104,7 @@ class Builder:
 
 
 def _rounded(number: bool | int | float, dtype: torch.dtype) -> bool | int | float:
-    """A number as a tensor of a dtype holds it."""
+    """Rounds a number to a dtype."""
     if type(number) is float and dtype == torch.float32:
         return ctypes.c_float(number).value
     if type(number) is float and dtype == torch.float64:

@@ -1,4 +1,4 @@
-"""The dtype and shape of what torch's operations on tensors of lanes return, where the rule is a short one.
+"""Infers dtype and shape of torch's operations on lanes, where the rule is simple.
 
 torch can tell for every operation, on tensors without contents. But most of those rules it has in Python: an operation takes
 a tenth of a millisecond, and the first imports torch's own compiler, which takes a second.
@@ -17,7 +17,7 @@ INFERRED: dict[str, Callable[..., Outcome | None]] = {}  # None: torch is to tel
 
 
 def _rule_for(*names: str):
-    """Decorator: the rule holds for these operations of `torch.ops.aten`."""
+    """Decorator: a rule for these operations of `torch.ops.aten`."""
 
     def add(rule):
         INFERRED.update(dict.fromkeys(names, rule))
@@ -27,7 +27,7 @@ def _rule_for(*names: str):
 
 
 def largest(*arguments) -> torch.Size:
-    """The shape to which the tensors among `arguments`, of shapes () and (N,), are broadcast."""
+    """The shape to which tensors of shapes () and (N,) are broadcast."""
     return max((argument.shape for argument in arguments if isinstance(argument, Tensor)), key=len)
 
 
@@ -76,8 +76,7 @@ def like(x: Tensor, *arguments, dtype: torch.dtype | None = None, **options) -> 
 
 @_rule_for("_efficientzerotensor")
 def zero_tensor(shape, *arguments, dtype: torch.dtype, **options) -> Outcome | None:
-    """An ordinary tensor for lanes: what is done with one that torch knows to be zero is left out, unseen. For numbers torch
-    insists on its own."""
+    """Makes an ordinary tensor instead of one that torch knows to be zero, since operations on such are hidden."""
     return (dtype, torch.Size(shape)) if len(shape) else None
 
 

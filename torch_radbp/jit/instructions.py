@@ -1,4 +1,4 @@
-"""LLVM's instructions for the operations of `graph`, its names of types, and its constants.
+"""LLVM's instructions for the operations of `graph`, its types and constants.
 
 {T} stands for the type of the operands, {0} and {1} for these.
 
@@ -42,7 +42,7 @@ LIBRARY = ("expm1", "log1p", "erf", "erfc", "hypot")  # of the C library, withou
 
 
 def memory(dtype: torch.dtype) -> str:
-    """The type of an element in memory: a bool is a byte."""
+    """The LLVM type of an element in memory: a bool is a byte."""
     return "i8" if dtype == torch.bool else SCALARS[dtype]
 
 
@@ -55,7 +55,7 @@ def alignment(dtype: torch.dtype) -> int:
 
 
 def literal(number: bool | int | float, dtype: torch.dtype) -> str:
-    """A constant of LLVM: floats by the bits of the double that equals them."""
+    """A constant in LLVM IR: floats by the bits of the equal double."""
     if dtype == torch.bool:
         return "true" if number else "false"
     if dtype in INTEGERS:

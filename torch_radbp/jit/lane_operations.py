@@ -1,77 +1,78 @@
-"""The operations that a `Recording` consists of."""
+"""The operations of which a `Recording` consists."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import torch
 
 
 class LaneSpan(NamedTuple):
-    """Lanes between two counts, by their numbers; count 0 is zero, count 1 all lanes."""
+    """The lanes between two counts, given by their indices; count 0 is zero, count 1 all lanes."""
 
     first: int
     last: int
 
 
 class MemoryPlace(NamedTuple):
-    """Where a loop reads or writes."""
+    """The memory that a recorded loop reads or writes: a tensor and an offset."""
 
-    made: bool  # a tensor that was made while recording; else one that is given
-    tensor: int  # its number
-    first: int = 0  # the number of the count of entries that come before
-    size: int = 4  # bytes of an entry
+    made: bool  # True: a tensor made while recording; False: one that is given
+    tensor: int  # index of the tensor
+    first: int = 0  # index of the count that is the offset in entries
+    size: int = 4  # bytes per entry
 
 
 class LoopBody(Protocol):
-    """A loop's body that may not have been compiled yet."""
+    """The body of a loop, perhaps not yet compiled."""
 
     @property
     def address(self) -> int:
-        """Where it lies, once it has been; see `team.LaneLoop`."""
+        """The address of the compiled body; see `team.LaneLoop`."""
 
 
 class RecordedLoop(NamedTuple):
-    """A loop over lanes."""
+    """A recorded loop over lanes."""
 
-    body: int | LoopBody  # or its address
+    body: int | LoopBody  # address, or body that is being compiled
     lanes: LaneSpan
     part: int
     inputs: tuple[MemoryPlace, ...]
-    lengths: tuple[LaneSpan, ...] | None  # of those that were made; None: lengths are not read
+    lengths: tuple[LaneSpan, ...] | None  # of tensors made while recording; None: lengths are not read
     outputs: tuple[MemoryPlace, ...]
+    of_lanes: tuple[bool, ...] = ()  # of each input whether it has an entry for each lane; (): nobody asks
 
 
 class Partition(NamedTuple):
-    """`order.partition`."""
+    """A recorded `order.partition`."""
 
     number: MemoryPlace
     lanes: LaneSpan
     queues: int
     order: MemoryPlace
-    first: int  # the number of the first count that it finds: where the queue 1 begins
+    first: int  # index of the first count that it yields: where queue 1 begins
 
 
 class Chosen(NamedTuple):
-    """`order.chosen`."""
+    """A recorded `order.chosen`."""
 
     flags: MemoryPlace
     lanes: LaneSpan
     order: MemoryPlace
-    count: int  # the number of the count that it finds
+    count: int  # index of the count that it yields
 
 
 class Put(NamedTuple):
-    """`order.put`, of entries of one size."""
+    """A recorded `order.put`, of entries of one size."""
 
     place: MemoryPlace
     lanes: LaneSpan
-    pairs: tuple[tuple[MemoryPlace, MemoryPlace], ...]  # entry and target
+    pairs: tuple[tuple[MemoryPlace, MemoryPlace], ...]  # source and target of each tensor
 
 
 class Inverted(NamedTuple):
-    """`order.inverted`, or `order.nothing` where there are no flags."""
+    """A recorded `order.inverted`, or `order.nothing` if there are no flags."""
 
     flags: MemoryPlace | None
     lanes: LaneSpan
@@ -79,7 +80,7 @@ class Inverted(NamedTuple):
 
 
 class Copy(NamedTuple):
-    """Entries of one tensor, to another: a result that is the same as one before, see `LaneFunction.into`."""
+    """A recorded copy between tensors, for a result that equals another; see `LaneFunction.into`."""
 
     source: MemoryPlace
     target: MemoryPlace
@@ -87,26 +88,26 @@ class Copy(NamedTuple):
 
 
 class Added(NamedTuple):
-    """An `Addition` of `scatter.scatter_add`."""
+    """One `Addition` of a recorded `scatter.scatter_add`."""
 
-    loop: int  # address of the function
+    loop: Any  # address of the function, or whatever a target calls it by
     index: MemoryPlace
     touched: MemoryPlace
-    step: int  # from entry to entry of the totals
-    mask: int  # the number of copies less 1
+    step: int  # stride between entries of the sums
+    mask: int  # number of copies less 1
     numbers: tuple[MemoryPlace, ...]
     totals: tuple[MemoryPlace, ...]
 
 
 class Scattered(NamedTuple):
-    """`scatter.scatter_add`."""
+    """A recorded `scatter.scatter_add`."""
 
-    groups: tuple[tuple[Added, ...], ...]  # that may run side by side
+    groups: tuple[tuple[Added, ...], ...]  # groups that may run in parallel
     lanes: LaneSpan
 
 
 class OutsideWork(NamedTuple):
-    """What is given outside of some lanes, and handed back for them."""
+    """The inputs and outputs of work outside of machine code for one group of lanes."""
 
     lanes: LaneSpan
     inputs: tuple[MemoryPlace, ...]
@@ -114,20 +115,20 @@ class OutsideWork(NamedTuple):
 
 
 class Outside(NamedTuple):
-    """What is done by others than machine code, see `recording.outside`."""
+    """Recorded work outside of machine code, such as a neural network; see `recording.outside`."""
 
     work: Callable
-    context: int  # which of those that the recording is told
+    context: int  # index of the context passed to it
     parts: tuple[OutsideWork, ...]
 
     @property
     def outputs(self) -> tuple[MemoryPlace, ...]:
-        """Of all parts."""
+        """The outputs of all parts."""
         return tuple(place for part in self.parts for place in part.outputs)
 
 
 class NewTensor(NamedTuple):
-    """A tensor that was made while recording."""
+    """A tensor made while recording."""
 
     dtype: torch.dtype
     lanes: LaneSpan

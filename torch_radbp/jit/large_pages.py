@@ -1,4 +1,4 @@
-"""Large pages for the memory of recordings, on Linux.
+"""Large memory pages for recordings, on Linux.
 
 A loop over lanes reads and writes dozens of arrays at the same time, each in a page of its own: more than a processor has
 addresses of at hand if a page has 4 KiB. So the system is asked for pages of 2 MiB where blocks are large: for what is
@@ -26,14 +26,14 @@ EXCHANGED: dict[tuple[int, int], None] = {}  # places that small pages were exch
 
 @made_once
 def advising() -> Callable[[int, int, int], int] | None:
-    """The system's function that is told how memory will be used: address, bytes, advice; None if it is not Linux's."""
+    """The system call that advises on memory use (madvise): address, bytes, advice; None if the system is not Linux."""
     if sys.platform != "linux":
         return None
     return ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)(("madvise", ctypes.CDLL(None)))
 
 
 def block_of_bytes(size: int) -> Tensor:
-    """(size,) uint8, not initialised, on the CPU; in large pages as far as the system has them and its ends allow."""
+    """(size,) uint8, uninitialised, on the CPU; in large pages where possible."""
     block = torch.empty(size, dtype=torch.uint8, device="cpu")
     if size >= LEAST and (advise := advising()) is not None:
         start = block.data_ptr()

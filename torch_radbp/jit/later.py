@@ -1,4 +1,4 @@
-"""What is made meanwhile: machine code, while the thread that will need it goes on tracing."""
+"""Values computed in the background, as machine code while tracing goes on."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ Made = TypeVar("Made")
 
 
 class Later(Generic[Made]):
-    """Something that is made once: when it is asked for, or before that by a helper.
+    """A value computed once: when it is needed, or before that by a helper thread.
 
     Args:
         make: called by one thread at a time, until it has returned.
     """
 
-    ends = False  # the process: helpers begin nothing more
-    helping = Lock()  # what the helper holds that makes something: one at a time, as LLVM does
+    ends = False  # True when the process ends: helpers start nothing more
+    helping = Lock()  # held by the helper that computes: one at a time, as LLVM does
 
     def __init__(self, make: Callable[[], Made]):
         self.make: Callable[[], Made] | None = make
         self.making = Lock()
 
     def meanwhile(self) -> Later[Made]:
-        """The same; a helper makes it as soon as it has the time."""
+        """Returns itself, after asking a helper to compute the value."""
         team.COMPILERS.call(team.Task(self.helped), 1)
         return self
 
     def helped(self, task: team.Task) -> None:
-        """What a helper does."""
+        """Computes the value on a helper thread."""
         with self.helping:
             if not self.ends:
                 self.result()
 
     def result(self) -> Made:
-        """What is made. If that fails, whoever asks is told, and may ask again."""
+        """The value, computed now if necessary. If that fails, the error is raised, and a later call tries again."""
         if self.make is not None:
             with self.making:
                 if self.make is not None:
@@ -49,7 +49,7 @@ class Later(Generic[Made]):
 
 @atexit.register
 def wait_for_helper() -> None:
-    """Lets the helper finish: a process does not end inside of LLVM."""
+    """Waits for the helper at exit: a process must not end inside of LLVM."""
     Later.ends = True
     with Later.helping:
         pass

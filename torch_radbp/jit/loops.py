@@ -1,4 +1,4 @@
-"""Functions in LLVM's text that are the same for every program, but for types and counts."""
+"""LLVM IR of functions that are the same for every program, but for types and counts."""
 
 from collections.abc import Sequence
 
@@ -81,7 +81,7 @@ declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 
 
 def few_lanes(inputs: Sequence[int], outputs: Sequence[int], width: int) -> str:
-    """The function that computes fewer lanes than a block has: in a block of its own, whose last lanes are all the last.
+    """The function for fewer lanes than a block: copies them to a block of its own, padded with the last lane.
 
     Args:
         inputs: bytes of an element of each input of the lanes; 0: a table or a number.

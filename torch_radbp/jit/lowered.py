@@ -1,4 +1,4 @@
-"""Programs for targets without a C library: what they lack, in terms of what they have.
+"""Lowers programs for targets without a C library, by formulas for its functions.
 
 A GPU has no functions of float64 such as `exp`. Wherever a program uses one, the formula of `elementary_double.py` takes its
 place, traced as any function is; so tracing knows nothing of targets.
@@ -18,22 +18,22 @@ from torch_radbp.jit.trace import traced_program
 
 @functools.cache
 def _formula(operation: str) -> Program:
-    """The program of a function of the C library in basic operations."""
+    """The program of a C library function in basic operations."""
     arguments = 2 if operation in ("pow", "atan2", "hypot") else 1
     return traced_program(lambda *x: [FORMULAS[operation](*x)], [torch.float64] * arguments, [LANES] * arguments)
 
 
 def without_library(given: Program) -> Program:
-    """The same program, without functions of the C library."""
+    """The program with C library functions replaced by formulas."""
     builder = Builder()
-    made = inlined(builder, given, {})
+    made = inlined(builder, given._replace(values=(*given.inputs, *given.values)), {})  # what no value needs among them
     lowered = program(tuple(None if value is None else made[value] for value in given.outputs))
     inputs = tuple(made[value] for value in given.inputs)  # in the same order, all of them
     return lowered._replace(inputs=inputs, columns=given.columns)
 
 
 def inlined(builder: Builder, given: Program, made: dict[Value, Value]) -> dict[Value, Value]:
-    """Adds the values of a program to `made`, what `builder` has for them; of its inputs those that are not there yet."""
+    """Inlines a program into `builder`; `made` maps its values to new ones and is extended."""
     for value in given.values:
         if value in made:
             continue
@@ -44,12 +44,12 @@ def inlined(builder: Builder, given: Program, made: dict[Value, Value]) -> dict[
 
 
 def _expanded(builder: Builder, operation: str, arguments: Sequence[Value]) -> Value:
-    """A function of the C library by its formula."""
+    """Expands a C library function by its formula."""
     body = _formula(operation)
     inputs = {value: arguments[value.static] for value in body.inputs}
     return inlined(builder, body, inputs)[body.outputs[0]]
 
 
 def kind_of(value: Value) -> str | None:
-    """The kind of a value if its operation does not tell."""
+    """The kind of a value if its operation does not determine it."""
     return value.kind if value.operation in ("input", "constant", "gather", "search") else None

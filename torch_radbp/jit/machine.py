@@ -1,4 +1,4 @@
-"""Machine code from LLVM's text, for the processor that this runs on."""
+"""Compiles LLVM IR to machine code for this processor."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Made = TypeVar("Made")
 
 
 def made_once(make: Callable[..., Made]) -> Callable[..., Made]:
-    """`make` with a memory: each result is made once and kept, also if several threads ask for it at the same time.
+    """A thread-safe cache decorator: each result is computed once, also if several threads need it at the same time.
 
     `functools.cache` would let each make one, and free what one of them is running.
     """
@@ -35,13 +35,13 @@ def made_once(make: Callable[..., Made]) -> Callable[..., Made]:
 
 @functools.cache
 def host_width() -> int:
-    """The number of float32 lanes in a vector of this processor: 16 with AVX-512, 8 with AVX2, 4 elsewhere."""
+    """The number of float32 lanes in this processor's vectors: 16 with AVX-512, 8 with AVX2, 4 elsewhere."""
     return 16 if host_features().get("avx512f") else 8 if host_features().get("avx2") else 4
 
 
 @functools.cache
 def host_features() -> llvm.FeatureMap:
-    """Instruction sets of this processor; empty where LLVM cannot tell (of some of Apple's), as its name implies them."""
+    """This processor's instruction sets; empty where LLVM cannot tell (on some of Apple's), as its name implies them."""
     try:
         return llvm.get_host_cpu_features()
     except RuntimeError:
@@ -50,7 +50,7 @@ def host_features() -> llvm.FeatureMap:
 
 @made_once
 def _initialized() -> llvm.Target:
-    """LLVM's target for this machine, ready for use."""
+    """LLVM's target for this processor, initialised."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_default_triple()
@@ -58,18 +58,18 @@ def _initialized() -> llvm.Target:
 
 @functools.cache
 def host() -> str:
-    """The processor that this runs on, with all that machine code for it depends on."""
+    """This processor, with all that machine code for it depends on."""
     return " ".join([llvm.get_process_triple(), llvm.get_host_cpu_name(), host_features().flatten()])
 
 
 def target_machine(optimizes: bool = True) -> llvm.TargetMachine:
-    """What makes machine code for this processor."""
+    """LLVM's code generator for this processor."""
     return _initialized().create_target_machine(cpu=llvm.get_host_cpu_name(),
                                                 features=host_features().flatten(), opt=2 if optimizes else 0)
 
 
 def object_code(text: str, optimized: bool = True) -> bytes:
-    """The machine code of a module in LLVM's text, as an object file.
+    """Compiles LLVM IR to machine code, an object file.
 
     Args:
         text: of the module.
@@ -88,7 +88,7 @@ def object_code(text: str, optimized: bool = True) -> bytes:
 
 
 class MachineCode:
-    """The functions of a module as machine code, which stays where it is as long as this object lives.
+    """Loaded machine code, which stays at its address as long as this object lives.
 
     Args:
         code: an object file, from `object_code`.
@@ -102,10 +102,10 @@ class MachineCode:
         self.address = self.address_of(entry)
 
     def address_of(self, function: str) -> int:
-        """Where a function of the module lies."""
+        """The address of a function of the module."""
         return self.engine.get_function_address(function)
 
 
 def cached_code(text: str, entry: str = "lanes_of_job", optimized: bool = True) -> MachineCode:
-    """The machine code of a module in LLVM's text, from disk if it was made before; `optimized`: see `object_code`."""
+    """The loaded machine code of LLVM IR, from the disk cache if possible; `optimized`: see `object_code`."""
     return MachineCode(code_cache.machine_code(text, host(), functools.partial(object_code, optimized=optimized)), entry)

@@ -1,9 +1,10 @@
-"""PTX, the code of NVIDIA's GPUs, from the instructions of a block of lanes: a lane for each thread.
+"""PTX for NVIDIA GPUs, from the instructions of a block of lanes: one lane per thread.
 
-    .entry lanes(i64 lanes, ptr in0, ptr in1, ..., i64 length3, ..., ptr out0, ...)
+    .entry lanes(i64 lanes, ptr first, ptr last, ptr in0, ptr in1, ..., i64 length3, ..., ptr out0, ...)
 
 Inputs, lengths of those that are searched, and outputs are parameters of the kernel, 8 bytes each. A number of a call is
-read from the device like a table: to fetch it would mean to wait for the device. Threads beyond the last lane do nothing.
+read from the device like a table: to fetch it would mean to wait for the device. So are the first lane and that after the
+last, unless these pointers are null: then all `lanes` are meant. Threads beyond the last lane do nothing.
 
 The instructions are those of `emit.py` for single lanes, but for functions of float64 that the C library has elsewhere:
 `lowered.py` writes them out.
@@ -41,8 +42,18 @@ entry:
   %wide_block = zext i32 %block to i64
   %wide_thread = zext i32 %thread to i64
   %before = mul i64 %wide_block, {block}
-  %i = add i64 %before, %wide_thread
-  %inside = icmp slt i64 %i, %lanes
+  %number = add i64 %before, %wide_thread
+  %all = icmp eq ptr %last, null
+  br i1 %all, label %range, label %ask
+ask:
+  %first.found = load i64, ptr %first, align 8
+  %last.found = load i64, ptr %last, align 8
+  br label %range
+range:
+  %from = phi i64 [ 0, %entry ], [ %first.found, %ask ]
+  %to = phi i64 [ %lanes, %entry ], [ %last.found, %ask ]
+  %i = add i64 %from, %number
+  %inside = icmp slt i64 %i, %to
   br i1 %inside, label %lane, label %done
 lane:
 {body}
@@ -56,24 +67,25 @@ declare i32 @llvm.nvvm.read.ptx.sreg.tid.x()
 attributes #0 = {{ nounwind "nvvm.maxntid"="{block}" "nvvm.minctasm"="1" }}
 """
 
+LANE_PARAMETERS = "i64 %lanes", "ptr readonly %first", "ptr readonly %last"
 FUSIBLE = re.compile(r"(?<=\s)(add|sub|mul)(?=\.f(?:32|64)\b)")  # by NVIDIA's assembler, since no rounding is named
 
 
 def kernel(name: str, parameters: Sequence[str], body: Sequence[str], functions: Sequence[str] = ()) -> str:
-    """The module of a kernel that runs `body` for each lane `%i`.
+    """The LLVM IR of a kernel that runs `body` for each lane `%i`.
 
     Args:
         name: of the kernel.
-        parameters: type and name of each, 8 bytes; the number of lanes comes before them.
+        parameters: type and name of each, 8 bytes; the lanes come before them.
         body: instructions.
         functions: that they call, defined or declared.
     """
-    return KERNEL.format(triple=TRIPLE, name=name, parameters=", ".join(["i64 %lanes", *parameters]), block=BLOCK,
+    return KERNEL.format(triple=TRIPLE, name=name, parameters=", ".join([*LANE_PARAMETERS, *parameters]), block=BLOCK,
                          body="\n".join(f"  {line}" for line in body), functions="\n".join(functions))
 
 
 def kernel_module(body: Body) -> str:
-    """The kernel of a program."""
+    """The LLVM IR of a program's kernel."""
     program = body.program
     parameters = [*(f"ptr noalias readonly %in{number}" for number in range(len(program.inputs))),
                   *(f"i64 %length{number}" for number in program.searched),
@@ -83,7 +95,7 @@ def kernel_module(body: Body) -> str:
 
 @made_once
 def _initialized() -> llvm.Target:
-    """LLVM's target for NVIDIA's GPUs, ready for use.
+    """LLVM's target for NVIDIA GPUs, initialised.
 
     Raises:
         RuntimeError: if llvmlite was built without it.
@@ -94,12 +106,12 @@ def _initialized() -> llvm.Target:
 
 
 def features(architecture: str) -> str:
-    """PTX ISA 8.1 (CUDA 12.1), by which parameters of a kernel may take 32 KB instead of 4; younger GPUs have it anyway."""
+    """The LLVM features for PTX ISA 8.1 (CUDA 12.1), by which a kernel may take 32 KB of parameters instead of 4."""
     return "+ptx81" if int(architecture.removeprefix("sm_")) < 100 else ""
 
 
 def ptx(text: str, architecture: str) -> str:
-    """The PTX of a module.
+    """Compiles LLVM IR to PTX.
 
     Args:
         text: LLVM's, from `kernel`.

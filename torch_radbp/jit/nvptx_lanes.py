@@ -1,4 +1,5 @@
-"""Kernels for GPUs that move lanes: entries put into their places, and numbers added to tables. One lane a thread.
+"""Kernels for GPUs that move lanes: entries put into their places or copied, flags, and numbers added to tables. One lane a
+thread.
 
 All tensors of a call are served by one kernel, which is made for their dtypes. Numbers are added to totals by atomic
 operations of float64, in any order. Where a table is small, thousands of lanes would wait for each other; so it has many
@@ -41,9 +42,49 @@ ADD = """\
 %to{k}.{t} = getelementptr double, ptr %totals{k}.{t}, i64 %place{k}
 %before{k}.{t} = atomicrmw fadd ptr %to{k}.{t}, double %wide{k}.{t} syncscope("device") monotonic, align 8"""
 
+# What becomes of an entry, by the name of the kernel.
+MOVED = {"copy": "add {type} %found, 0", "invert": "xor {type} %found, 1", "clear": "add {type} 0, 0"}
+MOVE = """\
+%from.at = getelementptr {type}, ptr %source, i64 %i
+%found = load {type}, ptr %from.at, align {size}
+%moved = {moved}
+%to.at = getelementptr {type}, ptr %target, i64 %i
+store {type} %moved, ptr %to.at, align {size}"""
+# A count: what stands at an address, or, if that is null, a number.
+COUNT = """\
+%known{k} = icmp eq ptr %at{k}, null
+br i1 %known{k}, label %next{k}, label %read{k}
+read{k}:
+%found{k} = load i64, ptr %at{k}, align 8
+br label %next{k}
+next{k}:
+%count{k} = phi i64 [ %number{k}, %{before} ], [ %found{k}, %read{k} ]
+%place{k} = getelementptr i64, ptr %counts, i64 {place}
+store i64 %count{k}, ptr %place{k}, align 8"""
+
+
+def counts_text(case: tuple[int]) -> str:
+    """The kernel that writes the counts that are known when others begin: 0, and as many more as the case says.
+
+    Its parameters: where they go, then of each where it stands and, if that is null, what it is.
+    """
+    parameters, body = ["ptr %counts"], ["store i64 0, ptr %counts, align 8"]
+    for k in range(*case):
+        parameters += [f"ptr %at{k}", f"i64 %number{k}"]
+        body += COUNT.format(k=k, before=f"next{k - 1}" if k else "lane", place=k + 1).splitlines()
+    return kernel("counts", parameters, body)
+
+
+def move_text(case: tuple[str, int]) -> str:
+    """The kernel that copies entries of so many bytes, or inverts or clears flags: where they come from, and go to."""
+    name, size = case
+    scalar = f"i{8 * size}"
+    return kernel(name, ["ptr noalias readonly %source", "ptr noalias %target"], MOVE.format(
+        type=scalar, size=size, moved=MOVED[name].format(type=scalar)).splitlines())
+
 
 def put_text(dtypes: Sequence[torch.dtype]) -> str:
-    """The kernel that puts entries of tensors of these dtypes into places.
+    """The LLVM IR of the kernel that scatters entries of tensors of these dtypes.
 
     Its parameters: the places, then of each tensor where its entries come from and go to.
     """
@@ -56,7 +97,7 @@ def put_text(dtypes: Sequence[torch.dtype]) -> str:
 
 
 def scatter_text(additions: Sequence[tuple[torch.dtype, int]]) -> str:
-    """The kernel for additions of which these are the dtype of the numbers and the number of tables.
+    """The LLVM IR of the scatter-add kernel, for dtypes of numbers and numbers of tables.
 
     Its parameters, of each addition: index, pages, the distance from entry to entry, the number of copies less 1, then of
     each table the numbers and the totals. Totals of several additions may be the same.
@@ -72,7 +113,7 @@ def scatter_text(additions: Sequence[tuple[torch.dtype, int]]) -> str:
 
 
 def added(k: int, t: int, dtype: torch.dtype) -> Iterator[str]:
-    """The instructions that add to a table."""
+    """Instructions that add to one table."""
     number = f"%found{k}.{t}"
     widened = f"fpext float {number} to double" if dtype == torch.float32 else f"fadd double {number}, -0.0"
     yield from ADD.format(k=k, t=t, type=SCALARS[dtype], size=dtype.itemsize, widened=widened).splitlines()

@@ -21,7 +21,7 @@ DECOMPOSED: dict[str, Callable[..., Tensor]] = {}
 
 
 def handles(*names: str):
-    """Decorator: the function handles these operations of `torch.ops.aten`."""
+    """Decorator: registers the handler of these operations of `torch.ops.aten`."""
 
     def add(function):
         HANDLERS.update(dict.fromkeys(names, function))
@@ -31,7 +31,7 @@ def handles(*names: str):
 
 
 def decomposes(*names: str):
-    """Decorator: the function, in torch, stands for these operations of `torch.ops.aten`."""
+    """Decorator: registers a formula in torch for these operations of `torch.ops.aten`."""
 
     def add(function):
         DECOMPOSED.update(dict.fromkeys(names, function))
@@ -97,7 +97,7 @@ def remainder(tracer, result: Tensor, a, b, *, name: str) -> Value:
 
 
 def differs_in_sign(tracer, rest: Value, divisor, dtype: torch.dtype) -> Value:
-    """True where the remainder of a truncated division is not zero and has not the sign of the divisor."""
+    """True where the remainder of a truncated division is nonzero and its sign differs from the divisor's."""
     below = tracer.compare("lt", dtype, rest, 0)
     other = tracer.builder.value("xor", (below, tracer.compare("lt", dtype, divisor, 0)), torch.bool)
     return tracer.builder.value("and", (other, tracer.compare("ne", dtype, rest, 0)), torch.bool)
@@ -121,7 +121,7 @@ def choice(tracer, result: Tensor, condition, a, b, *, name: str) -> Value:
 
 @handles("maximum", "minimum", "clamp_min", "clamp_max")
 def bound(tracer, result: Tensor, a, b, *, name: str) -> Value:
-    """The greater or lesser one; NaN if either is."""
+    """Maximum or minimum; NaN if either argument is."""
     dtype = result.dtype
     x, y = tracer.operand(a, dtype), tracer.operand(b, dtype)
     kept = tracer.select(tracer.compare("lt" if name in ("maximum", "clamp_min") else "gt", dtype, x, y), y, x)
@@ -209,7 +209,7 @@ def sign(x: Tensor) -> Tensor:
 
 @handles("pow")
 def power(tracer, result: Tensor, x: Tensor | float, exponent: Tensor | float, *, name: str) -> Value:
-    """By multiplication where the exponent is a small integer; by the C library in float64 elsewhere."""
+    """Powers: by multiplication for small integer exponents, else by the C library in float64."""
     if isinstance(exponent, Tensor) or exponent not in (-2, -1, 0.5, *range(9)):
         return elementary_function(tracer, result, x, exponent, name=name)
     if exponent == 0.5:
@@ -224,7 +224,7 @@ def power(tracer, result: Tensor, x: Tensor | float, exponent: Tensor | float, *
 
 @handles(*(name for name in elementary.IN_LIBRARY if name != "pow"))
 def elementary_function(tracer, result: Tensor, *arguments, name: str) -> Value:
-    """float64 calls the C library; float32 has a formula of its own or goes by float64."""
+    """Elementary functions: float64 by the C library; float32 by a formula or by float64."""
     dtype = result.dtype
     if dtype == torch.float64:
         return tracer.apply(name, dtype, *arguments)

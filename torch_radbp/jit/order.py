@@ -1,4 +1,4 @@
-"""Lanes in queues, and entries put into their places: what moves data and computes nothing.
+"""Operations that only move data: lanes into queues, entries to indices.
 
 How it is done is the target's: `cpu_order.py` for the processor, `nvptx_lanes.py` for GPUs, torch elsewhere.
 """
@@ -10,26 +10,32 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.target import target_of
+from torch_radbp.jit.recording import Recording, recording
+from torch_radbp.jit.target import Target, target_of
+
+
+def mover(lanes: Tensor) -> Target | Recording:
+    """What moves lanes: the target of their device, or what listens to this thread."""
+    return recording() or target_of(lanes.device)
 
 
 def chosen(flags: Tensor) -> Tensor:
     """The lanes, (M,) int32, of which `flags`, (N,) bool, are true."""
-    return target_of(flags.device).chosen(flags)
+    return mover(flags).chosen(flags)
 
 
 def inverted(flags: Tensor) -> Tensor:
     """(N,) bool, true where `flags`, (N,) bool, are not; of flags that carry no derivative, as none does."""
-    return target_of(flags.device).inverted(flags)
+    return mover(flags).inverted(flags)
 
 
 def nothing(flags: Tensor) -> Tensor:
     """As many flags, all false."""
-    return target_of(flags.device).nothing(flags)
+    return mover(flags).nothing(flags)
 
 
 def partition(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
-    """Lanes queue by queue.
+    """Sorts lanes into queues.
 
     Args:
         number: (N,) bool or integers from 0 to `queues` - 1, which is not checked: the queue of each lane.
@@ -37,11 +43,11 @@ def partition(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
     Returns:
         (N,) int32, the lanes of queue 0 in their order, then those of queue 1, ...; and the number of lanes of each queue.
     """
-    return target_of(number.device).partition(number, queues)
+    return mover(number).partition(number, queues)
 
 
 def in_order(major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Lanes in the order of one number, those of which it is equal in that of another one, the rest as they are.
+    """Sorts lanes by one number and, where that is equal, by another; stable.
 
     Args:
         major, minor: (N,) int32 from 0 to `queues` - 1, which is not checked; `queues` is at least 1.
@@ -53,7 +59,7 @@ def in_order(major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor,
 
 
 def put(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
-    """Overwrites entries of some tensors.
+    """Scatters entries into tensors, overwriting.
 
     Args:
         targets: (K,) each, contiguous, written into.
@@ -74,4 +80,4 @@ def put(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> 
             raise ValueError(f"entries on {entry.device} are put into a tensor on {target.device} at places on "
                              f"{place.device}; all must lie on one device")
     if lanes:
-        target_of(place.device).put(targets, place.contiguous(), [entry.contiguous() for entry in entries])
+        mover(place).put(targets, place.contiguous(), [entry.contiguous() for entry in entries])

@@ -1,4 +1,4 @@
-"""Hints that make the processor fetch memory before it is needed.
+"""Prefetch instructions, by which the processor fetches memory before it is needed.
 
 A block of lanes reads and writes dozens of arrays, more than a processor follows by itself, and is so long that it never
 looks ahead into the next block. So each block asks for what one of the next will touch: its parts of the arrays of lanes,
@@ -21,7 +21,7 @@ READ, WRITE = 0, 1
 
 
 def prefetches(program: Program, tables: dict[Value, str], width: int) -> Iterator[str]:
-    """The instructions, for the body of the loop.
+    """The prefetch instructions for the body of a loop.
 
     Args:
         program: of the loop; `%in<k>` and `%out<k>` are the pointers to its inputs and outputs.
@@ -55,14 +55,14 @@ def prefetches(program: Program, tables: dict[Value, str], width: int) -> Iterat
 
 
 def unclamped(index: Value) -> Value:
-    """An index before what is negative becomes 0."""
+    """The index before clamping to 0."""
     condition, *_, value = index.arguments if index.operation == "select" else (index, index)
     clamps = condition is not value and condition.operation == "lt" and condition.arguments[0] is value
     return value if clamps else index
 
 
 def in_blocks(program: Program, tables: list[Value]) -> list[list[Value]]:
-    """Those tables that are columns of rows, by the rows."""
+    """Groups tables that are columns of the same rows."""
     blocks: dict[int, list[Value]] = {}
     for table in tables:
         if program.column(table) is not None:
@@ -71,6 +71,6 @@ def in_blocks(program: Program, tables: list[Value]) -> list[list[Value]]:
 
 
 def prefetch(name: str, pointer: str, element: str, index: str, purpose: int) -> tuple[str, str]:
-    """Asks for an entry of an array; `name` becomes that of its address."""
+    """Instructions that prefetch one entry of an array; `name` becomes that of its address."""
     return (f"{name} = getelementptr {element}, ptr {pointer}, {index}",
             f"call void @llvm.prefetch.p0(ptr {name}, i32 {purpose}, i32 3, i32 1)")

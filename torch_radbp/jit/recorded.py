@@ -1,4 +1,4 @@
-"""A recording as machine code: all that was done with lanes, again, for the numbers of lanes that are found on the way."""
+"""A recording as machine code, which runs again for other numbers of lanes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RECORDED = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 6, ctypes.c_int64, ctypes
 
 
 class RecordedInputs:
-    """What a recording is given, taken apart: tensors, and addresses of what else loops read."""
+    """The inputs of a recording, taken apart: tensors, and addresses of what loops read."""
 
     __slots__ = ("items", "addresses", "lengths")
 
@@ -34,34 +34,34 @@ class RecordedInputs:
 
     @property
     def pattern(self) -> tuple[int, ...]:
-        """Which of it is the same as something before: equal of what one recording serves."""
+        """For each input the index of the first that is the same; equal where one recording serves."""
         firsts: dict[int, int] = {}
         return tuple(map(firsts.setdefault, self.addresses, range(len(self.addresses))))
 
 
 class ResultPlace(NamedTuple):
-    """Where a result of a recording is found."""
+    """The memory in which a result of a recording lies."""
 
-    group: int  # of `ResultLayout.groups`; GIVEN: it was given; EMPTY: it has no lanes
-    row: int  # of the group, or its number among those
-    count: int  # the number of the count of its entries; WHOLE: as of the group
+    group: int  # index in `ResultLayout.groups`; GIVEN: an input; EMPTY: no lanes
+    row: int  # row of the group, or index of the input
+    count: int  # index of the count of its entries; WHOLE: as the group
 
 
 GIVEN, EMPTY, WHOLE = -2, -1, -1
 
 
 class Memory(NamedTuple):
-    """Where a call of what was recorded reads and writes."""
+    """The memory that one run of a recording reads and writes."""
 
     given: Sequence[Tensor | int]
-    kept: list[Tensor]  # of each group
-    places: array  # where these lie
-    room: Tensor  # bytes of the rest
-    row: int  # entries from one tensor of the rest to the next
+    kept: list[Tensor]  # for the results, one tensor for each group
+    places: array  # addresses of these
+    room: Tensor  # bytes for temporaries
+    row: int  # entries per temporary
 
 
-class Recorded:
-    """What was recorded, to be done again.
+class RecordedResults:
+    """The results of what was recorded, and where they lie.
 
     Args:
         recording: of a function.
@@ -77,18 +77,10 @@ class Recorded:
         self.layout = ResultLayout(recording, [place.tensor for place in places if place and place.made])
         self.empty: list[torch.dtype] = []  # of results without lanes, which are new each time
         self.found = [self.where(place, recording.span(leaf.numel()), leaf.dtype) for place, leaf in zip(places, leaves)]
-        writer = Writer(recording, self.layout, len(given))
-        text = writer.text()
-        self.code: MachineCode = cached_code(text, entry="recorded0", optimized=False)
-        self.outside = [operation for operation in recording.operations if isinstance(operation, Outside)]
-        self.parts = [RECORDED(self.code.address_of(f"recorded{number}")) for number in range(1 + len(self.outside))]
-        self.dtypes = [made.dtype for made in recording.made]
         self.rays, self.counts = recording.rays, recording.counts
-        self.called = writer.functions  # so that they stay where they are
-        self.functions = array("q", [called if isinstance(called, int) else called.address for called in self.called])
 
     def where(self, place: MemoryPlace | None, lanes: LaneSpan, dtype: torch.dtype) -> ResultPlace:
-        """Where a result is found; `place`: None if it has no lanes."""
+        """The memory of a result; `place`: None if it has no lanes."""
         if place is None:
             self.empty.append(dtype)
             return ResultPlace(EMPTY, len(self.empty) - 1, WHOLE)
@@ -101,9 +93,24 @@ class Recorded:
             raise NotRecordable("a result is a part of a tensor that does not begin where it does")
         return ResultPlace(group, row, lanes.last)
 
+
+class Recorded(RecordedResults):
+    """What was recorded, to be done again on the processor. Args as for `RecordedResults`."""
+
+    def __init__(self, recording: Recording, given: Sequence[Tensor | int], results: Any):
+        super().__init__(recording, given, results)
+        writer = Writer(recording, self.layout, len(given))
+        text = writer.text()
+        self.code: MachineCode = cached_code(text, entry="recorded0", optimized=False)
+        self.outside = [operation for operation in recording.operations if isinstance(operation, Outside)]
+        self.parts = [RECORDED(self.code.address_of(f"recorded{number}")) for number in range(1 + len(self.outside))]
+        self.dtypes = [made.dtype for made in recording.made]
+        self.called = writer.functions  # so that they stay where they are
+        self.functions = array("q", [called if isinstance(called, int) else called.address for called in self.called])
+
     def __call__(self, given: RecordedInputs, others: RecordedInputs, lanes: int, board: Board, known: Sequence[int] = (),
                  contexts: Sequence[Any] = ()) -> tuple[Any, array]:
-        """The results, and all counts.
+        """Runs the recording: returns its results, and all counts.
 
         Args:
             given, others: one after the other, as for the constructor; no result is one of the others.
@@ -137,14 +144,14 @@ class Recorded:
 
     @staticmethod
     def rows_of(group: ResultGroup, entries: int) -> Tensor:
-        """Room for the results of a group, (tensors, entries); what is handed over has none."""
+        """A tensor for the results of a group, (tensors, entries); empty for those that are handed over."""
         if group.handed:
             return torch.empty((len(group.tensors), 0), dtype=group.dtype, device="cpu")
         size = len(group.tensors) * entries * group.dtype.itemsize
         return block_of_bytes(size).view(group.dtype).view(-1, entries)
 
     def do(self, outside: Outside, contexts: Sequence[Any], memory: Memory, counts: array) -> None:
-        """Has done what is done outside, if there are lanes."""
+        """Runs work outside of machine code, if there are lanes."""
         lanes = [counts[part.lanes.last] - counts[part.lanes.first] for part in outside.parts]
         if not any(lanes):
             return
@@ -157,7 +164,7 @@ class Recorded:
             memory.places[group] = memory.kept[group].data_ptr()
 
     def tensor(self, place: MemoryPlace, memory: Memory, counts: array, lanes: int) -> Tensor:
-        """(lanes,) what lies at a place."""
+        """(lanes,) the tensor at a place in memory."""
         first = counts[place.first]
         if not place.made:
             return memory.given[place.tensor][first:first + lanes]

@@ -1,4 +1,4 @@
-"""The text of the machine code of a recording, and where what was made lies; see `recorded.py`.
+"""The LLVM IR of a recording, and the memory layout of what it makes; see `recorded.py`.
 
     void recorded0(ptr given, ptr kept, ptr room, ptr counts, ptr functions, ptr board, i64 lanes, i64 row)
 
@@ -65,17 +65,16 @@ declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 
 
 class ResultGroup(NamedTuple):
-    """Results of one dtype and one number of lanes, which are rows of one tensor."""
+    """Results with the same dtype and number of lanes, which are rows of one tensor."""
 
     dtype: torch.dtype
     lanes: LaneSpan
-    tensors: list[int]  # numbers of what was made
-    handed: bool = False  # a tensor that somebody outside hands over, as it is
+    tensors: list[int]  # indices of the tensors
+    handed: bool = False  # True: a tensor that outside work returns
 
 
 class ResultLayout:
-    """Where what was made lies: results in groups, what others hand over by itself, the rest in rows that are used again
-    once nobody reads them.
+    """The memory layout of tensors made: results in groups, temporaries in rows that are reused after their last reading.
 
     Args:
         recording: whose.
@@ -118,7 +117,7 @@ class ResultLayout:
 
 
 def made_in(operation: Operation) -> Iterator[int]:
-    """The numbers of what was made that an operation reads or writes."""
+    """The indices of made tensors that an operation reads or writes."""
     waiting = list(operation)
     while waiting:
         item = waiting.pop()
@@ -130,7 +129,7 @@ def made_in(operation: Operation) -> Iterator[int]:
 
 
 class Writer:
-    """The text of a recording's machine code, and the functions that it calls."""
+    """Writes the LLVM IR of a recording, and collects the functions that it calls."""
 
     def __init__(self, recording: Recording, layout: ResultLayout, given: int):
         self.recording, self.layout, self.given = recording, layout, given
@@ -140,30 +139,30 @@ class Writer:
         self.counts = {0: "0", 1: "%lanes", **dict.fromkeys(range(2, 2 + recording.given_counts), "")}
 
     def line(self, text: str) -> str:
-        """Adds an instruction and returns the name of its result."""
+        """Appends an instruction and returns the name of its result."""
         name = f"%v{len(self.lines)}"
         self.lines.append(f"{name} = {text}")
         return name
 
     def function(self, function: int | LoopBody) -> str:
-        """The pointer to a function."""
+        """The name of the pointer to a function."""
         if function not in self.functions:
             self.functions.append(function)
         at = self.line(f"getelementptr ptr, ptr %functions, i64 {self.functions.index(function)}")
         return self.line(f"load ptr, ptr {at}, align 8")
 
     def number_of(self, lanes: LaneSpan) -> str:
-        """How many lanes there are."""
+        """The name of the number of lanes in a span."""
         return self.line(f"sub i64 {self.counts[lanes.last]}, {self.counts[lanes.first]}")
 
     def address(self, place: MemoryPlace) -> str:
-        """The pointer to where something lies."""
+        """The name of the pointer to a place in memory."""
         if place not in self.addresses:
             self.addresses[place] = self.new_address(place)
         return self.addresses[place]
 
     def new_address(self, place: MemoryPlace) -> str:
-        """The same, after the instructions that find it."""
+        """Emits the computation of the pointer to a place in memory."""
         if not place.made:
             at = self.line(f"getelementptr ptr, ptr %given, i64 {place.tensor}")
             return self.moved(self.line(f"load ptr, ptr {at}, align 8"), place)
@@ -176,14 +175,14 @@ class Writer:
         return self.moved(self.line(f"getelementptr i8, ptr {base}, i64 {self.line(f'mul i64 %row, {before}')}"), place)
 
     def moved(self, base: str, place: MemoryPlace) -> str:
-        """The pointer behind the entries that come before."""
+        """Emits the pointer moved by the offset of a place."""
         if not place.first:
             return base
         before = self.line(f"mul i64 {self.counts[place.first]}, {place.size}")
         return self.line(f"getelementptr i8, ptr {base}, i64 {before}")
 
     def list_of(self, pointers: Sequence[str]) -> str:
-        """The address of an array of these."""
+        """Emits an array of pointers, and returns the name of its address."""
         array = self.line(f"alloca ptr, i64 {max(1, len(pointers))}, align 8")
         for number, pointer in enumerate(pointers):
             at = self.line(f"getelementptr ptr, ptr {array}, i64 {number}")
@@ -202,7 +201,7 @@ class Writer:
                   [self.address(place) for place in operation.outputs])
 
     def call(self, body: int | LoopBody, number: str, part: int, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        """Runs a loop over so many lanes."""
+        """Emits the call that runs a loop over `number` lanes."""
         run, function = self.function(run_loop()), self.function(body)
         self.lines.append(f"call void {run}(ptr %board, ptr {function}, i64 {number}, i64 {part}, "
                           f"ptr {self.list_of(inputs)}, ptr {self.list_of(outputs)})")
@@ -259,7 +258,7 @@ class Writer:
         self.call(cpu_scatter.code().module.address, number, 1, inputs, [])
 
     def text(self) -> str:
-        """The module."""
+        """The finished LLVM module."""
         loads, names = [], ("count", "count_rest", "begin", "put", "put_rest")
         for name, function in zip(names, ("count_abreast_i32", "count_rest_i32", "begin", "partition_abreast_i32",
                                           "partition_rest_i32")):
@@ -278,7 +277,7 @@ class Writer:
         return "".join([*functions, helpers])
 
     def part(self, number: int, operations: Sequence[Operation]) -> str:
-        """The function of some operations, which come one after the other."""
+        """The function of some consecutive operations."""
         write = {RecordedLoop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put,
                  Inverted: self.inverted, Copy: self.copy, Scattered: self.scattered}
         self.lines, self.addresses, known = [], {}, len(self.counts)

@@ -1,4 +1,4 @@
-"""A recording of what is done with lanes: loops, in which order and of what, whatever the numbers of lanes turn out to be.
+"""Records operations on lanes: loops, their order and memory, for any numbers of lanes.
 
 A function that calls lane functions, casts rays and moves lanes about is called once while a `Recording` listens. Nothing is
 computed then: its tensors have no contents, and where it is told how many lanes there are, it is told a number that stands
@@ -39,6 +39,7 @@ from torch_radbp.tensors.torch_internals import TorchDispatchMode
 
 ALL = 262_147  # stands for all lanes
 TRIES = 100_000
+CPU = torch.device("cpu")
 BLOCK = 1 << 26  # bytes of addresses that are reserved at a time
 MAKES = ("empty", "new_empty", "empty_like", "empty_strided", "new_empty_strided")
 OF_DUALS = ("is_same_size", "_has_same_storage_numel")  # asked of a tensor and its tangent when a dual tensor is made
@@ -46,19 +47,22 @@ HARMLESS = (*MAKES, *OF_DUALS, "slice", "narrow", "detach", "alias", "view", "un
 
 
 class NotRecordable(Exception):
-    """What is done cannot be recorded; the message says why."""
+    """Error: an operation cannot be recorded; the message says why."""
 
 
 class Reserve:
-    """Addresses for tensors without contents, which take no memory as nothing is written there."""
+    """Addresses for tensors without contents; on the CPU they take no memory, as nothing is written there."""
 
-    def __init__(self) -> None:
-        self.left: memoryview = memoryview(b"")
+    def __init__(self, device: torch.device = CPU) -> None:
+        self.device, self.left, self.made = device, memoryview(b""), []
 
     def tensor(self, dtype: torch.dtype, entries: int) -> Tensor:
-        """(entries,) that nothing else has the address of."""
+        """A tensor (entries,) without contents, at an address of its own."""
         if not entries:
-            return torch.empty(0, dtype=dtype, device="cpu")
+            return torch.empty(0, dtype=dtype, device=self.device)
+        if self.device.type != "cpu":
+            self.made.append(torch.empty(entries, dtype=dtype, device=self.device))
+            return self.made[-1]
         size = -(-entries * dtype.itemsize // 64) * 64
         if size > len(self.left):
             self.left = memoryview(mmap.mmap(-1, max(BLOCK, size)))
@@ -67,7 +71,7 @@ class Reserve:
 
 
 class Recording:
-    """Listens to what is done with lanes.
+    """Listens to operations on lanes, and records them.
 
     Args:
         given: the tensors that the function is given, those of the lanes without contents, and addresses of what else loops
@@ -98,22 +102,22 @@ class Recording:
     # -- Where things lie -----------------------------------------------------------------------------------------------
 
     def span(self, lanes: int) -> LaneSpan:
-        """The lanes that a number of lanes stands for."""
+        """The span of lanes that a number of lanes stands for."""
         if lanes not in self.spans:
             raise NotRecordable(f"{lanes} lanes are no number that was found")
         return self.spans[lanes]
 
     def place(self, item: Tensor | int) -> MemoryPlace:
-        """Where a tensor lies, or what is at an address."""
+        """The memory place of a tensor, or of an address."""
         known = self.given.get(address_of(item))
         if known is not None:
-            return MemoryPlace(False, known)
+            return MemoryPlace(False, known, size=item.element_size() if isinstance(item, Tensor) else 8)
         if not isinstance(item, Tensor):
             raise NotRecordable("a loop reads what is not given")
         return self.place_made(item)
 
     def place_made(self, tensor: Tensor) -> MemoryPlace:
-        """Where a tensor lies that was made while recording, or a part of one that is given."""
+        """The memory place of a tensor made while recording, or of a part of a given one."""
         start, offset = tensor.untyped_storage().data_ptr(), tensor.storage_offset()
         number = self.memory.get(start, self.given.get(start))
         if number is None or offset not in self.points or not tensor.is_contiguous():
@@ -121,7 +125,7 @@ class Recording:
         return MemoryPlace(start in self.memory, number, self.points[offset], tensor.element_size())
 
     def written(self, tensor: Tensor, first: int = 0) -> MemoryPlace:
-        """Where a tensor lies that is written into, from an entry on; it is made if it is not known."""
+        """The memory place of a tensor that is written, from an entry on; an unknown tensor counts as made now."""
         address = tensor.untyped_storage().data_ptr()
         if tensor.data_ptr() not in self.given and address not in self.memory:
             self.memory[address] = len(self.made)
@@ -135,7 +139,7 @@ class Recording:
     # -- What is done ---------------------------------------------------------------------------------------------------
 
     def loop(self, body: int | LoopBody, lanes: int, part: int, inputs: Sequence[Tensor | int], outputs: Sequence[Tensor],
-             first: int = 0, lengths: bool = False) -> None:
+             first: int = 0, lengths: bool = False, of_lanes: Sequence[bool] = ()) -> None:
         """A loop of `team.run_lanes`.
 
         Args:
@@ -143,19 +147,20 @@ class Recording:
             inputs: tensors, or addresses of what lies at the same place in every call.
             outputs: written into from the entry `first` on.
             lengths: whether the lengths of the inputs are read, too.
+            of_lanes: of each input whether it has an entry for each lane of the loop; (): nobody asks.
         """
         places = tuple(map(self.place, inputs))
         spans = tuple(self.span(item.numel()) if place.made else LaneSpan(0, 0) for item, place in zip(inputs, places))
         self.operations.append(RecordedLoop(body, self.span(lanes), part, places, spans if lengths else None,
-                                            tuple(self.written(output, first) for output in outputs)))
+                                            tuple(self.written(output, first) for output in outputs), tuple(of_lanes)))
 
     def cast(self, *loop) -> None:
-        """A loop, as of `loop`, that casts a ray for each lane."""
+        """Records a loop, as `loop`, that casts a ray for each lane."""
         self.loop(*loop)
         self.rays.append(self.operations[-1].lanes)
 
     def partition(self, number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
-        """As `order.partition`, with numbers that stand for the counts."""
+        """Records `order.partition`; returns numbers that stand for the counts."""
         lanes = self.span(number.numel())
         if number.element_size() != 4 or lanes.first != 0:
             raise NotRecordable("lanes are partitioned by int32")
@@ -168,14 +173,14 @@ class Recording:
         return order, [last - first for first, last in zip(borders, borders[1:])]
 
     def know(self, borders: Sequence[int], numbers: Sequence[int]) -> None:
-        """Learns what stands for counts, in ascending order, with these numbers, and for lanes between them."""
+        """Registers numbers that stand for counts, in ascending order, and for the lanes between them."""
         for place, border in enumerate(borders):
             self.points[border] = numbers[place]
             for before in range(place):
                 self.spans[border - borders[before]] = LaneSpan(numbers[before], numbers[place])
 
     def borders(self, queues: int, lanes: int) -> list[int]:
-        """Numbers that stand for where queues begin, and for where the last ends, all differences of which are new."""
+        """Draws numbers that stand for the starts of queues and the end of the last; all differences are distinct."""
         borders, known = [0, lanes], set(self.spans)
         for _ in range(TRIES):
             if len(borders) == queues + 1:
@@ -188,7 +193,7 @@ class Recording:
         raise NotRecordable(f"{queues} queues are too many")
 
     def chosen(self, flags: Tensor) -> Tensor:
-        """As `order.chosen`, of a number of lanes that stands for the count."""
+        """Records `order.chosen`; the result's length stands for the count."""
         order = flags.new_empty(flags.numel(), dtype=torch.int32)
         if not len(order):
             return order
@@ -199,29 +204,35 @@ class Recording:
         return order[:count]
 
     def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
-        """As `order.put`."""
+        """Records `order.put`."""
         for size in {target.element_size() for target in targets}:
             pairs = tuple((self.place(entry), self.written(target)) for target, entry in zip(targets, entries)
                           if target.element_size() == size)
             self.operations.append(Put(self.place(place), self.span(place.numel()), pairs))
 
-    def inverted(self, like: Tensor, of_flags: bool) -> Tensor:
-        """As `order.inverted`, or `order.nothing`."""
+    def inverted(self, flags: Tensor) -> Tensor:
+        """As `order.inverted`."""
+        return self.flags_like(flags, self.place(flags) if len(flags) else None)
+
+    def nothing(self, flags: Tensor) -> Tensor:
+        """As `order.nothing`."""
+        return self.flags_like(flags, None)
+
+    def flags_like(self, like: Tensor, inverted: MemoryPlace | None) -> Tensor:
+        """As many flags: others inverted, or all false."""
         result = torch.empty_like(like)
-        if not len(result):
-            return result
-        self.operations.append(Inverted(self.place(like) if of_flags else None, self.span(like.numel()),
-                                        self.written(result)))
+        if len(result):
+            self.operations.append(Inverted(inverted, self.span(like.numel()), self.written(result)))
         return result
 
     def scatter_add(self, groups: Sequence[Sequence[Addition]], lanes: int,
-                    loops: Mapping[tuple[torch.dtype, int], int]) -> None:
+                    loops: Mapping[tuple[torch.dtype, int], Any]) -> None:
         """As `scatter.scatter_add`.
 
         Args:
             groups: of additions that may run side by side.
             lanes: of all.
-            loops: the functions on the processor, by dtype and number of tables.
+            loops: the target's functions, by dtype and number of tables.
         """
         def added(addition: Addition) -> Added:
             index, numbers, sums = addition
@@ -233,7 +244,7 @@ class Recording:
 
     def outside(self, work: Callable, context: Any, given: Sequence[Sequence[Tensor]],
                 results: Sequence[int]) -> list[list[Tensor]]:
-        """As the function `outside`."""
+        """Records work outside of machine code; see the function `outside`."""
         known = [number for number, own in enumerate(self.contexts) if own is context]
         if not known:
             raise NotRecordable("what is done outside depends on more than is told")
@@ -244,17 +255,17 @@ class Recording:
         return found
 
     def copy(self, target: Tensor, source: Tensor, first: int) -> None:
-        """Copies all entries of a tensor to those of another from `first` on."""
+        """Records a copy of a tensor's entries to another tensor, from `first` on."""
         self.operations.append(Copy(self.place(source), self.written(target, first), self.span(source.numel())))
 
 
 def address_of(item: Tensor | int) -> int:
-    """Where a tensor lies; an address is one."""
+    """The address of a tensor; an address stays as it is."""
     return item.data_ptr() if isinstance(item, Tensor) else item
 
 
 class Guard(TorchDispatchMode):
-    """Lets no operation of torch's pass that would look at tensors without contents."""
+    """Stops torch's operations that would read tensors without contents."""
 
     def __init__(self, recording: Recording):
         super().__init__()
@@ -272,11 +283,11 @@ class Guard(TorchDispatchMode):
 
     @classmethod
     def _should_skip_dynamo(cls) -> bool:
-        """False: torch is not to import its compiler for this mode."""
+        """False: torch must not import its compiler for this mode."""
         return False
 
     def has_no_contents(self, item) -> bool:
-        """True of a tensor that holds lanes, or several of which one does."""
+        """True for a tensor without contents, or a list that contains one."""
         if isinstance(item, (list, tuple)):
             return any(map(self.has_no_contents, item))
         return isinstance(item, Tensor) and item.device.type != "meta" and item.numel() > 1 and (
@@ -284,7 +295,7 @@ class Guard(TorchDispatchMode):
 
 
 class _ThreadState(threading.local):
-    """What belongs to a thread."""
+    """Thread-local state: the recording that listens."""
 
     recording: Recording | None = None
     guard: Guard | None = None
@@ -294,13 +305,13 @@ HERE = _ThreadState()
 
 
 def recording() -> Recording | None:
-    """What listens to this thread."""
+    """The recording that listens to this thread; None: none does."""
     return HERE.recording
 
 
 def outside(work: Callable, context: Any, given: Sequence[Sequence[Tensor]],
             results: Sequence[int]) -> Sequence[Sequence[Tensor]]:
-    """What `work(context, given)` returns: what no lane function can do, such as asking a network.
+    """Runs `work(context, given)`, which no function of lanes can do, such as a neural network.
 
     It is not recorded but done each time, if there are lanes, and the context is then one that what was recorded is told.
 
@@ -315,7 +326,7 @@ def outside(work: Callable, context: Any, given: Sequence[Sequence[Tensor]],
 
 @contextmanager
 def listening(recording: Recording) -> Iterator[None]:
-    """What this thread does with lanes is recorded, and not done."""
+    """A context in which this thread's operations on lanes are recorded instead of executed."""
     HERE.recording, HERE.guard = recording, Guard(recording)
     try:
         with HERE.guard:
@@ -326,7 +337,7 @@ def listening(recording: Recording) -> Iterator[None]:
 
 @contextmanager
 def unguarded() -> Iterator[None]:
-    """Nobody looks at what this thread has torch do inside, such as tracing: it touches no tensor without contents.
+    """A context in which this thread's torch operations are not checked, as for tracing.
 
     No other mode of torch's may have been entered since this thread began to listen.
     """

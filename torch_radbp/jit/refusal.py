@@ -1,4 +1,4 @@
-"""The error of a function that does what cannot be done lane by lane."""
+"""The error about an operation that is not one of lanes."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ HERE = str(Path(__file__).parent)
 
 
 class UnknownOperation(NotImplementedError):
-    """The function does what a function of lanes cannot; the message names the operation and the line that called it."""
+    """Error: the function does what a function of lanes cannot; the message names the operation and the line."""
 
 
 def refusal(what: str) -> UnknownOperation:
-    """The error that names what cannot be done, and the line that asked for it."""
+    """Makes that error, with the line that called the operation."""
     frames = [frame for frame in traceback.extract_stack()
               if not frame.filename.startswith(HERE) and "/torch/" not in frame.filename]
     where = f" at {frames[-1].filename}:{frames[-1].lineno}: {frames[-1].line}" if frames else ""

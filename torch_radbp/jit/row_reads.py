@@ -1,4 +1,4 @@
-"""Reads of several tables at one index that are columns of the same rows.
+"""Look-ups of several interleaved tables (columns of the same rows) at one index.
 
 Of rows, four entries at a time are loaded for each lane, and turned into vectors of lanes: for four columns a load a lane
 where gathers take four, all in one line of the cache. What lies beyond a row is not touched: the last may end the memory.
@@ -17,7 +17,7 @@ AT_ONCE = 4  # entries of a row; also the lanes of which a square of entries is 
 
 
 def in_rows(program: Program, width: int) -> dict[tuple[Value, int], list[Value]]:
-    """By index and block of rows, the gathers that are read together, of blocks of `width` lanes."""
+    """Groups gathers by index and rows, where columns are read together; for blocks of `width` lanes."""
     found: dict[tuple[Value, int], list[Value]] = {}
     for value in program.values if program.columns and width % AT_ONCE == 0 else ():
         column = program.column(value.arguments[0]) if value.operation == "gather" else None
@@ -27,7 +27,7 @@ def in_rows(program: Program, width: int) -> dict[tuple[Value, int], list[Value]
 
 
 class RowReading:
-    """The text of the reads of one block of rows at one index.
+    """Emits the look-ups in one set of rows at one index.
 
     Args:
         emitter: of the program.
@@ -39,7 +39,7 @@ class RowReading:
         self.emitter, self.index, self.scalar, self.line = emitter, index, scalar, emitter.line
 
     def emit(self, gathers: Sequence[Value]) -> list[str]:
-        """The names of what some gathers read, after the instructions for that."""
+        """Emits the instructions for some gathers, and returns the names of their results."""
         tables = {self.emitter.program.column(value.arguments[0]).place: value for value in gathers}
         first, table = min(tables.items())
         width = self.emitter.program.column(table.arguments[0]).width
@@ -54,14 +54,14 @@ class RowReading:
                 for value in gathers]
 
     def row(self, start: str, lane: int, width: int) -> str:
-        """Where the row of a lane begins."""
+        """Emits the address of a lane's row."""
         number = self.line(f"extractelement {self.emitter.vector(self.scalar)} {self.index}, i32 {lane}")
         wide = number if self.scalar == "i64" else self.line(f"sext i32 {number} to i64")
         entry = self.line(f"mul nsw i64 {wide}, {width}")
         return self.line(f"getelementptr i32, ptr {start}, i64 {entry}")
 
     def entries(self, row: str, place: int, left: int) -> str:
-        """Four entries of a row from a place on, of which so many are left."""
+        """Emits the load of four entries of a row, of which `left` exist."""
         at, kind = self.line(f"getelementptr i32, ptr {row}, i64 {place}") if place else row, f"<{AT_ONCE} x i32>"
         if left >= AT_ONCE:
             return self.line(f"load {kind}, ptr {at}, align 4")
@@ -71,7 +71,7 @@ class RowReading:
         return self.line(f"call {kind} @{function}(ptr {at}, i32 4, {flags} <{inside}>, {kind} poison)")
 
     def turned(self, entries: Sequence[str]) -> list[str]:
-        """Four columns of all lanes, from four entries of each lane.
+        """Transposes four entries of each lane to four columns of all lanes.
 
         Every fourth lane stands in one vector, so that squares of four lanes by four columns are turned where they are.
         """
@@ -80,7 +80,7 @@ class RowReading:
         squares = range(0, lanes, AT_ONCE)
 
         def mixed(x: str, y: str, order: Sequence[int]) -> str:
-            """In each square, entries of the first (0 to 3) and of the second (4 to 7)."""
+            """Shuffles, in each square, entries of the first (0 to 3) and of the second (4 to 7) vector."""
             places = [at + one if one < AT_ONCE else lanes + at + one - AT_ONCE for at in squares for one in order]
             kind = f"<{lanes} x i32>"
             return self.line(f"shufflevector {kind} {x}, {kind} {y}, {kind} <{', '.join(f'i32 {at}' for at in places)}>")
@@ -91,7 +91,7 @@ class RowReading:
                 for order in ((0, 1, 4, 5), (2, 3, 6, 7))]
 
     def joined(self, parts: Sequence[str]) -> str:
-        """Vectors of four, one after the other."""
+        """Concatenates vectors of four."""
         size, parts = AT_ONCE, list(parts)
         while len(parts) > 1:
             order = ", ".join(f"i32 {place}" for place in range(2 * size))
@@ -101,6 +101,6 @@ class RowReading:
         return parts[0]
 
     def of_type(self, name: str, scalar: str) -> str:
-        """A column in the type of its entries."""
+        """Converts a column to the type of its entries."""
         whole = self.emitter.vector("i32")
         return name if scalar == "i32" else self.line(f"bitcast {whole} {name} to {self.emitter.vector(scalar)}")

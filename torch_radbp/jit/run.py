@@ -1,4 +1,4 @@
-"""`LaneFunction`: a function in plain torch, run as one fused loop over lanes."""
+"""`LaneFunction`: runs a function in plain torch as one compiled loop over lanes."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class LaneFunction:
         self.first_arguments: Arguments | None = None
 
     def knowing(self, *arguments) -> LaneFunction:
-        """The same function, which need not take these first arguments apart in every call that gets the very same.
+        """The same function, with its first arguments taken apart for calls with the very same objects.
 
         It keeps them alive. With others it does what this one does; what is compiled serves both.
         """
@@ -72,14 +72,14 @@ class LaneFunction:
         return other
 
     def taken(self, **arguments) -> tuple[PreparedArgument, ...]:
-        """Arguments by name, taken apart once for several calls, which get these in their places.
+        """Takes arguments, given by name, apart once for several calls.
 
         What is written into their tensors in between counts, unless these are not contiguous or not aligned.
         """
         return tuple([PreparedArgument(self.named[name], argument) for name, argument in arguments.items()])
 
     def room(self, results) -> PreparedArgument:
-        """What `into` is to write into, taken apart once for several calls."""
+        """Takes the tensors of results apart once for several calls of `into`."""
         return PreparedArgument(self.results, results)
 
     def __call__(self, *arguments):
@@ -93,7 +93,7 @@ class LaneFunction:
         return compiled.assemble([outputs[k] if k >= 0 else given.leaves[~k] for k in compiled.results])
 
     def into(self, results, first: int, *arguments):
-        """Writes what a call would return into `results`, and returns them.
+        """Calls the function, and writes the results into `results`.
 
         Args:
             results: contiguous tensors in the tuples and lists that a call returns, or `room` for them, each at a
@@ -127,7 +127,7 @@ class LaneFunction:
         return room.argument
 
     def prepared(self, arguments: tuple) -> tuple[Compiled, Arguments]:
-        """The arguments taken apart, and the function compiled for such."""
+        """Takes arguments apart, and compiles the function for their structure."""
         if len(arguments) != len(self.parameters):
             raise TypeError(f"{self.name} takes {len(self.parameters)} arguments by position, got {len(arguments)}")
         first = self.first_arguments
@@ -149,7 +149,7 @@ class LaneFunction:
         return compiled, given
 
     def check_room(self, room: PreparedArgument, compiled: Compiled, given: Arguments, entries: int) -> None:
-        """Errors about results as `into` says."""
+        """Raises the errors about results that `into` names."""
         structure = room.form.structure
         if structure is not compiled.structure:
             if structure != compiled.structure:
@@ -165,7 +165,7 @@ class LaneFunction:
                              f"at {leaf.data_ptr():#x}")
 
     def compile(self, given: Arguments) -> Compiled | str:
-        """The function for arguments of this structure: from disk, or traced now and compiled meanwhile; or why not."""
+        """The function for arguments of this structure: read from disk, or traced and compiled; or the reason why not."""
         try:
             if self.target is not None:  # asked for by name, to look at what it does: always compiled
                 program, interface = self.traced(given)
@@ -181,11 +181,11 @@ class LaneFunction:
         return compiled_functions.compiled_program(name, interface, program, target)
 
     def program(self, *arguments) -> Program:
-        """What is computed for such arguments, traced now."""
+        """Traces the function for such arguments."""
         return self.traced(Arguments(self.parameters, arguments))[0]
 
     def traced(self, given: Arguments) -> tuple[Program, Interface]:
-        """The program of the function for arguments of this structure.
+        """Traces the function for arguments of this structure.
 
         Raises:
             UnknownOperation: if it comes down to an operation that is not one of lanes.

@@ -1,4 +1,4 @@
-"""Adds numbers of the lanes to entries of tables: the derivative of a gather.
+"""Scatter-add: adds numbers of lanes to table entries; the derivative of a gather.
 
 Totals are float64: millions of lanes may add to one entry, and a float32 sum would lose what is small against the total.
 A few tables that are read at the same index are written together.
@@ -21,12 +21,12 @@ __all__ = ["MOST_TABLES", "PAGE_BITS", "Addition", "Sums", "copies", "scatter_ad
 
 
 def copies(entries: int, device: torch.device) -> int:
-    """The number of copies that the totals of a table with so many entries should have on a device."""
+    """The best number of copies of a table's sums on a device, to avoid conflicts."""
     return target_of(device).copies(entries)
 
 
 def scatter_add(additions: Sequence[Addition]) -> None:
-    """Adds numbers of the lanes to tables.
+    """Scatter-adds numbers of the lanes to tables.
 
     On the CPU it is done in the order of the lanes, so that the sums are the same each time. On a GPU it is done in any
     order, so that the last bits of float64 differ from time to time, unless torch is told to be deterministic
@@ -47,7 +47,7 @@ def scatter_add(additions: Sequence[Addition]) -> None:
 
 
 def _check(addition: Addition, lanes: int, device: torch.device) -> None:
-    """Errors as `scatter_add` says."""
+    """Raises the errors that `scatter_add` names."""
     index, numbers, sums = addition
     dtype = numbers[0].dtype
     right = (len(numbers) == len(sums.totals) and index.dtype == torch.int32 and index.numel() == lanes and dtype in SCALARS

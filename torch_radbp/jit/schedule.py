@@ -1,4 +1,4 @@
-"""The order in which a thread of a GPU computes values: few are alive at a time, since what finds no register is spilled."""
+"""Orders values for GPU threads so that few are alive at a time, to avoid register spills."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ REGISTERS = 255  # of 32 bits, the most that a thread may have
 
 
 def registers(value: Value) -> float:
-    """Registers that a value takes; flags have some of their own, which hold few."""
+    """The number of registers that a value takes; flags have registers of their own."""
     if value.operation == "constant" or value.kind == TABLE:
         return 0
     return 0.25 if value.dtype == torch.bool else value.dtype.itemsize / 4
 
 
 def most_alive(values: Sequence[Value]) -> float:
-    """Registers of the values that are alive at once, where most are."""
+    """The greatest number of registers for values that are alive at once."""
     last = {argument: place for place, value in enumerate(values) for argument in value.arguments}
     ending = Counter()
     for value, place in last.items():
@@ -34,7 +34,7 @@ def most_alive(values: Sequence[Value]) -> float:
 
 
 def few_alive(values: Sequence[Value]) -> list[Value]:
-    """The same values, each after those that it is computed from, in an order that keeps fewer of them alive.
+    """Orders values so that few are alive at once, each after those that it is computed from.
 
     List scheduling from the last value to the first: of the values whose users are all placed, the next is the one that
     makes fewest others alive, and of equals the last of those given. LLVM and NVIDIA's assembler move instructions by

@@ -1,4 +1,4 @@
-"""What runs stages as compiled loops over lanes, one for each; `tensors/stage.py` says what a stage is."""
+"""Runs stages as compiled loops over lanes; `tensors/stage.py` says what a stage is."""
 
 from __future__ import annotations
 
@@ -6,20 +6,22 @@ import warnings
 from collections.abc import Callable, Iterator
 from copy import copy
 
+import torch
+
 from torch_radbp.jit.allocator import keep_freed_memory
 from torch_radbp.jit.arguments import PreparedArgument
 from torch_radbp.jit.dual import DualFunction
 from torch_radbp.jit.machine import made_once
 from torch_radbp.jit.refusal import UnknownOperation
 from torch_radbp.jit.run import LaneFunction
-from torch_radbp.jit.target import Target
+from torch_radbp.jit.target import Target, target_of
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.stage import DECLARED, write
 from torch_radbp.tensors.torch_internals import inside_dual_level
 
 
 class CompiledStage:
-    """A stage that is compiled for each kind of scene that it meets, or runs eagerly where it cannot be, and says so once.
+    """A stage compiled for each kind of scene; if it cannot be compiled, it runs in plain torch and warns once.
 
     Of dual tensors, in forward mode, values and tangents are computed in one loop.
 
@@ -66,7 +68,7 @@ class CompiledStage:
             write(as_it_is(results), first, self.eagerly(error, arguments))
 
     def eagerly(self, error: UnknownOperation, arguments: tuple):
-        """What the stage returns in plain torch; says once why."""
+        """Runs the stage in plain torch; warns once why."""
         if not self.told:
             self.told.append(str(error))
             warnings.warn(f"{self.function.__name__} runs eagerly, which is slower: {error}", RuntimeWarning, stacklevel=3)
@@ -74,7 +76,7 @@ class CompiledStage:
 
 
 class CompiledStages:
-    """Runs each stage as a loop of its own, compiled when it is first called.
+    """Runs each stage as a compiled loop, compiled at its first call.
 
     Args:
         target: for which they are compiled; None: for the device that the tensors of a call lie on.
@@ -91,8 +93,12 @@ class CompiledStages:
             stage = self.made.setdefault(function, CompiledStage(function, DECLARED[function], self.target))
         return stage
 
+    def target_on(self, device: torch.device) -> Target:
+        """What stages are compiled for whose tensors lie on a device."""
+        return target_of(device) if self.target is None else self.target
+
     def __iter__(self) -> Iterator[CompiledStage]:
-        """All that were called."""
+        """Iterates over the stages that were called."""
         return iter(self.made.values())
 
 
@@ -104,5 +110,5 @@ def compiled() -> CompiledStages:
 
 
 def as_it_is(argument):
-    """An argument that may be prepared for several calls, as it was given."""
+    """The original of an argument that may be prepared for several calls."""
     return argument.argument if isinstance(argument, PreparedArgument) else argument

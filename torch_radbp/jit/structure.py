@@ -1,4 +1,4 @@
-"""Nested tuples and lists of tensors, taken apart and put together again; what is no tensor belongs to the structure."""
+"""Nested tuples and lists of tensors: flattened and rebuilt; all else belongs to the structure."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import Tensor
 
 
 def flatten(part: Any, leaves: list[Tensor], key: list) -> None:
-    """Collects the tensors of nested tuples and lists, and a key that tells structures apart.
+    """Collects the tensors of nested tuples and lists, and a key of their structure.
 
     Args:
         part: tensors and anything hashable in nested tuples, named or not, and lists.
@@ -36,12 +36,12 @@ def of_lanes(key: Sequence) -> tuple:
 
 
 def structure_difference(key: Sequence, other: Sequence) -> tuple[str, str]:
-    """The first difference of two structures, in words for a message."""
+    """The first difference between two structures, in words for a message."""
     return next((_described(a), _described(b)) for a, b in itertools.zip_longest(key, other) if a != b)
 
 
 def _described(item: tuple | None) -> str:
-    """One item of a key in words."""
+    """One item of a structure's key, in words."""
     if item is None:
         return "nothing"
     kind, value = item
@@ -51,11 +51,11 @@ def _described(item: tuple | None) -> str:
 
 
 class Leaf:
-    """Stands in the place of a tensor."""
+    """Placeholder for a tensor."""
 
 
 def with_other_leaves(part: Any, next_leaf: Callable[[], Any]) -> Any:
-    """The same nested tuples with something else in the places of tensors, which `next_leaf` gives in order."""
+    """Nested tuples with tensors replaced, in order, by results of `next_leaf`."""
     if isinstance(part, Tensor):
         return next_leaf()
     if isinstance(part, (tuple, list)):
@@ -65,28 +65,27 @@ def with_other_leaves(part: Any, next_leaf: Callable[[], Any]) -> Any:
 
 
 class Source:
-    """The text of a function that is made to measure, and what it names."""
+    """Generates the source of a specialised function, and holds the objects that it refers to."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
         self.names: dict[str, Any] = {"new": tuple.__new__}
 
     def name(self, thing: Any) -> str:
-        """A name that stands for a thing."""
+        """A name for an object in the generated source."""
         name = f"c{len(self.names)}"
         self.names[name] = thing
         return name
 
     def function(self, argument: str, result: str) -> Callable:
-        """The function that runs the lines and returns an expression."""
+        """Compiles the generated lines to a function that returns an expression."""
         text = "\n    ".join([f"def made({argument}):", *self.lines, f"return {result}"])
         exec(text, self.names)
         return self.names["made"]
 
 
 def unpacker(part: Any) -> Callable[[Any], tuple | None]:
-    """A function that gives what stands in the places of the tensors of `part`, in order, in nested tuples and lists of the
-    same types and lengths with equal constants; or None for others.
+    """Generates a function that extracts the tensors' places from arguments of one structure; None for other structures.
 
     It is written out for this structure, since small renderings spend most of their time on taking arguments apart.
     """
@@ -114,7 +113,7 @@ def unpacker(part: Any) -> Callable[[Any], tuple | None]:
 
 
 def assembler(shape: Any) -> Callable[[list[Tensor]], Any]:
-    """The function that puts tensors, in order, into the places of the `Leaf`s of nested tuples and lists."""
+    """Generates a function that puts tensors, in order, into the places of `Leaf`s."""
     source, places = Source(), itertools.count()
 
     def expression(part: Any) -> str:

@@ -1,4 +1,5 @@
-"""A tape: what a step does with lanes is recorded once for arguments of one kind, and done again as machine code.
+"""A tape: what a step does with lanes is recorded once for arguments of one kind, and done again as machine code: of the
+processor, or as launches of a GPU, see `recorded.py` and `launches.py`.
 
     tape = Tape(board, tables, kind)
     played = tape.play(key, step, arguments, count)     # the first call of a kind records, later ones only play
@@ -21,9 +22,12 @@ from torch import Tensor
 
 from torch_radbp.jit.board import Board
 from torch_radbp.jit.dual import dual, tangents_and_tensors, values_and_tangents
+from torch_radbp.jit.lane_count import LaneCount
 from torch_radbp.jit.recorded import Recorded, RecordedInputs
+from torch_radbp.jit.recorded_launches import RecordedLaunches
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.structure import flatten
+from torch_radbp.jit.target import Target, target_of
 from torch_radbp.jit.tiles import Handed, handed
 from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.torch_internals import inside_dual_level
@@ -33,10 +37,10 @@ UNKNOWN = object()
 
 
 class Played(NamedTuple):
-    """What a step returns, whether it is recorded or played."""
+    """The results of a step, recorded or replayed."""
 
     results: Any  # tensors in nested tuples; dual ones of dual arguments
-    counts: Sequence[int] = ()  # numbers of lanes, or where among lanes something begins
+    counts: Sequence[int | LaneCount] = ()  # numbers of lanes, or where among lanes something begins
     constant: Any = None  # what is the same whenever this recording is played
 
 
@@ -44,24 +48,24 @@ Step = Callable[..., Played]  # of the arguments
 
 
 class Taped(NamedTuple):
-    """A step that was recorded."""
+    """A recorded step."""
 
-    recorded: Recorded
+    recorded: Recorded | RecordedLaunches
     counts: tuple[int, ...]  # the numbers of `Played.counts` among those of the recording
     constant: Any
-    dual: bool  # the results are values and, by themselves, tangents
+    dual: bool  # results are values and, separately, tangents
 
 
 class Link(NamedTuple):
-    """A step that was recorded to hand its results to the next one."""
+    """A recorded step that passes its results on to the next one."""
 
     recorded: Recorded
     handed: Handed
-    results: tuple[Any, Any]  # without contents, values and tangents: dual tensors do not outlive a call
+    results: tuple[Any, Any]  # values and tangents without contents: dual tensors do not outlive a call
 
 
 class Recordings:
-    """What was recorded, by all that it depends on; None: such things cannot be."""
+    """Recordings by a key of all that they depend on; None for what cannot be recorded."""
 
     def __init__(self) -> None:
         self.known: dict[tuple, Any] = {}
@@ -69,11 +73,11 @@ class Recordings:
         self.making, self.numbers = Lock(), itertools.count()
 
     def kind(self, *parts) -> int:
-        """A number that stands for these parts of a key, which take their time to compare; they are kept alive."""
+        """A number for parts of a key that are slow to compare; they are kept alive."""
         return self.kinds.setdefault(parts, next(self.numbers))
 
     def of(self, key: tuple, make: Callable[[], Any]) -> Any:
-        """What a key stands for, recorded now if it is not known."""
+        """The recording of a key, made now if it is missing."""
         made = self.known.get(key, UNKNOWN)
         if made is UNKNOWN:
             with self.making:
@@ -88,31 +92,35 @@ class Recordings:
 RECORDINGS = Recordings()
 
 
-def blank(arguments: Any, reserve: Reserve) -> Any:
-    """The arguments of a step as a recording has them: what has an entry for each lane is without contents."""
-    return without_contents(arguments, reserve)
-
-
 class Tape:
-    """Plays steps that read the same tables.
+    """Records and replays steps that read the same tables.
 
     Args:
         tables: tensors, and addresses, that steps read beside their arguments; scenes may have others of the same kind.
         kind: all else that steps depend on.
         contexts: of what steps do outside, see `recording.outside`.
-        board: of the helpers; None: nothing is played, only recorded.
-        cast: is told how many rays were cast.
+        board: of the helpers; None: on the CPU nothing is played, only recorded.
+        caster: of the rays; None: none are cast.
+        target: on which steps are played; None: that of the device of the tables.
     """
 
     def __init__(self, tables: Sequence[Tensor | int], kind: Sequence[Hashable] = (), contexts: Sequence[Any] = (),
-                 board: Board | None = None, cast: Callable[[int], None] | None = None):
-        self.tables, self.contexts, self.board, self.cast = RecordedInputs(tables), contexts, board, cast
-        self.kind = RECORDINGS.kind(*kind, self.tables.pattern,
-                                    lying([table for table in tables if isinstance(table, Tensor)]))
+                 board: Board | None = None, caster: Any = None, target: Target | None = None):
+        self.tables, self.contexts, self.board, self.caster = RecordedInputs(tables), contexts, board, caster
+        tensors = [table for table in tables if isinstance(table, Tensor)]
+        self.device = tensors[0].device if tensors else torch.device("cpu")
+        self.target = target_of(self.device) if target is None else target
+        deterministic = torch.are_deterministic_algorithms_enabled()  # by which targets may add numbers otherwise
+        self.kind = RECORDINGS.kind(*kind, self.target, deterministic, self.tables.pattern, lying(tensors))
         self.kinds: dict[Hashable, int] = {}  # of arguments, by their names
 
-    def play(self, key: tuple, step: Step, arguments: tuple, count: int, blank: Callable = blank, name: Hashable = None,
-             counts: Sequence[int] = ()) -> Played | None:
+    def rest(self) -> None:
+        """Lets the helpers go, if there are any."""
+        if self.board is not None:
+            self.board.close()
+
+    def play(self, key: tuple, step: Step, arguments: tuple, count: int | LaneCount, blank: Callable | None = None,
+             name: Hashable = None, counts: Sequence[int | LaneCount] = (), waits: bool = True) -> Played | None:
         """What a step returns of its arguments; None if it cannot be recorded, and is to be called.
 
         Args:
@@ -124,19 +132,24 @@ class Tape:
                 `counts`.
             name: arguments of one name have one structure, which is then told once; None: it is told each time.
             counts: numbers of lanes that the arguments hold, or where some begin, in ascending order.
+            waits: False: counts that are found on a GPU stay there, and results have room for all lanes.
         """
         varying = self.varying(arguments)
+        blank = without_contents if blank is None else blank
         taped = self.kept(key, arguments, varying, name, partial(self.record, step, arguments, blank, len(counts)))
         if taped is None:
-            self.board.close()
+            self.rest()
             return None
-        results, numbers = taped.recorded(varying, self.tables, count, self.board, counts, self.contexts)
-        if self.cast is not None:
-            self.cast(sum([numbers[last] - numbers[first] for first, last in taped.recorded.rays]))
+        if isinstance(taped.recorded, RecordedLaunches):
+            results, numbers = taped.recorded(varying, self.tables, count, counts, self.caster, waits)
+        else:
+            results, numbers = taped.recorded(varying, self.tables, count, self.board, counts, self.contexts)
+            if self.caster is not None:
+                self.caster.count(sum([numbers[last] - numbers[first] for first, last in taped.recorded.rays]))
         return Played(dual(*results) if taped.dual else results, [numbers[place] for place in taped.counts], taped.constant)
 
     def link(self, key: tuple, step: Step, arguments: tuple, blank: Callable) -> tuple[Link | None, RecordedInputs]:
-        """A step whose results are handed to the next one, tile by tile, as the first of its arguments; and its tensors.
+        """Records a step whose results are the first argument of the next one, tile by tile; None if it cannot be recorded.
 
         Args are as for `play`; None: it cannot be recorded.
         """
@@ -146,11 +159,11 @@ class Tape:
 
     @staticmethod
     def varying(arguments: tuple) -> RecordedInputs:
-        """The tensors of arguments, one argument after the other."""
+        """The tensors of all arguments, in order."""
         return RecordedInputs([tensor for argument in arguments for tensor in tangents_and_tensors(argument)])
 
     def kept(self, key: tuple, arguments: tuple, varying: RecordedInputs, name: Hashable, make: Callable[[], Any]) -> Any:
-        """What `make` makes of arguments of this kind; None if it cannot be made."""
+        """The cached result of `make` for arguments of this kind; None if it cannot be made."""
         if not all([tensor.is_contiguous() for tensor in varying.items]):
             return None
         kind = self.kinds.get(name)
@@ -162,19 +175,19 @@ class Tape:
 
     def record(self, step: Step, arguments: tuple, blank: Callable, counts: int) -> Taped | None:
         """Records such a step."""
-        reserve = Reserve()
+        reserve = Reserve(self.device)
         borders = Recording([]).borders(counts + 1, ALL)[1:-1] if counts else []
         arguments = blank(arguments, reserve, borders) if counts else blank(arguments, reserve)
         try:
             listener, given, played = self.listened(step, arguments, reserve, borders)
             results = values_and_tangents(played.results) if inside_dual_level() else played.results
-            return Taped(Recorded(listener, given, results), tuple([listener.points[count] for count in played.counts]),
-                         played.constant, inside_dual_level())
+            counts = tuple([listener.points[count] for count in played.counts])
+            return Taped(self.target.recorded(listener, given, results), counts, played.constant, inside_dual_level())
         except NotRecordable:
             return None
 
     def record_link(self, step: Step, arguments: tuple, blank: Callable) -> Link | None:
-        """Records such a step."""
+        """Records a step for `link`."""
         reserve = Reserve()
         try:
             listener, given, played = self.listened(step, blank(arguments, reserve), reserve)
@@ -185,7 +198,7 @@ class Tape:
 
     def listened(self, step: Step, arguments: tuple, reserve: Reserve,
                  borders: Sequence[int] = ()) -> tuple[Recording, list[Tensor | int], Played]:
-        """What a step does with arguments without contents, what it is given, and what it returns."""
+        """Runs a step on arguments without contents: the recording, its inputs, and the step's results."""
         given = [*self.varying(arguments).items, *self.tables.items]
         listener = Recording(given, borders, reserve, self.contexts)
         with torch.no_grad(), listening(listener):
@@ -193,7 +206,7 @@ class Tape:
 
 
 def without_contents(record: Any, reserve: Reserve, lanes: int = ALL) -> Any:
-    """A record of lanes like another one, as recordings have them; what is the same there is so here, numbers are kept."""
+    """A copy of a record whose tensors have no contents; equal tensors stay equal, numbers are kept."""
     made: dict[int, Tensor] = {}
 
     def like(leaf):
@@ -205,14 +218,14 @@ def without_contents(record: Any, reserve: Reserve, lanes: int = ALL) -> Any:
 
 
 def structure_of(record: Any) -> list:
-    """What is there and what is not, tangents among it; equal of what one recording serves."""
+    """The structure of a record, with tangents; equal where one recording serves."""
     structure: list = []
     flatten(values_and_tangents(record) if inside_dual_level() else record, [], structure)
     return structure
 
 
 def lying(tables: Sequence[Tensor]) -> tuple:
-    """How tables lie in memory, as far as code depends on that."""
+    """The memory layout of tables, as far as code depends on it."""
     blocks: dict[tuple, int] = {}  # of rows that several are columns of
     found = []
     for table in tables:

@@ -1,4 +1,4 @@
-"""What lanes are compiled for: a processor with vectors (`cpu.py`) or a GPU (`gpu.py`).
+"""The interface of targets: what lanes are compiled for, a CPU (`cpu.py`) or a GPU (`gpu.py`).
 
 A target knows what stands around the instructions of a block of lanes, makes machine code of both and runs it; the
 instructions themselves are those of `emit.py` for all. It also moves lanes about, as `order.py` and `scatter.py` say.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -18,15 +18,18 @@ from torch_radbp.jit.any_device import AnyDevice
 from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.gpu import gpu_of
 from torch_radbp.jit.graph import Program
+from torch_radbp.jit.recorded import Recorded
+from torch_radbp.jit.recorded_launches import RecordedLaunches
+from torch_radbp.jit.recording import Recording
 
 COMPILED = ("cpu", "cuda")  # kinds of devices that functions are compiled for
 
 
 class Loop(Protocol):
-    """A program as machine code."""
+    """A compiled program, ready to run."""
 
     def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
-        """Computes all lanes; what torch does next on the same device finds the results.
+        """Computes all lanes; later operations of torch on the same device see the results.
 
         Args:
             lanes: how many, at least 1.
@@ -36,54 +39,68 @@ class Loop(Protocol):
 
 
 class Target(Protocol):
-    """What lanes are compiled for."""
+    """What lanes are compiled for.
+
+    Attributes:
+        counts_stay: numbers of lanes that a recording finds stay on the device, which runs it as launches for all lanes;
+            else recordings may be run one after the other tile by tile, see `tiles.py`.
+    """
+
+    counts_stay: bool
 
     def text(self, program: Program) -> str:
-        """The module of a program, LLVM's text."""
+        """The LLVM IR of a program."""
 
     @property
     def platform(self) -> str:
-        """All that code depends on beside the program; code may be kept for processes in which it is the same.
+        """All that code depends on beside the program, as a key of caches.
 
         Raises:
             RuntimeError: if nothing can be compiled for this target; the message says what is missing.
         """
 
     def code(self, program: Program) -> bytes:
-        """The code of a program: machine code, or what the driver of a device makes it of."""
+        """Compiles a program: to machine code, or to what the device's driver takes."""
 
     def loop(self, code: bytes, searched: Sequence[int]) -> Loop:
-        """Code, ready to run; `searched` is the program's."""
+        """Loads code; `searched` is the program's."""
 
     def compile(self, program: Program) -> Loop:
-        """The program, ready to run."""
+        """Compiles and loads a program."""
+
+    def recorded(self, recording: Recording, given: Sequence[Tensor | int], results: Any) -> Recorded | RecordedLaunches:
+        """A recording, to be done again; args as for `RecordedResults`.
+
+        Raises:
+            NotRecordable: if it cannot be, the message says why.
+        """
 
     def chosen(self, flags: Tensor) -> Tensor:
-        """See `order.chosen`."""
+        """The lanes whose flag is set; see `order.chosen`."""
 
     def inverted(self, flags: Tensor) -> Tensor:
-        """See `order.inverted`."""
+        """Inverts flags; see `order.inverted`."""
 
     def nothing(self, flags: Tensor) -> Tensor:
-        """See `order.nothing`."""
+        """Flags that are all false; see `order.nothing`."""
 
     def partition(self, number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
-        """See `order.partition`."""
+        """Sorts lanes into queues; see `order.partition`."""
 
     def in_order(self, major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor, Tensor]:
-        """See `order.in_order`."""
+        """Sorts lanes by two numbers; see `order.in_order`."""
 
     def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
-        """See `order.put`; of at least 1 entry each, all contiguous."""
+        """Scatters entries, at least 1 each, all contiguous; see `order.put`."""
 
     def copies(self, entries: int) -> int:
-        """See `scatter.copies`."""
+        """The best number of copies of a table's sums; see `scatter.copies`."""
 
     def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
-        """See `scatter.scatter_add`; of at least 1 lane, all contiguous."""
+        """Scatter-adds numbers of at least 1 lane, all contiguous; see `scatter.scatter_add`."""
 
 
 @functools.cache
 def target_of(device: torch.device) -> Target:
-    """The target for tensors of a device."""
+    """The target for tensors on a device."""
     return Cpu() if device.type == "cpu" else gpu_of(device) if device.type == "cuda" else AnyDevice()

@@ -1,4 +1,4 @@
-"""Threads of our own that share work, and sleep while there is none.
+"""Worker threads ("helpers") that share work, and sleep while there is none.
 
 After each operation torch's OpenMP threads wait for the next by spinning, for ten milliseconds and more. They take the cores
 from ours, from other processes and from each other, and an operation ends only when the last of them was given a core. So
@@ -30,7 +30,7 @@ EVEN = 4  # parts for each thread, of more of which it matters little
 
 
 class Job(ctypes.Structure):
-    """A loop over lanes, of which threads take one part after the other."""
+    """A loop over lanes, of which threads take parts, as a C structure."""
 
     _fields_ = [("lanes", ctypes.c_int64), ("part", ctypes.c_int64), ("next", ctypes.c_int64),
                 ("inputs", ctypes.c_void_p), ("outputs", ctypes.c_void_p)]
@@ -40,7 +40,7 @@ LoopBody = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 
 class Task:
-    """Work that several threads take part in at the same time.
+    """Work that several threads share.
 
     Args:
         work: called by each thread that takes part. It divides what is to be done itself, is right on any number of them,
@@ -71,7 +71,7 @@ class Task:
                 self.done.release()
 
     def close(self) -> None:
-        """Waits for those that take part: even if interrupted, since they write into memory of the caller's."""
+        """Waits for the threads that take part, even if interrupted, since they write into the caller's memory."""
         with self.lock:
             self.closed = True
             waiting = self.working > 0
@@ -85,14 +85,14 @@ class Task:
 
 
 class Team:
-    """The helpers of a process, made when they are first needed, and the tasks that they have not looked at."""
+    """The helpers of a process, started when needed, and their queue of tasks."""
 
     def __init__(self) -> None:
         self.helpers, self.growing = 0, threading.Lock()
         self.tasks: SimpleQueue[Task] = SimpleQueue()
 
     def call(self, task: Task, helpers: int) -> None:
-        """Wakes some of the helpers for a task."""
+        """Wakes helpers for a task."""
         while self.helpers < helpers and self.grow(helpers):
             pass
         for _ in range(min(helpers, self.helpers)):
@@ -111,18 +111,18 @@ class Team:
         return True
 
     def help(self) -> None:
-        """What a helper does."""
+        """The loop of a helper thread."""
         with alone_in_torch(threads=1):
             while True:
                 self.tasks.get().take_part()
 
 
 class _ThreadState(threading.local):
-    """What belongs to a thread."""
+    """Thread-local state: number of threads and pending loops."""
 
-    threads: int | None = None  # that work for it, itself included; None: as many as torch has
-    loops: list[LaneLoop] | None = None  # that wait for each other; None: none do
-    afterwards: list[Callable[[], None]] | None = None  # what is to be done after them
+    threads: int | None = None  # threads that work for this one, itself included; None: as many as torch has
+    loops: list[LaneLoop] | None = None  # loops that wait to run together; None: outside of `loops_together`
+    afterwards: list[Callable[[], None]] | None = None  # functions to call after them
 
 
 HERE, TEAM = _ThreadState(), Team()
@@ -130,7 +130,7 @@ COMPILERS = Team()  # that take no part in loops; see `later.py`
 
 
 def forget_helpers() -> None:
-    """Begins with teams of its own in a forked process, which has none of its parent's threads."""
+    """Resets the team in a forked process, which has none of its parent's threads."""
     global TEAM, COMPILERS
     TEAM, COMPILERS = Team(), Team()
 
@@ -140,13 +140,13 @@ if hasattr(os, "register_at_fork"):
 
 
 def threads() -> int:
-    """The threads that may work for this one, itself included: as many as torch has; a helper is alone."""
+    """The number of threads that may work for this one, itself included: as many as torch has; for a helper 1."""
     return torch.get_num_threads() if HERE.threads is None else HERE.threads
 
 
 @contextmanager
 def alone_in_torch(threads: int | None = None) -> Iterator[None]:
-    """torch's operations stay on this thread.
+    """A context in which torch's operations stay on this thread.
 
     Args:
         threads: that work for it meanwhile; None: as many as torch has, or as an outer context says.
@@ -164,7 +164,7 @@ def alone_in_torch(threads: int | None = None) -> Iterator[None]:
 
 
 def together(work: Callable[[Task], None], threads: int) -> None:
-    """Calls `work` on this thread and, as they awake, on helpers; waits for those that have begun.
+    """Calls `work` on this thread and on helpers as they wake up; waits for those that have begun.
 
     Args:
         work: see `Task`.
@@ -190,7 +190,7 @@ def together(work: Callable[[Task], None], threads: int) -> None:
 
 @contextmanager
 def assisted(work: Callable[[Task], None], finish: Callable[[], None]) -> Iterator[Callable[[], None]]:
-    """What calls the helpers of this thread to do `work`, perhaps again; `finish`, called in the end, lets them return."""
+    """A context with a function that calls helpers to do `work`, perhaps again; at its end `finish` lets them return."""
     task, number = Task(work), threads()
 
     def call() -> None:
@@ -207,7 +207,7 @@ def assisted(work: Callable[[Task], None], finish: Callable[[], None]) -> Iterat
 
 
 def each(work: Callable[[Item], Result], items: Sequence[Item], threads: int) -> list[Result]:
-    """`work` on each item, by at most so many threads; the results in the order of the items.
+    """Calls `work` on each item, in several threads; results in order.
 
     Of fewer items than threads each has its part of them, and this thread, which waits for the others, all.
     """
@@ -226,7 +226,7 @@ def each(work: Callable[[Item], Result], items: Sequence[Item], threads: int) ->
 
 
 def until_none_is_left(items: deque[Item]) -> Iterator[Item]:
-    """The items, one by one, of which other threads take some too."""
+    """Yields items from a queue that is shared with other threads."""
     while items:
         try:
             item = items.popleft()
@@ -237,7 +237,7 @@ def until_none_is_left(items: deque[Item]) -> Iterator[Item]:
 
 @contextmanager
 def loops_together() -> Iterator[None]:
-    """Loops that this thread begins inside run at the end, in one meeting of the threads rather than one each.
+    """A context in which loops are collected, and run together at its end.
 
     None may read what another one writes. What is to be done after them is said by `after_loops`.
     """
@@ -253,7 +253,7 @@ def loops_together() -> Iterator[None]:
 
 
 def after_loops(work: Callable[[], None]) -> None:
-    """Does `work` once the loops that this thread has begun have run."""
+    """Calls `work` after the loops collected so far have run."""
     if HERE.afterwards is None:
         work()
     else:
@@ -261,17 +261,17 @@ def after_loops(work: Callable[[], None]) -> None:
 
 
 class LaneLoop(NamedTuple):
-    """A loop over lanes."""
+    """A compiled loop over lanes, with its arguments."""
 
     body: int  # address of a C function that takes parts of a `Job`
     lanes: int
-    inputs: array  # of 64-bit integers, the addresses of what it reads and writes
+    inputs: array  # 64-bit integers, addresses of inputs and outputs
     outputs: array
     part: int  # lanes that a thread takes at a time
 
 
 def run_lanes(body: int, lanes: int, inputs: array, outputs: array, part: int = PART) -> None:
-    """Runs a loop on all threads that work for this one; see `LaneLoop`. Inside `loops_together` it waits for the others."""
+    """Runs a loop on all threads of this one; see `LaneLoop`. Inside `loops_together` it is deferred."""
     if HERE.loops is None:
         run_loops([LaneLoop(body, lanes, inputs, outputs, part_for_all(lanes, part))])
     else:
@@ -279,7 +279,7 @@ def run_lanes(body: int, lanes: int, inputs: array, outputs: array, part: int = 
 
 
 def part_for_all(lanes: int, part: int) -> int:
-    """Lanes of a part at most, so that of a loop of few parts each thread takes equally many."""
+    """The size of parts, at most `part`, with which all threads get equally many."""
     count, team = -(-lanes // part), threads()
     if count < 2 or count > EVEN * team:
         return part
@@ -288,7 +288,7 @@ def part_for_all(lanes: int, part: int) -> int:
 
 
 def run_loops(loops: Sequence[LaneLoop]) -> None:
-    """Runs some loops, of which each thread takes parts until there are none."""
+    """Runs several loops, whose parts threads take until none is left."""
     jobs = [Job(loop.lanes, loop.part, 0, loop.inputs.buffer_info()[0], loop.outputs.buffer_info()[0]) for loop in loops]
     calls = [(LoopBody(loop.body), ctypes.addressof(job)) for loop, job in zip(loops, jobs)]
     parts = sum(-(-loop.lanes // loop.part) for loop in loops)

@@ -1,4 +1,4 @@
-"""Recordings one after the other, tile by tile: each thread takes some lanes through all of them before it takes others.
+"""Runs consecutive recordings tile by tile: each thread takes some lanes through all of them.
 
 What one recording hands to the next then stays in the caches of a processor, and threads need not meet in between. A thread
 has memory of its own: what recordings hand on, of the last and of this one in turn, the room that each has for itself, and
@@ -182,31 +182,31 @@ declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 
 
 class Handed(NamedTuple):
-    """Where a recording's results lie, as the next one reads them."""
+    """The memory layout of a recording's results, as the next recording reads them."""
 
-    offsets: array  # of groups of results, in bytes
-    results: array  # of each result: its number, and its offset in bytes
-    bytes: int  # of all
-    count: int  # the number of the count of lanes that go on: the entries of the last result; -1: there is none
+    offsets: array  # offsets of the groups of results, in bytes
+    results: array  # for each result its index, and its offset in bytes
+    bytes: int  # total size
+    count: int  # index of the count of lanes that go on: the entries of the last result; -1: there is none
 
 
 class TileStep(NamedTuple):
-    """A recording that is run for a tile."""
+    """A recording with its inputs, to be run for a tile."""
 
     recorded: Recorded
     handed: Handed
-    given: RecordedInputs  # the first tensors are the results of the recording before, in order; in the first one, lanes
-    lanes: int  # how many of them
+    given: RecordedInputs  # first the results of the recording before, in order; of the first recording, lanes
+    lanes: int  # how many of the inputs these are
 
 
 @made_once
 def code() -> MachineCode:
-    """The machine code of `TEXT`."""
+    """The machine code of this module's LLVM IR, `TEXT`."""
     return cached_code(TEXT)
 
 
 def handed(recorded: Recorded) -> Handed:
-    """Where the results of a recording lie.
+    """The memory layout of a recording's results.
 
     Raises:
         NotRecordable: if one is what the recording was given, or handed over from outside.
@@ -228,7 +228,7 @@ def handed(recorded: Recorded) -> Handed:
 
 
 def run_in_tiles(steps: Sequence[TileStep], lanes: int) -> int:
-    """Runs recordings one after the other, as long as lanes go on, and returns how many rays were cast.
+    """Runs consecutive recordings while lanes go on; returns the number of rays cast.
 
     Args:
         steps: the recordings. The results of each are what the next one is given first; the last of them tells who goes on.

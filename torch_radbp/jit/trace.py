@@ -1,4 +1,4 @@
-"""From a function in plain torch to a program: the function runs once on tensors without contents.
+"""Traces a function in plain torch to a program, by running it once on tensors without contents.
 
 The tensors are on torch's `meta` device. A dispatch mode sees every basic operation that torch comes down to, those of
 `torch.autograd.grad` inside of the function included, and notes it. The result's dtype follows from a rule of
@@ -24,7 +24,7 @@ SIZE = 1_000_003  # of lanes while tracing; what they are is known by their kind
 
 def traced_program(function: Callable[..., Sequence[Tensor | None]], dtypes: Sequence[torch.dtype], kinds: Sequence[str],
                    places: Sequence[int] | None = None) -> Program:
-    """The program of a function of flat tensors.
+    """Traces a function of flat tensors to a program.
 
     Args:
         function: takes one tensor for each of `dtypes`, and returns tensors of the lanes or numbers, or None.
@@ -50,7 +50,7 @@ def stand_in(dtype: torch.dtype, shape: Sequence[int]) -> Tensor:
 
 
 class TableStandIn(Tensor):
-    """A table while a function is traced: it has no length, since the tables of later calls may have another."""
+    """A table during tracing: it has no length, since later calls may have tables of other lengths."""
 
     @classmethod
     def __torch_function__(cls, func, types, args=(), kwargs=None):
@@ -61,7 +61,7 @@ class TableStandIn(Tensor):
 
 
 class Tracer(TorchDispatchMode):
-    """Notes what is done with the tensors that it knows."""
+    """Records the operations on known tensors as values."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -70,19 +70,19 @@ class Tracer(TorchDispatchMode):
         self.alive: list[Tensor] = []  # so that no other tensor gets the id of one that was seen
 
     def argument(self, place: int, dtype: torch.dtype, kind: str) -> Tensor:
-        """A tensor that stands for the argument number `place`."""
+        """A tensor for the argument with index `place`."""
         tensor = stand_in(dtype, () if kind == NUMBER else (SIZE,))
         tensor = tensor.as_subclass(TableStandIn) if kind == TABLE else tensor
         return self.note(tensor, self.builder.value("input", (), dtype, kind, place))
 
     def note(self, tensor: Tensor, value: Value) -> Tensor:
-        """Remembers that `tensor` has `value`."""
+        """Associates a tensor with a value."""
         self.values[id(tensor)] = value
         self.alive.append(tensor)
         return tensor
 
     def value_of(self, tensor: Tensor, what: str) -> Value:
-        """The value of a tensor that was seen; a tensor made elsewhere is read now if it is one number."""
+        """The value of a tensor; a number from elsewhere becomes a constant."""
         if id(tensor) in self.values:
             return self.values[id(tensor)]
         if tensor.device.type != "meta" and tensor.numel() == 1:
@@ -118,25 +118,25 @@ class Tracer(TorchDispatchMode):
 
     @classmethod
     def _should_skip_dynamo(cls) -> bool:
-        """False: torch is not to import its compiler for this mode."""
+        """False: torch must not import its compiler for this mode."""
         return False
 
     # What handlers are written with.
 
     def operand(self, argument: Value | Tensor | bool | int | float, dtype: torch.dtype) -> Value:
-        """An argument of an operation in the dtype in which the operation works."""
+        """Converts an operand to the dtype in which the operation works."""
         if isinstance(argument, Tensor):
             argument = self.lanes_or_number(argument, "an operand")
         return self.builder.cast(argument, dtype) if isinstance(argument, Value) else self.builder.constant(argument, dtype)
 
     def apply(self, operation: str, dtype: torch.dtype, *arguments) -> Value:
-        """An operation on arguments brought to `dtype`, with a result in it."""
+        """An operation on arguments converted to `dtype`, with a result in it."""
         return self.builder.value(operation, tuple(self.operand(argument, dtype) for argument in arguments), dtype)
 
     def compare(self, operation: str, dtype: torch.dtype, a, b) -> Value:
-        """A comparison of arguments brought to `dtype`."""
+        """A comparison of arguments converted to `dtype`."""
         return self.builder.value(operation, (self.operand(a, dtype), self.operand(b, dtype)), torch.bool)
 
     def select(self, condition: Value, a: Value, b: Value) -> Value:
-        """`a` where the condition holds, else `b`."""
+        """Selects `a` where the condition holds, else `b`."""
         return a if a is b else self.builder.value("select", (condition, a, b), a.dtype)

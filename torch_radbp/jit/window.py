@@ -1,4 +1,4 @@
-"""Reads of tables whose entries lie close together, on processors that permute the elements of vectors.
+"""Look-ups of tables whose entries lie close together, by permuting vector registers.
 
 A gather takes a turn for every lane. But the lanes of a block often read few places, and many tables at each: paths that go
 on are neighbours in memory, tables of lamps and of materials are short, neighbouring pixels see the same triangles. So a
@@ -20,31 +20,31 @@ from torch_radbp.jit.instructions import SCALARS, memory
 
 
 class TableWindow(NamedTuple):
-    """The two vectors that a processor permutes as one."""
+    """The pair of vector registers that a processor permutes as one."""
 
-    elements: int  # of 4 bytes, of each
-    reads_bytes: bool  # also those of vectors of bytes are masked, so that tables of bools are read so as well
+    elements: int  # 4-byte elements in each
+    reads_bytes: bool  # masked loads of bytes exist, so that tables of bools can be read, too
 
     def fits(self, width: int) -> bool:
-        """True if blocks of so many lanes are whole vectors."""
+        """True if blocks of `width` lanes are whole vectors."""
         return width % self.elements == 0
 
     def reads(self, value: Value) -> bool:
-        """True of a gather that may find its entries in a window."""
+        """True for a gather whose entries may be in a window."""
         table, index = value.arguments if value.operation == "gather" else (None, None)
         return table is not None and table.operation == "input" and index.kind == LANES and (
             table.dtype in (torch.float32, torch.int32) or (table.dtype == torch.bool and self.reads_bytes))
 
 
 def window_of(features: Mapping[str, bool]) -> TableWindow | None:
-    """The window of a processor with these sets of instructions; None: it has none."""
+    """The window of a processor with these instruction sets; None: it cannot permute two vectors."""
     if features.get("avx512f"):
         return TableWindow(16, bool(features.get("avx512bw")))
     return TableWindow(8, False) if features.get("avx2") else None
 
 
 def at_one_index(program: Program, window: TableWindow | None) -> dict[Value, list[Value]]:
-    """By index, the gathers that may find their entries in one window; a single one is not worth looking."""
+    """Groups gathers by index whose entries may be in one window; single ones are not worth it."""
     found: dict[Value, list[Value]] = {}
     for value in program.values if window is not None else ():
         if window.reads(value) and program.column(value.arguments[0]) is None:
@@ -53,7 +53,7 @@ def at_one_index(program: Program, window: TableWindow | None) -> dict[Value, li
 
 
 class WindowReading:
-    """The text of the reads at one index.
+    """Emits the look-ups at one index.
 
     Args:
         emitter: of the program, which gathers what is not in the window.
@@ -66,7 +66,7 @@ class WindowReading:
         self.emitter, self.window, self.index, self.scalar = emitter, window, index, scalar
 
     def emit(self, gathers: Sequence[Value]) -> list[str]:
-        """The names of what some gathers read, after the instructions for that."""
+        """Emits the instructions for some gathers, and returns the names of their results."""
         emitter, number = self.emitter, len(self.emitter.body)
         near, far, read = f"near{number}", f"far{number}", f"read{number}"
         base, offset, within = self.place()
@@ -79,7 +79,7 @@ class WindowReading:
                 for value, one, other in zip(gathers, permuted, gathered)]
 
     def place(self) -> tuple[str, str, str]:
-        """The first entry of the window, i64, where in it each lane reads, i32, and whether all lanes do."""
+        """Emits the window's first entry, i64, each lane's offset in it, i32, and whether all lanes are inside."""
         line, vector, scalar = self.emitter.line, self.emitter.vector, self.scalar
         base = self.reduced("smin", scalar, self.index)
         offset = line(f"sub {vector(scalar)} {self.index}, {self.everywhere(self.emitter.width, scalar, base)}")
@@ -90,19 +90,19 @@ class WindowReading:
         return line(f"sext i32 {base} to i64"), offset, within
 
     def reduced(self, operation: str, scalar: str, vector: str) -> str:
-        """One number from all lanes."""
+        """Emits a reduction of all lanes to one number."""
         kind, function = self.emitter.vector(scalar), f"llvm.vector.reduce.{operation}.{self.emitter.suffix(scalar)}"
         self.emitter.declared[function] = f"declare {scalar} @{function}({kind})"
         return self.emitter.line(f"call {scalar} @{function}({kind} {vector})")
 
     def everywhere(self, elements: int, scalar: str, number: str) -> str:
-        """A vector of so many elements that are all the same number."""
+        """Emits a vector of equal elements."""
         kind = f"<{elements} x {scalar}>"
         first = self.emitter.line(f"insertelement {kind} poison, {scalar} {number}, i32 0")
         return self.emitter.line(f"shufflevector {kind} {first}, {kind} poison, <{elements} x i32> zeroinitializer")
 
     def permuted(self, gathers: Sequence[Value], base: str, offset: str) -> list[str]:
-        """What the lanes read in the window that begins at `base`."""
+        """Emits the permutation of the window that begins at `base`."""
         elements, line = self.window.elements, self.emitter.line
         left = line(f"sub i64 {self.entries(gathers)}, {base}")
         few = line(f"icmp slt i64 {left}, {2 * elements}")
@@ -118,7 +118,7 @@ class WindowReading:
         return [self.entries_in(value, base, masks, parts) for value in gathers]
 
     def entries(self, gathers: Sequence[Value]) -> str:
-        """The entries that all their tables have at least, i64."""
+        """Emits the least length of all the tables, i64."""
         inputs, least = self.emitter.program.inputs, ""
         for number in sorted({inputs.index(value.arguments[0]) for value in gathers}):
             length = self.emitter.length(number)
@@ -129,7 +129,7 @@ class WindowReading:
         return least
 
     def entries_in(self, value: Value, base: str, masks: Sequence[str], parts: Sequence[str]) -> str:
-        """What the lanes read of one table; `parts`: their places in the window, vector by vector."""
+        """Emits the look-up of one table; `parts`: the lanes' offsets in the window, vector by vector."""
         elements, line, scalar = self.window.elements, self.emitter.line, memory(value.dtype)
         kind, table = f"<{elements} x i32>", self.emitter.names[value.arguments[0]]
         first = line(f"getelementptr {scalar}, ptr {table}, i64 {base}")
@@ -147,7 +147,7 @@ class WindowReading:
         return joined if scalar == "i32" else line(f"bitcast {whole} {joined} to {self.emitter.vector(scalar)}")
 
     def loaded(self, scalar: str, place: str, mask: str) -> str:
-        """A vector of the window as i32, without what lies beyond the table."""
+        """Emits the load of a vector of the window as i32, masked beyond the table's end."""
         elements, size = self.window.elements, 1 if scalar == "i8" else 4
         kind, function = f"<{elements} x {scalar}>", f"llvm.masked.load.v{elements}{scalar}.p0"
         self.emitter.declared[function] = f"declare {kind} @{function}(ptr, i32, <{elements} x i1>, {kind})"
@@ -156,7 +156,7 @@ class WindowReading:
         return found if scalar == "i32" else self.emitter.line(f"zext {kind} {found} to <{elements} x i32>")
 
     def chosen(self, kind: str, low: str, high: str, places: str) -> str:
-        """Elements of the two vectors of a window."""
+        """Emits the selection of elements from the two vectors of a window."""
         line, declared = self.emitter.line, self.emitter.declared
         if self.window.elements == 16:
             function = "llvm.x86.avx512.vpermi2var.d.512"

@@ -1,4 +1,4 @@
-"""Two renderings that carry the derivatives of each other, for losses of any kind."""
+"""Two renderings with exchanged derivatives, for unbiased derivatives of any loss."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def exchange_derivatives(image_a: Tensor, image_b: Tensor) -> tuple[Tensor, Tens
 
 
 def exchanged(loss: Callable[[Tensor, Tensor], Tensor], image_a: Tensor, image_b: Tensor, target: Tensor) -> Tensor:
-    """The mean of a loss over two independent renderings that have the derivatives of each other:
+    """The mean of a loss over two independent renderings with exchanged derivatives:
 
         a, b = renderer(seed=2 * step), renderer(seed=2 * step + 1)
         loss = rb.losses.exchanged(kornia.losses.CharbonnierLoss(), a, b, target)

@@ -1,4 +1,4 @@
-"""What losses take, checked."""
+"""Checks of the arguments of losses."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ DTYPES = (torch.float32, torch.float64)
 
 
 def check_images(**images: Tensor) -> None:
-    """Raises TypeError for what is no dense tensor of floats, ValueError if shapes, which broadcast, or devices differ."""
+    """Raises TypeError unless images are dense floating-point tensors, ValueError unless shapes broadcast on one device."""
     for name, image in images.items():
         check_floats(name, image)
     (first, image), *others = images.items()

@@ -1,4 +1,4 @@
-"""A squared error of logarithms."""
+"""The squared error of logarithms."""
 
 from __future__ import annotations
 

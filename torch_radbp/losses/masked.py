@@ -1,4 +1,4 @@
-"""Means of images within a mask, and what of them counts."""
+"""Means of images within a mask."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def masked_mean(values: Tensor, mask: Tensor | None = None) -> Tensor:
 
 
 def counted(target: Tensor, mask: Tensor | None) -> Tensor:
-    """`target` with 0 in the place of NaN and infinity where the mask is 0, so that no derivative meets them.
+    """`target` with NaN and infinity replaced by 0 where the mask is 0, so that they do not spoil derivatives.
 
     Raises:
         TypeError: if the mask is no tensor of floats.

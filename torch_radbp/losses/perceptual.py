@@ -1,4 +1,4 @@
-"""A distance of features of a network that the caller brings."""
+"""A perceptual distance by the features of a network that the caller brings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch_radbp.losses.masked import counted
 
 def lpips(image_a: Tensor, image_b: Tensor, target: Tensor, module: Callable[[Tensor, Tensor], Tensor],
           mask: Tensor | None = None) -> Tensor:
-    """The mean of `module(image, target)` over two renderings that have the derivatives of each other.
+    """The mean of `module(image, target)` over two renderings with exchanged derivatives.
 
         distance = lpips.LPIPS(net="vgg")  # pip install lpips; its weights are downloaded
         loss = rb.losses.lpips(a, b, target, distance)

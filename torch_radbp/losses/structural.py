@@ -11,7 +11,7 @@ from torch_radbp.losses.masked import counted, masked_mean
 
 def ssim(image_a: Tensor, image_b: Tensor, target: Tensor, mask: Tensor | None = None, window: int = 11,
          max_val: float = 1.0) -> Tensor:
-    """The mean of (1 - SSIM) / 2, `kornia.losses.ssim_loss`, of two renderings that have the derivatives of each other.
+    """The mean of (1 - SSIM) / 2, `kornia.losses.ssim_loss`, of two renderings with exchanged derivatives.
 
     Biased with noisy renderings: noise is structure that the target lacks, so that the value is too large, and surfaces
     become too smooth or too dark, where they have less noise. Take it with many samples, or late, beside an unbiased loss.

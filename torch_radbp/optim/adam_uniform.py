@@ -45,7 +45,7 @@ class AdamUniform(torch.optim.Optimizer):
 
     @torch.no_grad()
     def step(self, closure: Callable[[], float] | None = None) -> float | None:
-        """One step; `closure`, if given, renders and computes gradients, and its loss is returned."""
+        """Makes one step; `closure`, if given, renders and computes gradients, and its loss is returned."""
         loss = None
         if closure is not None:
             with torch.enable_grad():
@@ -57,7 +57,7 @@ class AdamUniform(torch.optim.Optimizer):
         return loss
 
     def move(self, parameter: Tensor, group: dict) -> None:
-        """Moves a parameter by its gradient."""
+        """Moves one parameter by its gradient."""
         state, (first, second) = self.state[parameter], group["betas"]
         if not state:
             state["step"] = torch.tensor(0.0, dtype=torch.float64)  # a tensor, as of torch's own optimizers

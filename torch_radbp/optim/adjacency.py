@@ -1,4 +1,4 @@
-"""What meets what in a mesh."""
+"""Which vertices, edges and triangles of a mesh are adjacent."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch_radbp.shape.welding import welded as first_at_place
 
 
 def welded_vertices(vertices: Tensor) -> tuple[Tensor, int]:
-    """The number of each vertex's place, (V,) int64, and how many there are; coordinates equal up to rounding are one."""
+    """The index of each vertex's distinct position, (V,) int64, and their number; equal up to rounding is equal."""
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices):
         raise ValueError(f"vertices must have shape (V, 3), got {tuple(vertices.shape)}")
     vertices = vertices.detach()
@@ -27,7 +27,7 @@ def unique_edges(faces: Tensor) -> Tensor:
 
 
 def _sides_of(faces: Tensor) -> tuple[Tensor, Tensor]:
-    """The three sides of each triangle, the smaller vertex first, (S, 2) int64, and whose they are, (S,) int64."""
+    """The three sides of each triangle, the smaller vertex first, (S, 2) int64, and the triangle of each, (S,) int64."""
     faces = faces.long()
     sides = torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).sort(dim=1).values
     whose = torch.arange(len(faces), device=faces.device).repeat(3)

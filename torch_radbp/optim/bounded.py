@@ -1,4 +1,4 @@
-"""Parameters that are kept in their ranges while they are optimised."""
+"""Clamping of parameters to their ranges after each step of an optimizer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ AnyOptimizer = TypeVar("AnyOptimizer", bound=torch.optim.Optimizer)
 
 
 def bounded(optimizer: AnyOptimizer, scene: Scene) -> AnyOptimizer:
-    """Has an optimizer bring the parameters of a scene back into their ranges after each of its steps.
+    """Makes an optimizer clamp the parameters of a scene to their ranges after each of its steps.
 
         optimizer = rb.optim.bounded(torch.optim.Adam([green], lr=0.05), scene)
 

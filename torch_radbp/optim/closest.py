@@ -1,4 +1,4 @@
-"""The points of a mesh that are closest to others."""
+"""The closest points of a mesh to given points."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ FIRST = 4  # triangles whose middles are closest, that are looked at first
 
 
 class OnMesh(NamedTuple):
-    """Q points of a mesh."""
+    """Q points on a mesh, in barycentric coordinates."""
 
     triangle: Tensor  # (Q,) int64
-    weights: Tensor  # (Q, 3) of its corners
+    weights: Tensor  # (Q, 3) barycentric
 
     def of_vertices(self, rows: Tensor, faces: Tensor) -> Tensor:
-        """Values of vertices, (V, ...), at the points, (Q, ...); `faces`: (F, 3), which give triangles theirs."""
+        """Interpolates vertex attributes, (V, ...), at the points, (Q, ...); `faces`: (F, 3), of the mesh."""
         corner, weights = faces[self.triangle].to(rows.device), self.weights.to(rows)
         return (rows[corner] * weights.view(-1, 3, *[1] * (rows.ndim - 1))).sum(1)
 
     def of_faces(self, rows: Tensor) -> Tensor:
-        """Values of faces, (F, ...), at the points, (Q, ...)."""
+        """Face attributes, (F, ...), at the points, (Q, ...)."""
         return rows[self.triangle.to(rows.device)]
 
 
 def closest_points(points: Tensor, vertices: Tensor, faces: Tensor) -> OnMesh:
-    """The points of a mesh that are closest to (Q, 3) points.
+    """The closest points of a mesh to (Q, 3) points.
 
     Of ever more triangles, those whose middles are closest, until no other can be closer: none of the others has a point
     within the distance of its middle less the largest radius. Of these, those that their own radius rules out are skipped.
@@ -48,24 +48,24 @@ def closest_points(points: Tensor, vertices: Tensor, faces: Tensor) -> OnMesh:
     open_, looked_at = torch.arange(len(points)), FIRST
     while len(open_):
         looked_at = min(looked_at, len(faces))
-        far, found = tree.query(points[open_].numpy(), looked_at)
-        far, found = (torch.from_numpy(part).view(len(open_), looked_at) for part in (far, found))
-        possible = far - radius[found] < nearest[open_, None]
+        far, candidates = tree.query(points[open_].numpy(), looked_at)
+        far, candidates = (torch.from_numpy(part).view(len(open_), looked_at) for part in (far, candidates))
+        possible = far - radius[candidates] < nearest[open_, None]
         row, column = possible.nonzero(as_tuple=True)
-        own_weights, own_distance = closest_in_triangles(points[open_[row]], corners[found[row, column]])
+        own_weights, own_distance = closest_in_triangles(points[open_[row]], corners[candidates[row, column]])
         distance, all_weights = torch.full_like(far, torch.inf), far.new_zeros(*far.shape, 3)
         distance[row, column], all_weights[row, column] = own_distance, own_weights
         least, best = distance.min(1)
         closer = (least < nearest[open_]).nonzero().squeeze(1)
         place, best = open_[closer], best[closer]
-        triangle[place], weights[place], nearest[place] = found[closer, best], all_weights[closer, best], least[closer]
+        triangle[place], weights[place], nearest[place] = candidates[closer, best], all_weights[closer, best], least[closer]
         unsure = (nearest[open_] > far[:, -1] - radius.max()) & (looked_at < len(faces))
         open_, looked_at = open_[unsure], 4 * looked_at
     return OnMesh(triangle, weights)
 
 
 def closest_in_triangles(points: Tensor, corners: Tensor) -> tuple[Tensor, Tensor]:
-    """Weights of the corners of the closest points, and their distances; (..., 3) and (...).
+    """Barycentric coordinates of the closest points in triangles, (..., 3), and their distances, (...).
 
     Args:
         points: (..., 3).

@@ -51,11 +51,11 @@ class CoarseToFine(nn.Module):
         return self.within(self.changed(grid))
 
     def changed(self, grid: Tensor) -> Tensor:
-        """The base with the changes of a grid, without bounds; attached."""
+        """The base plus the upsampled changes of a grid, without bounds; attached."""
         return self.base + resampled(grid, self.base.shape[:-1], self.wraps)
 
     def right_inverse(self, values: Tensor) -> Tensor:
-        """A grid of zeros, over `values` as the base.
+        """A grid of zeros; `values` become the base.
 
         Raises:
             ValueError: if they have another number of axes.
@@ -70,12 +70,12 @@ class CoarseToFine(nn.Module):
 
     @property
     def is_finest(self) -> bool:
-        """True if the grid is as fine as the map."""
+        """True if the grid has the resolution of the map."""
         return self.size == tuple(self.base.shape[:-1])
 
 
 def refine(module: nn.Module, name: str, optimizer: torch.optim.Optimizer | None = None, factor: int = 2) -> bool:
-    """Gives a map that is optimised as `CoarseToFine` a finer grid, without changing its value.
+    """Refines the grid of a map that is parametrised by `CoarseToFine`, without changing the map's values.
 
     Args:
         module: that has the map, such as `scene.wall.bsdf.reflectance`.
@@ -106,7 +106,7 @@ def refine(module: nn.Module, name: str, optimizer: torch.optim.Optimizer | None
 
 
 def resampled(grid: Tensor, size: Sequence[int], wraps: Sequence[bool]) -> Tensor:
-    """The values of a grid at the centres of the cells of another, between centres interpolated; attached.
+    """Resamples a grid at the centres of another grid's cells, by linear interpolation; attached.
 
     Args:
         grid: (..., C), with as many axes before the last as `size` has sides.

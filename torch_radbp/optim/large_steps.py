@@ -1,4 +1,4 @@
-"""Vertices by way of smooth ones, so that a step of an optimiser moves the whole shape."""
+"""Large steps: vertex positions as a smooth function of what is optimised, so that a step moves the whole shape."""
 
 from __future__ import annotations
 
@@ -44,28 +44,28 @@ class LargeSteps(nn.Module):
         self.solver = None  # made when it is asked for, and in each process anew
 
     def forward(self, smooth: Tensor) -> Tensor:
-        """The vertices, (V, 3), of u, (places, 3); attached."""
+        """The vertices, (V, 3), from the parameters u, (places, 3); attached."""
         return Solved.apply(smooth, self)[self.place]
 
     def right_inverse(self, vertices: Tensor) -> Tensor:
-        """u of vertices, (V, 3)."""
+        """The parameters u from vertices, (V, 3): the inverse of `forward`."""
         sums = vertices.new_zeros(self.count, 3).index_add_(0, self.place, vertices)
         places = sums / torch.bincount(self.place, minlength=self.count)[:, None]
         return places + self.smoothness * laplacian(self.edges.to(places.device), places)
 
     def solved(self, right: Tensor) -> Tensor:
-        """(I + smoothness L)^-1 of (places, k) columns."""
+        """Solves (I + smoothness L) x = b for columns b, (places, k)."""
         if self.solver is None:
             self.solver = factorised(self.edges, self.count, self.smoothness)
-        found = self.solver(right.detach().to("cpu", torch.float64).numpy())
-        return torch.from_numpy(found).to(right)
+        solution = self.solver(right.detach().to("cpu", torch.float64).numpy())
+        return torch.from_numpy(solution).to(right)
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"solver": None}
 
 
 class Solved(torch.autograd.Function):
-    """`LargeSteps.solved`, which is its own adjoint: the matrix is symmetric."""
+    """`LargeSteps.solved` with derivatives; it is its own adjoint, since the matrix is symmetric."""
 
     @staticmethod
     def forward(ctx, smooth: Tensor, system: LargeSteps) -> Tensor:
@@ -82,7 +82,7 @@ class Solved(torch.autograd.Function):
 
 
 def laplacian(edges: Tensor, values: Tensor) -> Tensor:
-    """Of each vertex, the sum over its neighbours of its value less theirs; (V, k), attached to `values`.
+    """The graph Laplacian of values at vertices: the sum of differences to the neighbours; (V, k), attached to `values`.
 
     Args:
         edges: (E, 2), each once.
@@ -93,7 +93,7 @@ def laplacian(edges: Tensor, values: Tensor) -> Tensor:
 
 
 def factorised(edges: Tensor, count: int, smoothness: float):
-    """What solves (I + smoothness L) x = b, as a function of arrays (count, k)."""
+    """Factorises I + smoothness L and returns a solver, a function of arrays (count, k)."""
     from scipy import sparse
     from scipy.sparse.linalg import splu
 

@@ -1,4 +1,4 @@
-"""Losses that keep meshes smooth; their derivatives have no noise."""
+"""Losses for smooth meshes; their derivatives have no noise."""
 
 from __future__ import annotations
 

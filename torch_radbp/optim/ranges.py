@@ -1,4 +1,4 @@
-"""Parameters by way of unbounded ones: logarithms, and sigmoids of a range."""
+"""Parametrisations by unbounded numbers: logarithms of positive values, and sigmoids of a range."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch_radbp.plugin import positive
 
 
 class Log(nn.Module):
-    """A parametrisation x = exp(u) of what is positive and known by its ratio, such as radiance.
+    """A parametrisation x = exp(u) of positive values whose ratios matter, such as radiance.
 
         radiance = scene.lamp.emitter.radiance
         parametrize.register_parametrization(radiance, "value", rb.optim.Log())
@@ -29,11 +29,11 @@ class Log(nn.Module):
         self.least = positive("least", least)
 
     def forward(self, logarithm: Tensor) -> Tensor:
-        """x of u, of any shape; attached."""
+        """The value x = exp(u), of any shape; attached."""
         return logarithm.exp()
 
     def right_inverse(self, values: Tensor) -> Tensor:
-        """u of x.
+        """u = log(x): the inverse of `forward`.
 
         Raises:
             ValueError: if a value is negative.
@@ -44,7 +44,7 @@ class Log(nn.Module):
 
 
 class Sigmoid(nn.Module):
-    """A parametrisation x = low + (high - low) / (1 + exp(-u)) of what lies in a range, such as reflectance and roughness.
+    """A parametrisation x = low + (high - low) / (1 + exp(-u)) of values in a range, such as reflectance and roughness.
 
     For `torch.nn.utils.parametrize.register_parametrization`, as `Log`. Steps become smaller towards both ends, which are
     never reached; nothing has to be clamped after a step.
@@ -67,11 +67,11 @@ class Sigmoid(nn.Module):
         self.low, self.high, self.margin = float(low), float(high), float(margin)
 
     def forward(self, unbounded: Tensor) -> Tensor:
-        """x of u, of any shape; attached."""
+        """The value x in the range from u, of any shape; attached."""
         return self.low + (self.high - self.low) * unbounded.sigmoid()
 
     def right_inverse(self, values: Tensor) -> Tensor:
-        """u of x.
+        """The u for a value x in the range: the inverse of `forward`.
 
         Raises:
             ValueError: if a value is outside of the range.

@@ -1,4 +1,4 @@
-"""Another mesh in the place of one that is being optimised."""
+"""Remeshing of a mesh while it is optimised."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ POSITIONS = "vertex_positions"
 
 
 def remesh(mesh: Mesh, remesher: Callable | trimesh.Trimesh, optimizer: torch.optim.Optimizer | None = None) -> None:
-    """Gives a mesh other triangles, and carries over what belongs to the old ones.
+    """Replaces the triangles of a mesh, and transfers attributes and the optimizer's state from the old ones.
 
     Normals, surface coordinates and attributes of vertices are those of the closest points of the old mesh, interpolated,
     and attributes of faces those of the triangles there; so is what the optimizer has of them, such as moments. A
@@ -64,7 +64,7 @@ def remesh(mesh: Mesh, remesher: Callable | trimesh.Trimesh, optimizer: torch.op
     at_faces = closest_points(vertices[triangles].mean(1), positions, faces)
 
     def carried(name: str, rows: Tensor) -> Tensor:
-        """Rows of the old mesh, of vertices or faces, for the new one."""
+        """Transfers rows of vertices or faces from the old mesh to the new one."""
         return at_faces.of_faces(rows) if name.startswith("face_") else at_vertices.of_vertices(rows, faces)
 
     columns = {name: carried(name, parameter.detach()) for name, parameter in held.items() if name != POSITIONS}
@@ -75,9 +75,9 @@ def remesh(mesh: Mesh, remesher: Callable | trimesh.Trimesh, optimizer: torch.op
     mesh.replace(vertices.to(mesh.vertex_positions), triangles, columns)
     at_places = at_vertices
     if steps is not None:
-        made, found = LargeSteps(mesh.faces, mesh.vertex_positions, steps.smoothness), mesh.vertex_positions.detach()
-        found = found.new_zeros(made.count, 3).index_copy_(0, made.place, found)
-        at_places = closest_points(found.double().cpu(), positions, faces)
+        made, old_positions = LargeSteps(mesh.faces, mesh.vertex_positions, steps.smoothness), mesh.vertex_positions.detach()
+        old_positions = old_positions.new_zeros(made.count, 3).index_copy_(0, made.place, old_positions)
+        at_places = closest_points(old_positions.double().cpu(), positions, faces)
         parametrize.register_parametrization(mesh, POSITIONS, made)
     for name, parameter in _parameters_of(mesh).items():
         parameter.requires_grad_(held[name].requires_grad)
@@ -88,7 +88,7 @@ def remesh(mesh: Mesh, remesher: Callable | trimesh.Trimesh, optimizer: torch.op
 
 
 def checked_mesh(returned: Any) -> tuple[Tensor, Tensor]:
-    """Vertices, (V, 3) float64, and faces, (F, 3) int64, that a remesher returned, or of a mesh of trimesh.
+    """Checks the vertices, (V, 3) float64, and faces, (F, 3) int64, that a remesher returned, or those of a trimesh mesh.
 
     Raises:
         ValueError: if they are none: another number or shape, NaN or infinity, faces of vertices that do not exist.
@@ -119,7 +119,7 @@ def checked_mesh(returned: Any) -> tuple[Tensor, Tensor]:
 
 
 def in_the_place(mesh: Mesh, made: trimesh.Trimesh) -> tuple[Tensor, Tensor]:
-    """(V, 3) vertices of a mesh of trimesh, those at one place once, and (F, 3) faces, as the parameters of a mesh.
+    """Converts a trimesh mesh, welded, to positions (V, 3) and faces (F, 3) in the frame of a mesh's parameters.
 
     Those of the mesh are where it was loaded, and its faces as they were before `flip_normals`.
     """
@@ -132,18 +132,18 @@ def in_the_place(mesh: Mesh, made: trimesh.Trimesh) -> tuple[Tensor, Tensor]:
 
 
 def large_steps_of(mesh: Mesh) -> LargeSteps | None:
-    """The parametrisation of a mesh's positions."""
+    """The `LargeSteps` parametrisation of a mesh's positions; None: there is none."""
     if not parametrize.is_parametrized(mesh, POSITIONS):
         return None
-    found = list(mesh.parametrizations[POSITIONS])
-    if len(found) != 1 or not isinstance(found[0], LargeSteps):
-        raise ValueError(f"the positions have the parametrisation {', '.join(type(each).__name__ for each in found)}; only "
+    steps = list(mesh.parametrizations[POSITIONS])
+    if len(steps) != 1 or not isinstance(steps[0], LargeSteps):
+        raise ValueError(f"the positions have the parametrisation {', '.join(type(each).__name__ for each in steps)}; only "
                          f"LargeSteps is carried over: remove it, and register it again")
-    return found[0]
+    return steps[0]
 
 
 def _parameters_of(mesh: Mesh) -> dict[str, nn.Parameter]:
-    """The parameters of a mesh that have a row for each vertex or face, by name; of positions what is optimised."""
+    """The parameters with a row for each vertex or face, by name; for parametrised positions what is optimised."""
     names = [name for name in (POSITIONS, "vertex_normals", "vertex_texcoords", *mesh.attribute_names)
              if name in dict(mesh.named_parameters(recurse=False)) or parametrize.is_parametrized(mesh, name)]
     return {name: mesh.parametrizations[name].original if parametrize.is_parametrized(mesh, name) else getattr(mesh, name)
@@ -152,7 +152,7 @@ def _parameters_of(mesh: Mesh) -> dict[str, nn.Parameter]:
 
 def exchange(optimizer: torch.optim.Optimizer, old: nn.Parameter, new: nn.Parameter,
              carried: Callable[[Tensor], Tensor]) -> None:
-    """Puts a parameter into the place of another that an optimizer may hold, with the state that belongs to its rows."""
+    """Replaces a parameter in an optimizer, and transfers the state of its rows."""
     for group in optimizer.param_groups:
         group["params"] = [new if parameter is old else parameter for parameter in group["params"]]
     state = optimizer.state.pop(old, None)

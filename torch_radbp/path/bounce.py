@@ -39,6 +39,7 @@ from torch_radbp.sampling.sampler import (
 from torch_radbp.scene.cone import Cone, camera_cone, cone_beyond
 from torch_radbp.scene.interaction import Corners, SurfaceInteraction, surface_interaction
 from torch_radbp.scene.light import (
+    FAR,
     LightSample,
     emission_places,
     emitted,
@@ -53,6 +54,7 @@ from torch_radbp.scene.light import (
 )
 from torch_radbp.scene.light_choice import LightNumbers, LightPick, TreeChoice, chance_of_emitter, drawn_element
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, material_places, sample, sampling_at
+from torch_radbp.scene.media import attenuated, transmittance, transmittance_to_light
 from torch_radbp.scene.outgoing_ray import outgoing_ray
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
@@ -67,13 +69,13 @@ FILM_U, FILM_V, APERTURE_U, APERTURE_V = range(4)  # those of a camera ray
 
 
 class CameraSample(NamedTuple):
-    """Camera rays, (N,)."""
+    """Camera rays with random number keys, (N,)."""
 
     ray: Ray
     key: LaneKey  # of random numbers
-    weight: Tensor | None  # what counts of their radiance; None: all of it
-    cone: Cone | None  # around the ray; None if not asked for
-    place: Vec2 | None  # in the pixel, in [0, 1); None: they are of no pixel
+    weight: Tensor | None  # camera weight of their radiance; None: 1
+    cone: Cone | None  # ray cone; None if no texture is filtered
+    place: Vec2 | None  # position in the pixel, in [0, 1); None: they belong to no pixel
 
 
 class Scattering(NamedTuple):
@@ -82,32 +84,32 @@ class Scattering(NamedTuple):
     F = sample.weight * thinning.
     """
 
-    Le: Vec3  # emission, weighted against next-event estimation
+    Le: Vec3  # emission, weighted against next-event estimation, as the next two after the way through media
     Ld: Vec3  # light by next-event estimation if the shadow ray is free
     si: SurfaceInteraction
     light: LightSample | None  # None without next-event estimation
-    material: Material | None  # None where nothing is scattered, as what follows
+    material: Material | None  # None where nothing is scattered, as the fields below
     sample: BSDFSample | None  # the direction in which the path goes on
-    thinning: Tensor | None  # what F has from roulette: 1 / survival probability
+    thinning: Tensor | Vec3 | None  # what F has from media, and from roulette: 1 / survival probability
     survives: Tensor  # bool: the path goes on
 
 
 class Vertex(NamedTuple):
     """A path vertex as the loop over bounces sees it: its terms, its shadow ray and its continuation."""
 
-    Le: Vec3 | None  # None where nobody asks for light, as the next two
+    Le: Vec3 | None  # None, as the next two, if radiance is not computed
     Ld: Vec3 | None
     F: Vec3 | None
     shadow: Ray
     shadow_distance: Tensor  # 0: nothing to connect to
-    next: PathState  # of no meaning where the path ends
+    next: PathState  # undefined where the path ends
     survives: Tensor  # bool: the path goes on
 
 
 @stage("camera")
 def sample_camera(camera: Camera, order: FilmOrder, pixel: Tensor, sample: Tensor, key: SampleKey,
                   cones: bool) -> CameraSample:
-    """One camera ray per lane.
+    """Samples one camera ray per lane.
 
     Args:
         camera: the sensor.
@@ -131,24 +133,24 @@ def sample_camera(camera: Camera, order: FilmOrder, pixel: Tensor, sample: Tenso
 
 @stage()
 def film_place(like: Tensor, order: FilmOrder, pixel: Tensor, sample: Tensor, key: SampleKey) -> Vec2:
-    """Where in its pixel each sample lies, as `sample_camera` has it; args as there, `like` has the dtype."""
+    """The position of each sample in its pixel, as `sample_camera` draws it; args as there, `like` has the dtype."""
     return place_in_pixel(bounce_key(film_lane_key(order, pixel, sample, key), CAMERA_COUNTER), like.dtype)
 
 
 def place_in_pixel(key: BounceKey, dtype: torch.dtype) -> Vec2:
-    """(N,) in [0, 1)."""
+    """Random positions in a pixel, (N,) in [0, 1)."""
     return Vec2(*(uniform(key, dimension, dtype) for dimension in (FILM_U, FILM_V)))
 
 
 @stage("scene", "arrival")
 def places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position, settings: Settings) -> tuple[Place, ...]:
-    """The places of the values of textures that are read outside, see `places_of`; detached. Args as for `bounce`."""
+    """The points at which network textures of a bounce are evaluated, see `places_of`; detached. Args as for `bounce`."""
     return places_of(scene, scene, rows(arrival, lanes), at, Settings(nee=settings.nee))
 
 
 def places_of(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position,
               settings: Settings) -> tuple[Place, ...]:
-    """The places at which textures are read outside of a bounce, attached to the scene, and to the ray if it is moving.
+    """The points at which network textures of a bounce are evaluated, attached to the scene, and to the ray if it moves.
 
     One for each texture of the material that is read outside; for each such reader of emitters' textures one where the ray
     meets the emitter; and, where light is scattered, one at the light sample.
@@ -168,7 +170,7 @@ def places_of(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at:
 
 def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings,
                 here: Corners | None = None) -> SurfaceInteraction:
-    """The surface that rays meet. The point slides where the ray was not left to chance, or is followed."""
+    """The surface interaction of rays; the point slides if the ray's direction is differentiated or not random."""
     slides = None
     if settings.moving:
         slides = torch.isinf(arrival.state.pdf) | (settings.sampling == "attached")
@@ -180,7 +182,7 @@ def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings,
 @stage("scene", "proposal", "arrival")
 def ending(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position,
            settings: Settings, texture_values: tuple[TextureValue, ...]) -> Vec3:
-    """The end of the recursion, L_k = E_k, where nothing is scattered: the light that the M paths meet; attached to `scene`.
+    """The end of the recursion, L_k = E_k, where nothing is scattered: emission seen by the M paths; attached to `scene`.
 
     Args as for `bounce`; `scene` is a part where nothing is scattered.
     """
@@ -224,25 +226,25 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
 
 
 def gathered(Le: Vec3, Ld: Vec3, visible: Tensor) -> Vec3:
-    """E_k: what a vertex emits, and the light that reaches it by next-event estimation where the shadow ray was free."""
+    """E_k: emission, and the light of next-event estimation where the shadow ray was free."""
     return Le + masked(visible, Ld)
 
 
 def cone_after(state: PathState, local: Scattering) -> Cone | None:
-    """`PathState.cone` of the paths that leave a vertex; attached."""
+    """The ray cones of paths that leave a vertex; attached."""
     if state.cone is None:
         return None
     return cone_beyond(state.cone, torch.where(local.si.valid, local.si.t, 0.0), local.sample.pdf)
 
 
 def followed_by(material: Material, state: PathState, settings: Settings) -> Tensor | None:
-    """`PathState.followed` of the paths that leave a material."""
+    """`PathState.followed` of paths that leave a vertex: hybrid sampling differentiates their direction."""
     return torch.full_like(state.followed, material.kind.follows) if settings.following else None
 
 
 def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position, settings: Settings,
                texture_values: tuple[TextureValue, ...], here: Corners | None = None) -> Scattering:
-    """The vertex without its outgoing ray, of lanes as they are. Args as for `bounce` and `surface_interaction`."""
+    """The vertex without its outgoing ray, one per lane. Args as for `bounce` and `surface_interaction`."""
     # Find the surface that the ray meets.
     state = arrival.state
     si = surface_met(scene, arrival, settings, here)
@@ -262,6 +264,8 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at
                  else pdf_of_surface(geometry, si, proposal, arrival.picked))
         weight = mis_weight(state.pdf, other, "attached" if follows else settings.sampling)
         Le = Le * (torch.where(state.followed, weight, weight.detach()) if follows else weight)
+    through = transmittance(scene, state.ray, torch.where(si.valid, si.t, FAR))
+    Le = attenuated(Le, through)
     if scene.layout.scatterer is None:
         return Scattering(Le, none, si, None, None, None, None, torch.zeros_like(si.valid))
 
@@ -274,35 +278,36 @@ def scattering(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at
     light, Ld = None, none
     if settings.nee:
         light = sample_light(scene, proposal, si.p, light_numbers(key), arrival.picked, of_sampled)
-        light, Ld = next_event(material, si, light, settings)
+        light, Ld = next_event(scene, material, si, light, settings)
+        Ld = attenuated(Ld, through)
 
     # Sample the BSDF for the next direction.
     choice = number(BSDF_CHOICE) if material.kind.discrete else None
     chosen = sample(material, si.wi, choice, number(BSDF_U), number(BSDF_V), settings.sampling)
 
     # Play roulette. The floor keeps black paths alive: a reflectance of zero still has a derivative.
-    promise = max_component((state.beta * chosen.weight).detach())
+    promise = max_component(attenuated(state.beta * chosen.weight, through).detach())
     survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
     survives = si.valid & (chosen.pdf > 0) & (number(ROULETTE) < survival)
-    return Scattering(Le, Ld, si, light, material, chosen, 1.0 / survival, survives)
+    thinning = 1.0 / survival if through is None else through / survival
+    return Scattering(Le, Ld, si, light, material, chosen, thinning, survives)
 
 
 def shares_of(scene: SceneTensors, texture_values: tuple[TextureValue, ...]) -> tuple[tuple[TextureValue, ...], ...]:
-    """The shares of the material, of emitters that rays meet, and of light samples."""
+    """Splits texture values into those of the material, of emitters that rays hit, and of light samples."""
     of_material = 0 if scene.layout.scatterer is None else len(scene.layout.scatterer.outside)
     met = of_material + len(scene.layout.lit)
     return texture_values[:of_material], texture_values[of_material:met], texture_values[met:]
 
 
 def light_numbers(key: BounceKey) -> LightNumbers:
-    """The random numbers of the light samples of a bounce."""
+    """The random numbers of a bounce's light samples."""
     return LightNumbers(*(random_bits(key, dimension) for dimension in (LIGHT_CHOICE, LIGHT_SPLIT, LIGHT_U, LIGHT_V)))
 
 
 @stage("scene", "choice")
 def pick_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, at: Position) -> tuple[Tensor, Tensor]:
-    """The elements of the light table that next-event estimation takes at the surfaces that rays meet, and their
-    probabilities; `LightPick.element` and `LightPick.pmf`.
+    """Selects light elements for next-event estimation by the tree, with their probabilities.
 
     Args:
         scene: detached; any part of it.
@@ -316,7 +321,7 @@ def pick_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, at: Po
 
 @stage("scene")
 def emitter_met(scene: SceneTensors, hit: Hit) -> tuple[Tensor, LightPick]:
-    """Where rays meet an emitter, (N,) bool, and that no light is picked anywhere, (N,).
+    """(N,) bool: rays that hit an emitter, and a `LightPick` without any selection.
 
     Args:
         scene: detached; any part of it.
@@ -329,25 +334,25 @@ def emitter_met(scene: SceneTensors, hit: Hit) -> tuple[Tensor, LightPick]:
 
 @stage("scene", "choice", "arrival")
 def chance_of_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, lanes: Tensor) -> Tensor:
-    """`LightPick.chance` of those paths, (M,), that meet an emitter in the tree. Args as for `pick_light` and `bounce`."""
+    """The probability of selecting the emitter that each of M paths has hit. Args as for `pick_light` and `bounce`."""
     state, hit = rows((arrival.state, arrival.hit), lanes)
     return chance_of_emitter(choice, state.vantage, lookup(scene.triangles.emitter, hit.prim))
 
 
-def next_event(material: Material, si: SurfaceInteraction, light: LightSample,
+def next_event(scene: SceneTensors, material: Material, si: SurfaceInteraction, light: LightSample,
                settings: Settings) -> tuple[LightSample, Vec3]:
-    """The light that arrives from a light sample if nothing is in between; a sample that cannot connect gets density 0."""
+    """The reflected light of a light sample if its shadow ray is free; a sample that cannot connect gets density 0."""
     reflected, pdf = evaluate(material, si.wi, si.frame.to_local(light.d))
     # Where the BSDF is not sampled and not zero the light counts in full; where it is zero but sampled it has derivatives.
     connects = si.valid & (light.pdf > 0) & ((pdf > 0) | (max_component(reflected.detach()) > 0))
     chance, connects = torch.where(connects, light.pdf, 1.0), connects.to(pdf.dtype)
     weighing = chance if light.weighing is light.pdf else torch.where(connects > 0, light.weighing, 1.0)
     weight = mis_weight(weighing, pdf * light.findable, sampling_at(material.kind, settings.sampling))
-    Ld = reflected * light.radiance * (connects * weight / chance)
+    Ld = attenuated(reflected * light.radiance * (connects * weight / chance), transmittance_to_light(scene, si.p, light))
     return light._replace(pdf=light.pdf.detach() * connects), Ld
 
 
 def mis_weight(pdf: Tensor, other: Tensor, sampling: str) -> Tensor:
-    """The power heuristic; it carries a derivative only if that of the densities is wanted."""
+    """The MIS weight by the power heuristic; attached only if the densities' derivative is needed."""
     weight = power_heuristic(pdf, other)
     return weight if sampling == "attached" else weight.detach()

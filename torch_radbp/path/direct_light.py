@@ -1,4 +1,4 @@
-"""The light of given samples that surfaces send back: next-event estimation without shadows.
+"""Reflected light of given light samples: next-event estimation without shadows.
 
 Where scattered directions carry derivatives, and so move unlike the samples, it is weighted against the chance that these
 find the light.
@@ -21,6 +21,7 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.light import emission_places, light_aims, sample_light, sample_places
 from torch_radbp.scene.light_choice import LightNumbers, LightPick
 from torch_radbp.scene.material import evaluate, material_at, material_places, sampling_at
+from torch_radbp.scene.media import attenuated, transmittance, transmittance_to_light
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Vec3, masked, rows
@@ -28,7 +29,7 @@ from torch_radbp.texture.reader import Place, TextureValue
 
 
 class LightDraw(NamedTuple):
-    """The decisions behind light samples, (N,)."""
+    """The random numbers and selected lights of light samples, (N,)."""
 
     numbers: LightNumbers
     picked: LightPick
@@ -37,7 +38,7 @@ class LightDraw(NamedTuple):
 @stage("scene", "arrival", "draw")
 def direct_light(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: LightDraw,
                  texture_values: tuple[TextureValue, ...], settings: Settings) -> Vec3:
-    """What surfaces send back along the rays that meet them of the light of one sample each, over its density; (M,).
+    """The light of one sample per lane that surfaces reflect along the rays, divided by its density; (M,).
 
     Args:
         scene: the part that these lanes read, detached.
@@ -50,17 +51,18 @@ def direct_light(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: Lig
     arrival, draw = rows((arrival, draw), lanes)
     si = surface_met(scene, arrival, Settings())
     of_material, _, of_sampled = shares_of(scene, texture_values)
-    material = material_at(scene, si, of_material)
+    material, through = material_at(scene, si, of_material), transmittance(scene, arrival.state.ray, si.t)
     light = sample_light(scene, scene, si.p, draw.numbers, draw.picked, of_sampled)
     if sampling_at(material.kind, settings.sampling) == "attached":
-        return next_event(material, si, light, settings)[1]
+        return attenuated(next_event(scene, material, si, light, settings)[1], through)
     reflected, _ = evaluate(material, si.wi, si.frame.to_local(light.d))
     connects = si.valid & (light.pdf > 0)
-    return reflected * light.radiance * (connects.to(light.pdf.dtype) / torch.where(connects, light.pdf, 1.0))
+    Ld = reflected * light.radiance * (connects.to(light.pdf.dtype) / torch.where(connects, light.pdf, 1.0))
+    return attenuated(attenuated(Ld, transmittance_to_light(scene, si.p, light)), through)
 
 
 def direct_light_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: LightDraw) -> tuple[Place, ...]:
-    """The places of `direct_light`'s textures that are read outside, as `path.bounce.places_of`; args as there."""
+    """The points at which `direct_light`'s network textures are evaluated; args as there."""
     arrival, draw = rows((arrival, draw), lanes)
     si = surface_met(scene, arrival, Settings())
     found = material_places(scene, si)
@@ -71,7 +73,7 @@ def direct_light_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, dr
 
 
 def scattered_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3) -> tuple[Place, ...]:
-    """The places of `scattered`'s textures that are read outside; args as there."""
+    """The points at which `scattered`'s network textures are evaluated; args as there."""
     si = surface_met(scene, rows(arrival, lanes), Settings())
     return material_places(scene, si) + emission_places(scene, si)
 
@@ -79,7 +81,7 @@ def scattered_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Ve
 @stage("scene", "arrival", "d")
 def scattered(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3,
               texture_values: tuple[TextureValue, ...]) -> Vec3:
-    """What surfaces send back along the rays that meet them of light from given directions: BSDF times cosine, (M,).
+    """The BSDF times cosine for light from given directions, at the surfaces that rays hit, (M,).
 
     Args:
         d: (N,) unit, towards the light; the rest as for `direct_light`.
@@ -88,11 +90,11 @@ def scattered(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3,
     si = surface_met(scene, arrival, Settings())
     of_material, *_ = shares_of(scene, texture_values)
     reflected, _ = evaluate(material_at(scene, si, of_material), si.wi, si.frame.to_local(d))
-    return masked(si.valid, reflected)
+    return masked(si.valid, attenuated(reflected, transmittance(scene, arrival.state.ray, si.t)))
 
 
 def light_sent_back(integrand: Integrand, state: PathState, hit: Hit, draw: LightDraw) -> Vec3:
-    """`direct_light` of all rays, each surface by its own functions; 0 where nothing scatters.
+    """`direct_light` for all rays, each appearance by its own functions; 0 where nothing scatters.
 
     Args:
         integrand: of a detached scene.
@@ -105,14 +107,15 @@ def light_sent_back(integrand: Integrand, state: PathState, hit: Hit, draw: Ligh
 
 
 def scattered_light(integrand: Integrand, state: PathState, hit: Hit, d: Vec3) -> Vec3:
-    """`scattered` of all rays, as `light_sent_back`."""
+    """`scattered` for all rays, as `light_sent_back`."""
     return of_surfaces(integrand, scattered, state, hit, d, scattered_places)
 
 
 def of_surfaces(integrand: Integrand, stage: Callable, state: PathState, hit: Hit, asked, places_of: Callable,
                 *more) -> Vec3:
-    """What a stage says of all rays, (N,), each surface by its own functions; 0 where nothing scatters. `more`: its last
-    arguments."""
+    """Runs a stage for all rays, (N,), each appearance by its own functions; 0 where nothing scatters. `more`: its other
+    arguments.
+    """
     front, order, queues = queued(integrand, state.ray, hit, False)
     arrival, found = Arrival(state, hit, front), Vec3.buffer(state.pdf)
     for queue in queues:

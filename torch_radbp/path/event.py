@@ -1,4 +1,4 @@
-"""What can happen to a path at a vertex. Lanes to which the same happens form a queue and go through the same functions."""
+"""The events at a path vertex. Lanes with the same event form a queue and run the same functions."""
 
 from __future__ import annotations
 
@@ -12,15 +12,19 @@ from torch_radbp.scene.tensors import Layout
 
 
 class Scatters(NamedTuple):
-    """A surface of one appearance is met: light is emitted, received and scattered, and the path may go on."""
+    """The event of hitting a surface of one appearance: light is emitted, received and scattered."""
 
     appearance: int  # of `Layout.appearances`
 
     scatters = True
 
     def scatterer(self, layout: Layout) -> Appearance:
-        """What light is scattered by."""
+        """The appearance of the surface."""
         return layout.appearances[self.appearance]
+
+    def still(self, layout: Layout) -> tuple[bool, ...]:
+        """Of each value of the material, whether no parameter that it comes from is differentiated."""
+        return layout.still[self.appearance]
 
     @property
     def stage(self) -> Callable:
@@ -29,22 +33,26 @@ class Scatters(NamedTuple):
 
 
 class Ends(Enum):
-    """The path ends, and only what is emitted there counts."""
+    """The events that end a path: only emission counts."""
 
     SURROUNDINGS = "the ray leaves the scene"
     LAST_BOUNCE = "paths have as many bounces as they may"
 
     @property
     def scatters(self) -> bool:
-        """False."""
+        """No path goes on."""
         return False
 
     def scatterer(self, layout: Layout) -> None:
-        """Nothing."""
+        """Nothing scatters light."""
+
+    def still(self, layout: Layout) -> tuple[()]:
+        """There is no material."""
+        return ()
 
     @property
     def stage(self) -> Callable:
-        """The stage that computes the vertex."""
+        """The stage that computes the emission at the end."""
         return ending
 
 

@@ -1,4 +1,4 @@
-"""The integrand: a scene, how it is sampled, and the functions that evaluate one bounce of it."""
+"""The integrand: a scene, sampling settings, and the functions that evaluate one bounce."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.target import Target
 from torch_radbp.path.bounce import places
 from torch_radbp.path.event import Ends, Event
 from torch_radbp.path.queues import ImageLanes
@@ -26,17 +27,17 @@ SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
 
 
 class QueueStages(NamedTuple):
-    """What the lanes of one queue go through."""
+    """The tables and functions of one queue's lanes."""
 
-    scene: SceneTensors  # the part of the integrand's scene that they read
+    scene: SceneTensors  # part of the integrand's scene that they read
     proposal: SceneTensors  # the same, detached
-    evaluate: Stage  # the stage of what happens to them, prepared for both
+    evaluate: Stage  # stage of their event, prepared for both
     tables: Any  # `proposal`, prepared for stages
     stages: Stages
-    prepared: dict[Callable, Stage]  # other stages, for calls that begin with `proposal`
+    prepared: dict[Callable, Stage]  # other stages, prepared for calls that begin with `proposal`
 
     def call(self, stage: Callable, *arguments):
-        """What a stage returns of `proposal` and other arguments."""
+        """Runs a stage on `proposal` and other arguments."""
         if stage not in self.prepared:
             self.prepared[stage] = self.stages(stage).knowing(self.tables)
         return self.prepared[stage](self.proposal, *arguments)
@@ -51,28 +52,33 @@ class Integrand(NamedTuple):
     settings: Settings
     max_depth: int
     rr_depth: int
-    stages: Stages  # what runs the functions of lanes
-    parts: dict[Event, QueueStages]  # filled when one first happens
+    stages: Stages  # runs functions of lanes, compiled or not
+    parts: dict[Event, QueueStages]  # by event, filled at first use
     clipping: Camera | None = None  # the camera of the paths, if its far plane cuts the scene
     # () int32: so many lanes of the chunk, the first, are of the derivative alone, the others of the image alone. None: all
     # are of both.
     differentiated: Tensor | None = None
 
     def with_stages(self, stages: Stages) -> Integrand:
-        """The same integrand, run otherwise."""
+        """The same integrand with another way to run stages."""
         return self._replace(stages=stages, parts={})
 
     @property
+    def target(self) -> Target:
+        """What stages are compiled for."""
+        return self.stages.target_on(self.proposal.lights.choice.pmf.device)
+
+    @property
     def attached(self) -> bool:
-        """True if derivatives go through the loop over bounces, recorded by autograd or forward."""
+        """True if derivatives pass through the loop over bounces, recorded by autograd or in forward mode."""
         return self.scene is not self.proposal
 
     def still(self) -> Integrand:
-        """The same without derivatives."""
+        """The integrand on detached tensors."""
         return self._replace(scene=self.proposal, parts={}) if self.attached else self
 
     def part(self, event: Event) -> QueueStages:
-        """What lanes go through to which this happens."""
+        """The tables and functions for lanes with this event."""
         event = event if event.scatters else Ends.SURROUNDINGS  # where paths end the same is read, whatever ends them
         if event not in self.parts:
             scatterer = self.scatterer(event)
@@ -85,19 +91,19 @@ class Integrand(NamedTuple):
         return self.parts[event]
 
     def places(self, event: Event, arrival: Arrival, lanes: Tensor, depth: int) -> tuple[Place, ...]:
-        """The places of the values of textures that are read outside, of these lanes; see `path.bounce.places`."""
+        """The points at which these lanes evaluate network textures; see `path.bounce.places`."""
         scatterer = self.scatterer(event)
         if not self.scene.layout.lit and (scatterer is None or not scatterer.outside):
             return ()
         return self.part(event).call(places, arrival, lanes, self.at(depth), self.settings_at(depth))
 
     def at(self, depth: int) -> Position:
-        """The position on the path as tensors."""
+        """The position of a bounce on the path, as tensors."""
         like = self.scene.lights.choice.pmf
         return position(depth, depth + 1 >= self.rr_depth, like.dtype, like.device)
 
     def settings_at(self, depth: int) -> Settings:
-        """The settings with what is special at the first bounce."""
+        """The settings at a bounce; those at the first bounce may differ."""
         return self.settings._replace(hide_emitters=self.settings.hide_emitters and depth == 0)
 
     def image_lanes(self, state: PathState) -> ImageLanes | None:
@@ -108,32 +114,36 @@ class Integrand(NamedTuple):
 
     @property
     def rejects_hits(self) -> bool:
-        """True if the camera may not see the closest surface."""
+        """True if the camera may not see the closest surface (hidden emitters, far plane)."""
         return self.clipping is not None or (self.settings.hide_emitters and self.proposal.layout.lit_surfaces)
 
     @property
     def no_appearance(self) -> Tensor:
-        """() int32, the number of the queue of lanes that meet no surface: that after the appearances."""
+        """() int32, queue number of lanes that hit no surface: the number of appearances."""
         return int32_number(len(self.proposal.layout.appearances), self.proposal.lights.choice.pmf.device)
 
     def is_last(self, depth: int) -> bool:
-        """True if paths end at this bounce: nothing is scattered any more."""
+        """True if paths end at this bounce, where nothing is scattered."""
         return depth + 1 >= self.max_depth
 
+    def kind_at(self, depth: int) -> tuple[Settings, bool, bool]:
+        """All that what is done at a depth depends on, beside the position and what is the same at every depth."""
+        return self.settings_at(depth), self.is_last(depth), depth == 0
+
     def scatterer(self, event: Event) -> Appearance | None:
-        """What light is scattered by; None: the path ends."""
+        """The appearance that scatters light in an event; None: the path ends."""
         return event.scatterer(self.scene.layout)
 
 
 @functools.cache
 def int32_number(value: int, device: torch.device) -> Tensor:
-    """An int32."""
+    """A () int32 tensor on a device, cached."""
     return torch.full((), value, dtype=torch.int32, device=device)
 
 
 @functools.lru_cache(maxsize=4096)
 def position(depth: int, roulette: bool, dtype: torch.dtype, device: torch.device) -> Position:
-    """The position of the bounce at `depth`, with roulette or without it."""
+    """The position of the bounce at `depth` as cached tensors, with or without Russian roulette."""
     least, most = (SURVIVE_AT_LEAST, SURVIVE_AT_MOST) if roulette else (1.0, 1.0)
     return Position(depth_counter(depth, device), torch.tensor(least, dtype=dtype, device=device),
                     torch.tensor(most, dtype=dtype, device=device))

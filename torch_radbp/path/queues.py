@@ -1,4 +1,4 @@
-"""Queues of lanes: after the rays of a bounce are cast, paths are sorted by the appearance of what they meet."""
+"""Queues of lanes: after a bounce's rays are cast, paths are sorted by the appearance that they hit."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.lane_count import LaneCount
 from torch_radbp.jit.order import chosen, partition
 from torch_radbp.path.event import Ends, Event, Scatters
 from torch_radbp.raycast.protocol import Hit
@@ -19,17 +20,17 @@ from torch_radbp.tensors.vec import Ray, rows
 
 
 class Queue(NamedTuple):
-    """Lanes that go through the same functions: a part of `Step.order`."""
+    """Lanes with the same event, which run the same functions: a part of `Step.order`."""
 
     event: Event  # what happens to them
-    first: int
-    last: int  # the place after its last lane
+    first: int | LaneCount
+    last: int | LaneCount  # the place after its last lane
     image: bool = True  # the light that its lanes find counts in the image
     derivative: bool = True  # the backward pass differentiates its lanes
 
 
 class ImageLanes(NamedTuple):
-    """The lanes that the backward pass does not differentiate: those that have this place in their chunk, or a later one."""
+    """The lanes that the backward pass does not differentiate: those from a certain index in their chunk on."""
 
     lane: Tensor  # (N,) int32, see `PathState`
     first: Tensor  # () int32
@@ -40,8 +41,8 @@ ALL, APART = ((True, True),), ((False, True), (True, False))  # whether lanes ar
 
 
 def _numbered(appearance: Tensor, nothing: Tensor | int, image_lanes: ImageLanes | None) -> Tensor:
-    """(N,) int32, numbers of queues: by the appearance of what is met, and then those that meet none. If some lanes are of
-    the image alone, they have queues of their own, behind those of other lanes to which the like happens.
+    """(N,) int32 queue numbers: by appearance, then lanes that hit nothing; lanes of the image alone have queues of their
+    own.
 
     Args:
         appearance: (N,) int32; `nothing` where none is met.
@@ -55,7 +56,7 @@ def _numbered(appearance: Tensor, nothing: Tensor | int, image_lanes: ImageLanes
 
 
 def one_queue(event: Event, found: Tensor) -> tuple[Tensor, tuple[Queue, ...]]:
-    """`Step.order` and `Step.queues` of some lanes, to all of which the same happens.
+    """`Step.order` and `Step.queues` for lanes with one and the same event.
 
     Args:
         event: what happens.
@@ -70,7 +71,7 @@ def one_queue(event: Event, found: Tensor) -> tuple[Tensor, tuple[Queue, ...]]:
 
 
 def queues_by(number: Tensor, appearances: int, surround: bool, apart: bool) -> tuple[Tensor, tuple[Queue, ...]]:
-    """`Step.order` and `Step.queues`.
+    """Sorts lanes into queues: `Step.order` and `Step.queues`.
 
     Args:
         number: (N,) int32, of `_numbered`.
@@ -86,7 +87,7 @@ def queues_by(number: Tensor, appearances: int, surround: bool, apart: bool) -> 
 
 
 def in_turn(kinds: Sequence[tuple[Event, tuple[bool, bool]]], counts: Sequence[int]) -> tuple[Queue, ...]:
-    """Queues of so many lanes, one behind the other; without empty ones, unless there are no others.
+    """Queues of given sizes, one behind the other; empty ones are dropped, unless all are.
 
     Args:
         kinds: of each queue what happens to its lanes, and whether these are of the image, and of the derivative.
@@ -103,7 +104,7 @@ def in_turn(kinds: Sequence[tuple[Event, tuple[bool, bool]]], counts: Sequence[i
 @stage("scene")
 def appearance_met(scene: SceneTensors, hit: Hit, nothing: Tensor,
                    image_lanes: ImageLanes | None) -> tuple[Tensor, Tensor | None]:
-    """The number of the appearance that each ray meets if it comes from the front, (N,) int32, and where it matters.
+    """The number of the appearance that each ray hits from the front, (N,) int32, and where the side matters.
 
     Args:
         scene: detached; any part of it.
@@ -122,7 +123,7 @@ def appearance_met(scene: SceneTensors, hit: Hit, nothing: Tensor,
 @stage("scene", "ray", "hit", "image_lanes")
 def side_met(scene: SceneTensors, ray: Ray, hit: Hit, lanes: Tensor, nothing: Tensor,
              image_lanes: ImageLanes | None) -> tuple[Tensor, Tensor]:
-    """The number of the appearance of the side that rays meet, (M,) int32, and whether that is the front, (M,) bool.
+    """The number of the appearance on the side that rays hit, (M,) int32, and whether that is the front, (M,) bool.
 
     Args:
         scene: detached; any part of it.
@@ -140,8 +141,8 @@ def side_met(scene: SceneTensors, ray: Ray, hit: Hit, lanes: Tensor, nothing: Te
 
 @stage("scene")
 def shines(scene: SceneTensors, hit: Hit, image_lanes: ImageLanes | None) -> Tensor:
-    """(N,) bool: rays meet a light, on a surface or around the scene. If some lanes are of the image alone, int32 instead: 0
-    where they do, 1 in these lanes, at least 2 elsewhere.
+    """(N,) bool: rays that hit an emitter or leave the scene towards an environment; int32 if some lanes are of the image
+    alone.
 
     Args:
         scene: detached; any part of it.

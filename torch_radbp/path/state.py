@@ -1,4 +1,4 @@
-"""What a bounce is told: the integrand's settings, its place on the path, and the paths that reach it."""
+"""What a bounce depends on: the integrand's settings, its depth, and the paths that reach it."""
 
 from __future__ import annotations
 
@@ -7,59 +7,71 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.lane_count import LaneCount, waited_for
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import LaneKey
 from torch_radbp.scene.cone import Cone
 from torch_radbp.scene.light_choice import LightPick
 from torch_radbp.scene.light_tree import Vantage
 from torch_radbp.tensors.differentiated import settled
+from torch_radbp.tensors.record import rows_between
 from torch_radbp.tensors.vec import Ray, Vec3
 
 
 class Settings(NamedTuple):
-    """The static settings of the integrand, compiled in."""
+    """The static settings of the integrand, which are compiled in."""
 
     nee: bool = True
     hide_emitters: bool = False  # at this bounce
     moving: bool = False  # rays carry derivatives
-    sampling: str = "detached"  # if they do, which go through the choice of directions: "detached", "hybrid", "attached"
-    following: bool = False  # states say whether hybrid sampling has followed a direction of a smooth lobe
-    shown: bool = True  # vertices tell Le, Ld and F, not only where paths go
+    sampling: str = "detached"  # if they do, which sampled directions are differentiated: "detached", "hybrid", "attached"
+    following: bool = False  # states record whether hybrid sampling has differentiated a direction of a smooth lobe
+    shown: bool = True  # vertices have Le, Ld and F, not only the next path state
 
 
 class Position(NamedTuple):
-    """The place of a bounce on its path: () tensors, so that one compiled function serves every bounce."""
+    """The depth of a bounce on its path: () tensors, so that one compiled function serves every bounce."""
 
-    counter: Tensor  # int32, of the random numbers of this depth
+    counter: Tensor  # int32, counter of this depth's random numbers
     least_survival: Tensor  # bounds of the probability of surviving roulette; both 1 before `rr_depth`
     most_survival: Tensor
 
 
 class PathState(NamedTuple):
-    """All that a bounce needs to know of the path so far, per lane; what a schedule keeps."""
+    """The state of a path before a bounce, per lane; what a schedule keeps."""
 
     ray: Ray
     beta: Vec3  # throughput
-    pdf: Tensor  # density over solid angle of the ray's direction; infinite: not left to chance
+    pdf: Tensor  # solid-angle density of the ray's direction; infinite: not random
     key: LaneKey  # of the lane's random numbers
-    lane: Tensor  # int32, the lane's place in its chunk; dead lanes leave, so that places have gaps
-    vantage: Vantage | None = None  # where the ray begins; None if no light is picked with regard to that
+    lane: Tensor  # int32, index of the lane in its chunk; dead lanes leave gaps
+    vantage: Vantage | None = None  # where the ray starts; None if light selection does not depend on it
     followed: Tensor | None = None  # bool, see `Settings.following`; None without it
     cone: Cone | None = None  # around the ray; None if no texture asks how much of a surface a sample sees
+    number: LaneCount | None = None  # of the lanes, of which the first are meant; None: all are
+
+    @property
+    def count(self) -> int | LaneCount:
+        """The number of lanes."""
+        return len(self.lane) if self.number is None else self.number
+
+    def cut_to_count(self) -> PathState:
+        """The same state of as many lanes as there are; waits for the device if it alone knows their number."""
+        return self if self.number is None else rows_between(self._replace(number=None), 0, waited_for(self.number))
 
 
 class Arrival(NamedTuple):
-    """The paths that reach a bounce, and what they meet, (N,) each."""
+    """The paths that reach a bounce, and the surfaces that they hit, (N,) each."""
 
     state: PathState
     hit: Hit
-    front: Tensor | None  # bool: they meet the side of the shading normal, where that tells appearances apart; None: nowhere
-    picked: LightPick | None = None  # None: lights are picked by probabilities that are the same everywhere
+    front: Tensor | None  # bool: they hit the front, where sides have different appearances; None: nowhere
+    picked: LightPick | None = None  # None: lights are selected by constant probabilities
 
 
 def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: bool = False,
                cone: Cone | None = None) -> PathState:
-    """The state before the first bounce: throughput 1, every lane in its place.
+    """The state before the first bounce: throughput 1, lanes numbered in order.
 
     Args:
         ray, key, cone: of each lane.

@@ -1,4 +1,4 @@
-"""Bounces as machine code: what a bounce does with lanes is recorded once for scenes of one kind, and then played."""
+"""Bounces as machine code: a bounce is recorded once for scenes of one kind, and then replayed."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ import torch
 
 from torch_radbp.jit.board import Board, board
 from torch_radbp.jit.dual import tangents_and_tensors, values_and_tangents
+from torch_radbp.jit.lane_count import LaneCount
 from torch_radbp.jit.recording import ALL, Reserve
 from torch_radbp.jit.tape import Played, Tape, without_contents
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import EMPTY
 from torch_radbp.path.state import PathState, Position
 from torch_radbp.path.wavefront import Onward, Step, bounced, first_hit
+from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.torch_internals import inside_dual_level
@@ -26,27 +28,41 @@ BounceOf = Callable[[Onward, int, Vec3 | None], tuple[PathState, Step, Onward]] 
 
 
 @contextmanager
-def bounces_taken(integrand: Integrand, dtype: torch.dtype, bounce: Bounce = bounced) -> Iterator[BounceOf]:
-    """What takes one bounce after the other, of rays of a dtype: `bounce`, or machine code that does the same."""
+def bounces_taken(integrand: Integrand, dtype: torch.dtype, bounce: Bounce = bounced, waits: bool = True
+                  ) -> Iterator[BounceOf]:
+    """What takes one bounce after the other, of rays of a dtype: `bounce`, or machine code that does the same.
+
+    Args:
+        waits: False: numbers of lanes that only a device knows stay there; see `PathState.number`.
+    """
     if not recordable(integrand):
         yield partial(bounce, integrand)
         return
     with board() as helpers:
-        yield partial(played, bounce, integrand, tape_of(integrand, dtype, helpers))
+        yield partial(played, bounce, integrand, tape_of(integrand, dtype, helpers), waits)
 
 
 def recordable(integrand: Integrand) -> bool:
-    """True if bounces may be recorded: those of compiled stages, on the CPU, which autograd does not record. Who is asked
-    outside is told no tangents."""
+    """True if bounces may be recorded: those of compiled stages, which autograd does not record. Who is asked outside is
+    told no tangents."""
     return (integrand.stages.is_compiled and not (integrand.attached and torch.is_grad_enabled())
             and not (integrand.proposal.layout.reads_outside and inside_dual_level())
-            and (integrand.caster is None or hasattr(integrand.caster, "reads"))
-            and integrand.proposal.lights.choice.pmf.device.type == "cpu")
+            and (integrand.caster is None or hasattr(behind(integrand.caster), "reads")))
+
+
+def keeps_all_lanes(integrand: Integrand) -> bool:
+    """True if what is kept of a bounce has room for all lanes, since only the device knows how many reach it."""
+    return recordable(integrand) and integrand.target.counts_stay
+
+
+def behind(caster: RayCaster) -> RayCaster:
+    """The caster that casts the rays of another one, or of itself."""
+    return getattr(caster, "caster", caster)
 
 
 def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None, more: tuple = (),
             kind: tuple = ()) -> Tape:
-    """The tape of what steps through a scene.
+    """The tape on which bounces through a scene are recorded.
 
     Args:
         integrand: the scene and how to step.
@@ -61,40 +77,46 @@ def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None
     present = [part is not None for part in (integrand.clipping, integrand.differentiated, *(
         getattr(caster, name, None) for name in ("balls", "instances")))]
     # Stages have the code that recordings call.
-    kind = integrand.stages, integrand.proposal.layout, type(caster), *present, moving_leaves(integrand), *kind
-    return Tape(tables, kind, (integrand.scene,), board, None if caster is None else caster.count)
+    kinds = type(caster), type(behind(caster))
+    kind = integrand.stages, integrand.proposal.layout, *kinds, *present, moving_leaves(integrand), *kind
+    return Tape(tables, kind, (integrand.scene,), board, caster, integrand.target)
 
 
-def played(bounce: Bounce, integrand: Integrand, tape: Tape, onward: Onward, depth: int,
+def played(bounce: Bounce, integrand: Integrand, tape: Tape, waits: bool, onward: Onward, depth: int,
            L: Vec3 | None) -> tuple[PathState, Step, Onward]:
-    """As `bounced`, by machine code where that is possible."""
+    """Takes a bounce by machine code, or by `bounced` where that is not possible; args as there."""
     if depth == 0 and onward.hit is None and integrand.rejects_hits:
-        tape.board.close()
+        tape.rest()
         onward = with_first_hit(integrand, onward)  # who knows how many rays it casts
     later = onward.hit is None and onward.alive is not None and not inside_dual_level()
-    found = tape.play(*recipe(bounce, integrand, depth), (onward, L, integrand.at(depth)), onward.count, blank_lanes,
-                      "later" if later else None)
+    count = onward.count
+    found = tape.play(*recipe(bounce, integrand, depth), (onward._replace(number=None), L, integrand.at(depth)), count,
+                      blank_lanes, "later" if later else None, waits=waits)
     if found is None:
-        return bounce(integrand, onward, depth, L)
-    (state, step, onward), counts, queues = found
-    places = zip(queues, counts[::2], counts[1::2], step.texture_values)
-    there = [(queue._replace(first=first, last=last), values) for queue, first, last, values in places if last > first]
+        return bounce(integrand, onward.cut_to_count(), depth, L)
+    (state, step, onward), (*borders, going_on), queues = found
+    places = zip(queues, borders[::2], borders[1::2], step.texture_values)
+    there = [(queue._replace(first=first, last=last), values) for queue, first, last, values in places
+             if isinstance(last, LaneCount) or last > first]
     queues, values = zip(*there) if there else ((EMPTY,), ((),))
-    return state, step._replace(queues=queues, texture_values=values), onward
+    step = step._replace(queues=queues, texture_values=values)
+    if isinstance(count, LaneCount):
+        state = state._replace(number=count)
+    return state, step, onward._replace(number=going_on) if isinstance(going_on, LaneCount) else onward
 
 
 def recipe(bounce: Bounce, integrand: Integrand, depth: int) -> tuple[tuple, Callable]:
-    """The key of a bounce on a tape, and what is recorded of it."""
+    """The key of a bounce on a tape, and the function that records it."""
     def step(onward: Onward, L: Vec3 | None, at: Position) -> Played:
         state, step, onward = bounce(integrand, onward, depth, L)
         counts = [border for queue in step.queues for border in (queue.first, queue.last)]
-        return Played((state, step._replace(queues=()), onward), counts, step.queues)
+        return Played((state, step._replace(queues=()), onward), [*counts, len(onward.alive)], step.queues)
 
-    return (bounce, integrand.settings_at(depth), integrand.is_last(depth), depth == 0), step
+    return (bounce, *integrand.kind_at(depth)), step
 
 
 def blank_lanes(arguments: tuple, reserve: Reserve) -> tuple:
-    """The arguments of a bounce without contents."""
+    """Arguments of a bounce with shapes but no contents."""
     onward, L, at = arguments
     paths = without_contents(onward.paths, reserve, ALL if onward.alive is None else ALL + 1)  # of which some end
     alive, hit, L = without_contents((onward.alive, onward.hit, L), reserve)
@@ -102,11 +124,11 @@ def blank_lanes(arguments: tuple, reserve: Reserve) -> tuple:
 
 
 def with_first_hit(integrand: Integrand, onward: Onward) -> Onward:
-    """Camera paths with what their rays meet."""
+    """Camera paths with the surfaces that their rays hit."""
     return onward._replace(hit=first_hit(integrand, detached(onward.packed(integrand).ray), 0))
 
 
 def moving_leaves(integrand: Integrand) -> tuple[int, ...]:
-    """Which leaves of the scene have tangents."""
+    """The indices of the scene's leaves that have tangents."""
     tangents = leaves_of(values_and_tangents(integrand.scene)[1]) if integrand.attached else ()
     return tuple([place for place, tangent in enumerate(tangents) if tangent is not None])

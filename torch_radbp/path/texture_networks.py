@@ -1,4 +1,4 @@
-"""Values that are computed outside of the functions of a bounce, and handed to them: those of modules.
+"""Evaluates network textures (modules) for the lanes of a bounce, all queues together.
 
 All lanes of a bounce that read the same modules ask them together, whatever queues they are in: a module takes its time for
 each call, not only for each place.
@@ -25,7 +25,7 @@ Given = Sequence[Sequence[Tensor]]  # the rows and the coordinates of places, se
 
 def texture_values_at(scene: SceneTensors, scatterer: Appearance | None,
                       places: tuple[Place, ...]) -> tuple[TextureValue, ...]:
-    """The values of the textures that are read outside, as autograd records them if it does.
+    """Evaluates network textures at points; attached as autograd records it.
 
     Args:
         scene: the whole scene; attached or detached.
@@ -36,7 +36,7 @@ def texture_values_at(scene: SceneTensors, scatterer: Appearance | None,
 
 
 def values_of_queues(scene: SceneTensors, asking: Sequence[Asking]) -> list[tuple[TextureValue, ...]]:
-    """`texture_values_at` for each of several queues.
+    """Evaluates network textures for several queues; as `texture_values_at`.
 
     Args:
         scene: the whole scene; attached or detached.
@@ -47,7 +47,7 @@ def values_of_queues(scene: SceneTensors, asking: Sequence[Asking]) -> list[tupl
 
 
 def values_of(banks: Sequence[int], scene: SceneTensors, given: Given) -> list[Sequence[Tensor]]:
-    """The values of modules, channel by channel.
+    """Evaluates modules, channel by channel.
 
     Args:
         banks: of which bank each of `given` asks; see `banks_asked`.
@@ -57,7 +57,7 @@ def values_of(banks: Sequence[int], scene: SceneTensors, given: Given) -> list[S
 
 def asked_outside(work: Callable, scene: SceneTensors, asking: Sequence[Asking],
                   results: Callable[[Place], int]) -> list[list[Sequence[Tensor]]]:
-    """What is found outside for each place of each queue, in one turn.
+    """Runs a function of modules for all points of all queues in one turn.
 
     Args:
         work: from the banks that are asked, `scene` and what is given to what is found; as for `outside`.
@@ -74,7 +74,7 @@ def asked_outside(work: Callable, scene: SceneTensors, asking: Sequence[Asking],
 
 
 def of_banks(banks: Sequence[int], scene: SceneTensors, given: Given, find: Callable) -> list[Sequence[Tensor]]:
-    """What is found at some places, each bank once for all that ask it.
+    """Runs `find` once for each table of modules, on all points that need it, and splits the results.
 
     Args:
         banks: as for `values_of`.
@@ -92,27 +92,26 @@ def of_banks(banks: Sequence[int], scene: SceneTensors, given: Given, find: Call
 
 
 def coordinates(at: Sequence[Tensor]) -> Vec2 | Vec3:
-    """`Place.at` of its components."""
+    """Components as a `Vec2` or `Vec3`, as in `Place.at`."""
     return Vec2(*at) if len(at) == 2 else Vec3(*at)
 
 
 def number_outside(layout: Layout, scatterer: Appearance | None, nee: bool) -> int:
-    """The number of values that lanes read outside, which are scattered by something or end; see `path.bounce.places_of`."""
+    """The number of network texture values that a lane reads at an event; see `path.bounce.places_of`."""
     if scatterer is None:
         return len(layout.lit)
     return len(scatterer.outside) + (2 if nee else 1) * len(layout.lit)
 
 
 def banks_asked(layout: Layout, scatterer: Appearance | None) -> list[int]:
-    """The numbers of the banks, as `module_banks` counts them, of the textures that are read outside, in the order of
-    `path.bounce.places_of`."""
+    """The tables of modules, by index, that an event reads, in the order of `path.bounce.places_of`."""
     readers = () if scatterer is None else scatterer.outside
     lit = range(len(layout.readers), len(layout.readers) + len(layout.lit))
     return [*map(layout.readers.index, readers), *lit, *lit]
 
 
 def module_banks(scene: SceneTensors) -> tuple:
-    """The banks of the textures of materials and of emitters, whatever reads them.
+    """The tables of modules used as materials' and emitters' textures, in one tuple.
 
     `scene` may be any record of a scene's structure.
     """

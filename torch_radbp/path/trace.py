@@ -1,9 +1,10 @@
-"""The radiance along camera rays: the sum over bounces, forwards."""
+"""The radiance along camera rays: the forward sum over bounces."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+from torch_radbp.jit.lane_count import most_of
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.taped_bounces import Bounce, bounces_taken
@@ -41,15 +42,18 @@ def trace(integrand: Integrand, start: PathState, visit: Visit | None = None, hi
 
 def walk(integrand: Integrand, onward: Onward, visit: Visit | None, L: Vec3 | None = None, depth: int = 0,
          bounce: Bounce = bounced) -> None:
-    """Shows `visit` what `trace` does, bounce by bounce.
+    """Calls `visit` for each bounce, as `trace` does, and adds to `L`.
 
     Args:
         integrand, visit, depth, bounce: as there.
         onward: all paths.
         L: (N,) the sum, which is added to; None: it is not wanted.
     """
-    with bounces_taken(integrand, onward.paths.pdf.dtype, bounce) as take:
-        while depth < integrand.max_depth and onward.count:
+    with bounces_taken(integrand, onward.paths.pdf.dtype, bounce, waits=False) as take:
+        while depth < integrand.max_depth:
+            onward = onward.asked(depth)
+            if not most_of(onward.count):
+                break
             state, step, onward = take(onward, depth, L)
             if visit is not None:
                 visit(depth, state, step)

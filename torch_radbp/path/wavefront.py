@@ -14,12 +14,14 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.dual import dual, tangents_and_tensors
+from torch_radbp.jit.lane_count import LaneCount, waited_for
 from torch_radbp.jit.order import chosen, inverted, nothing, put
 from torch_radbp.jit.team import loops_together
 from torch_radbp.path.bounce import Vertex, chance_of_light, emitter_met, gathered, pick_light
 from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.queues import ImageLanes, Queue, appearance_met, one_queue, queues_by, shines, side_met
+from torch_radbp.path.lane_room import ASKED, power_of_2
+from torch_radbp.path.queues import EMPTY, ImageLanes, Queue, appearance_met, one_queue, queues_by, shines, side_met
 from torch_radbp.path.state import Arrival, PathState
 from torch_radbp.path.texture_networks import values_of_queues
 from torch_radbp.raycast.protocol import Hit
@@ -38,7 +40,7 @@ FEW = 4
 
 
 class Step(NamedTuple):
-    """The decisions of a bounce: those that would cost rays or networks to repeat, and who goes on.
+    """The decisions of a bounce: hits, queues, visibility and survival, to be repeated without casting rays.
 
     Whoever takes the bounce again goes by this record, so that all agree even where rounding would decide otherwise (of
     another device, another number of threads, a compiled function and an eager one).
@@ -46,27 +48,27 @@ class Step(NamedTuple):
 
     hit: Hit  # (N,) of the paths that reach the bounce
     front: Tensor | None  # (N,) bool, see `Arrival`
-    order: Tensor  # (M,) int32, these paths queue by queue; those that meet neither surface nor light are left out
+    order: Tensor  # (M,) int32, these paths sorted by queue; those without surface or light are left out
     queues: tuple[Queue, ...]
-    visible: Tensor  # (K,) bool: the shadow ray was free; of the first K, which meet an appearance: the others end here
+    visible: Tensor  # (K,) bool: the shadow ray was free; of the first K of `order`, which hit a surface
     survives: Tensor  # (K,) bool: the path goes on
-    picked: LightPick | None = None  # (N,) None: lights are picked by probabilities that are the same everywhere
+    picked: LightPick | None = None  # (N,) None: lights are selected by constant probabilities
     # Of each queue those of textures that are read outside; None: not computed. In a forward pass attached to the scene.
     texture_values: tuple[tuple[TextureValue, ...] | None, ...] = ()
 
     @property
     def scattered(self) -> int:
-        """K, the number of lanes that meet an appearance."""
+        """K, the number of lanes that hit a surface."""
         return next((queue.first for queue in self.queues if not queue.event.scatters), self.queues[-1].last)
 
     def arrival(self, state: PathState) -> Arrival:
-        """The paths that reach the bounce, and what they meet."""
+        """The paths that reach the bounce, with their hits."""
         return Arrival(state, self.hit, self.front, self.picked)
 
 
 def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | None = None,
               hit: Hit | None = None, with_light: bool = True) -> tuple[Vertex, Vec3 | None, Step]:
-    """One bounce of every lane; rays are cast only if `step` and `hit` do not hold their answers.
+    """Takes one bounce of every lane; casts rays only where `step` and `hit` do not hold their answers.
 
     What lanes bring to the image is found where it counts there and `with_light` asks for it.
 
@@ -74,6 +76,7 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
         The vertices of the lanes that meet an appearance, the light that those meet that end (None: none do), and the
         decisions.
     """
+    state, step = cut_to_count(state, step)
     if step is None:
         hit = first_hit(integrand, state.ray, depth) if hit is None else hit
         undecided = hit.prim.new_empty(0, dtype=torch.bool)
@@ -90,9 +93,23 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
     return *bounce_queues(integrand, state, depth, step, with_light), step
 
 
+def cut_to_count(state: PathState, step: Step | None) -> tuple[PathState, Step | None]:
+    """A state and what was decided there, of as many lanes as there are; waits for the device if it alone knows."""
+    state = state.cut_to_count()
+    if step is None or not isinstance(step.queues[-1].last, LaneCount):
+        return state, step
+    counts = step.queues[-1].last.counts.tolist()
+    found = [(queue._replace(first=counts[queue.first.number], last=counts[queue.last.number]), values)
+             for queue, values in zip(step.queues, step.texture_values)]
+    queues, values = zip(*([each for each in found if each[0].first < each[0].last] or [(EMPTY, ())]))
+    hit, front, picked = rows_between((step.hit, step.front, step.picked), 0, len(state.lane))
+    step = Step(hit, front, step.order[:queues[-1].last], queues, step.visible, step.survives, picked, values)
+    return state, step._replace(visible=step.visible[:step.scattered], survives=step.survives[:step.scattered])
+
+
 def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step,
                   with_light: bool) -> tuple[Vertex, Vec3 | None]:
-    """The vertices of the lanes that meet an appearance, each queue by its functions, and the light that others meet."""
+    """Computes the vertices of lanes that hit a surface, queue by queue, and the emission seen by the others."""
     settings = integrand.settings_at(depth)._replace(moving=False, sampling="detached")
     arrival, at, known = step.arrival(state), integrand.at(depth), dict(zip(step.queues, step.texture_values))
 
@@ -132,14 +149,14 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
 
 def texture_values_of(integrand: Integrand, arrival: Arrival, depth: int, queues: Sequence[Queue],
                       order: Tensor) -> list[tuple[TextureValue, ...]]:
-    """The values of the textures that the lanes of each of some queues read outside; `order`: see `Step`."""
+    """Evaluates the network textures of some queues' lanes; `order`: see `Step`."""
     return values_of_queues(integrand.scene, [
         (integrand.scatterer(queue.event), integrand.places(queue.event, arrival, order[queue.first:queue.last], depth))
         for queue in queues])
 
 
 def room_for_vertices(state: PathState, lanes: int, with_light: bool) -> Vertex:
-    """Vertices to write into."""
+    """Empty vertices to write results into."""
     def room(part):
         if part is None or isinstance(part, Tensor):
             return None if part is None else part.new_empty(lanes)
@@ -153,7 +170,7 @@ def room_for_vertices(state: PathState, lanes: int, with_light: bool) -> Vertex:
 
 
 def picked_lights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -> LightPick | None:
-    """The decisions about lights of paths that met `hit`; None if there are none to make."""
+    """Selects lights for paths with hits; None if selection does not depend on the point."""
     choice = integrand.proposal.lights.choice
     if not integrand.settings.nee or not integrand.proposal.lights.by_place:
         return None
@@ -168,7 +185,7 @@ def picked_lights(integrand: Integrand, state: PathState, hit: Hit, depth: int) 
 
 def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool,
            image_lanes: ImageLanes | None = None) -> tuple[Tensor | None, Tensor, tuple[Queue, ...]]:
-    """`Step.front`, `Step.order` and `Step.queues` of rays that met `hit`.
+    """Sorts rays with hits into queues: `Step.front`, `Step.order` and `Step.queues`.
 
     Args:
         ray, hit: (N,).
@@ -184,8 +201,7 @@ def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool,
 
 def appearances_met(integrand: Integrand, ray: Ray, hit: Hit,
                     image_lanes: ImageLanes | None = None) -> tuple[Tensor, Tensor | None]:
-    """The numbers of the appearances that rays met, (N,) int32 as `queues_by` takes them, and `Step.front`; args as for
-    `queued`."""
+    """The appearance numbers of rays with hits, (N,) int32, for `queues_by`, and `Step.front`; args as for `queued`."""
     part = integrand.part(Ends.SURROUNDINGS)
     number, differs = part.call(appearance_met, hit, integrand.no_appearance, image_lanes)
     front = None if differs is None else nothing(differs)
@@ -195,43 +211,43 @@ def appearances_met(integrand: Integrand, ray: Ray, hit: Hit,
 
 
 def survivors(integrand: Integrand, state: PathState, step: Step) -> PathState:
-    """The lanes of the next bounce's `state` that go on, packed together."""
+    """The states of the lanes that go on to the next bounce, compacted."""
     return Onward(state, surviving(step)).packed(integrand)
 
 
 def surviving(step: Step) -> Tensor:
-    """Places in `Step.order` of the lanes that go on, int32; so they are among the vertices."""
+    """Indices into `Step.order` of the lanes that go on, int32; they are also indices of vertices."""
     return chosen(step.survives)
 
 
 class Bounce(NamedTuple):
-    """One turn of the loop over bounces."""
+    """One iteration of the loop over bounces."""
 
     depth: int
-    state: PathState  # that reached it
+    state: PathState  # of the paths that reach it
     vertex: Vertex  # of the lanes of `step.order` that meet an appearance
-    light: Vec3 | None  # that the others meet, which end here
+    light: Vec3 | None  # emission seen by the other lanes, which end here
     step: Step
 
     @property
     def ended(self) -> Tensor:
-        """Places in the chunk of the lanes that end here, int32."""
+        """Indices in the chunk of the lanes that end here, int32."""
         return rows(self.state.lane, self.step.order[self.step.scattered:])
 
     @property
     def E(self) -> Vec3:
-        """(K,) what the vertices emit and receive by next-event estimation: E_k in L_k = E_k + F_k L_{k+1}."""
+        """(K,) emission and next-event estimation at the vertices: E_k in L_k = E_k + F_k L_{k+1}."""
         return gathered(self.vertex.Le, self.vertex.Ld, self.step.visible)
 
     @property
     def F(self) -> Vec3:
-        """(K,) what the vertices reflect of what comes next: F_k, 0 where the path ends."""
+        """(K,) the factor of the next vertex's radiance: F_k, 0 where the path ends."""
         return masked(self.step.survives, self.vertex.F)
 
 
 def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mapping[int, Step] = {},
             hit: Hit | None = None, with_light: bool = True) -> Iterator[Bounce]:
-    """The loop over bounces, until every path has ended.
+    """Iterates over bounces until every path has ended.
 
     Args:
         integrand: the scene and how to step.
@@ -248,26 +264,39 @@ def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mappi
 
 
 class Onward(NamedTuple):
-    """Paths that go on from a bounce."""
+    """The paths that go on from a bounce."""
 
     paths: PathState  # (K,) of the vertices, those that end there among them
     alive: Tensor | None  # (M,) int32, the places of those that go on; None: all do
     hit: Hit | None = None  # (M,) of their rays, if it is known
+    number: LaneCount | None = None  # M, if only the device knows it; of `alive` the first are meant
 
     @property
-    def count(self) -> int:
+    def count(self) -> int | LaneCount:
         """M."""
-        return len(self.paths.lane if self.alive is None else self.alive)
+        return len(self.paths.lane if self.alive is None else self.alive) if self.number is None else self.number
+
+    def asked(self, depth: int) -> Onward:
+        """The same at `depth`; if only the device knows the number, it is asked now and then, so that there is room for
+        fewer from there on."""
+        if self.number is None or depth % ASKED:
+            return self
+        most = min(power_of_2(waited_for(self.number)), self.number.most)
+        return self._replace(alive=self.alive[:most], number=self.number._replace(most=most))
+
+    def cut_to_count(self) -> Onward:
+        """The same of as many paths as there are; waits for the device if it alone knows."""
+        return self if self.number is None else self._replace(alive=self.alive[:waited_for(self.number)], number=None)
 
     def packed(self, integrand: Integrand) -> PathState:
-        """(M,) those that go on, packed together."""
+        """(M,) the states of the paths that go on, compacted."""
         if self.alive is None or len(self.alive) == len(self.paths.lane):
             return self.paths
         return integrand.stages(rows)(self.paths, self.alive)
 
 
 def bounced(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) -> tuple[PathState, Step, Onward]:
-    """One bounce of every lane, which adds what it brings to the radiance `L` of those of the image: L += beta_k E_k.
+    """Takes one bounce of every lane, and adds to the radiance: L += beta_k E_k.
 
     Args:
         integrand: the scene and how to step.
@@ -295,7 +324,7 @@ def bounced(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) ->
 
 @stage("L", "beta")
 def brightened(L: Vec3, beta: Vec3, order: Tensor, lane: Tensor, Le: Vec3, Ld: Vec3 | None, visible: Tensor | None) -> Vec3:
-    """The radiance of some lanes after a bounce: beta (Le + visible Ld) more than before.
+    """Adds the contribution beta (Le + visible Ld) of a bounce to the radiance of some lanes.
 
     Args:
         L: of all lanes of the chunk.
@@ -308,7 +337,7 @@ def brightened(L: Vec3, beta: Vec3, order: Tensor, lane: Tensor, Le: Vec3, Ld: V
 
 
 def put_rows(record, place: Tensor, entries) -> None:
-    """Overwrites the entries at `place`, (N,) int32 without repetition, of every tensor of a record in nested tuples."""
+    """Overwrites the entries at indices `place`, (N,) int32 without repetition, in every tensor of a record."""
     targets, found = ([leaf for leaf in leaves_of(part) if leaf is not None] for part in (record, entries))
     if torch.is_grad_enabled() and any([leaf.requires_grad for leaf in found]):
         for target, new in zip(targets, found):
@@ -318,20 +347,20 @@ def put_rows(record, place: Tensor, entries) -> None:
 
 
 def radiance_buffer(integrand: Integrand, start: PathState) -> Vec3:
-    """(N,) zeros to add the radiance of paths to, dual if the scene or their rays have tangents."""
+    """(N,) zeros to sum radiance in; dual tensors if the scene or the rays have tangents."""
     L = Vec3.buffer(start.pdf)
     moves = inside_dual_level() and (integrand.attached or any_differentiated(start))
     return dual(L, Vec3.buffer(start.pdf)) if moves else L
 
 
 def add_at(L: Vec3, lane: Tensor, value: Vec3) -> None:
-    """Adds `value` to `L` at `lane`, in place."""
+    """Adds `value` to `L` at indices `lane`, in place."""
     for total, part in zip(L, value):
         total.index_add_(0, lane, part)
 
 
 def first_hit(integrand: Integrand, ray: Ray, depth: int) -> Hit:
-    """The closest surface; of camera rays, the closest that the camera is to see."""
+    """The closest hits of rays; of camera rays, the closest visible ones."""
     if depth > 0:
         return integrand.caster.intersect(ray)
     return camera_hit(integrand.caster, integrand.proposal, ray, integrand.clipping, integrand.settings.hide_emitters)

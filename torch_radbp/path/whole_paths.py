@@ -1,4 +1,4 @@
-"""Whole paths as machine code: where nobody asks for what happens on the way, tiles of lanes take all bounces at once.
+"""Whole paths as machine code, for radiance alone: small blocks ("tiles") of lanes take all bounces at once.
 
 Each bounce is recorded as in `taped_bounces.py`, but for its results: all that is left of it is who goes on.
 """
@@ -22,12 +22,12 @@ MOST_BOUNCES = 64
 def goes_whole(integrand: Integrand, lanes: int, depth: int = 0) -> bool:
     """True if so many paths from a depth on may be traced whole: there are enough to make a tile's memory worth it, and what
     they meet asks nobody outside."""
-    return (lanes >= TILE and recordable(integrand) and integrand.max_depth - depth <= MOST_BOUNCES
-            and not integrand.proposal.layout.reads_outside)
+    return (lanes >= TILE and recordable(integrand) and not integrand.target.counts_stay
+            and integrand.max_depth - depth <= MOST_BOUNCES and not integrand.proposal.layout.reads_outside)
 
 
 def traced_whole(integrand: Integrand, onward: Onward, depth: int = 0, bounce: Bounce = bounced) -> Vec3 | None:
-    """What `trace.trace` returns, (N,), for paths that nobody visits; None if they cannot be traced so.
+    """The radiance of whole paths by machine code, as `trace.trace` returns it, (N,); None if that is not possible.
 
     Args:
         integrand, depth, bounce: as there.
@@ -42,8 +42,8 @@ def traced_whole(integrand: Integrand, onward: Onward, depth: int = 0, bounce: B
         onward = with_first_hit(integrand, onward)
     tape, lanes, steps = tape_of(integrand, dtype), onward.count, []
     for number in range(depth, integrand.max_depth):
-        key = bounce, integrand.settings_at(number), integrand.is_last(number), number == 0
-        link, given = tape.link(key, step_of(bounce, integrand, number), (onward, L, integrand.at(number)), blank_lanes)
+        step, key = step_of(bounce, integrand, number), (bounce, *integrand.kind_at(number))
+        link, given = tape.link(key, step, (onward, L, integrand.at(number)), blank_lanes)
         if link is None:
             return None
         steps.append(TileStep(link.recorded, link.handed, given, len(tangents_and_tensors(onward))))
@@ -53,7 +53,7 @@ def traced_whole(integrand: Integrand, onward: Onward, depth: int = 0, bounce: B
 
 
 def step_of(bounce: Bounce, integrand: Integrand, depth: int) -> Callable[[Onward, Vec3, Position], Played]:
-    """A bounce of which only those are asked for that go on."""
+    """A bounce that returns only the paths that go on."""
     def step(onward: Onward, L: Vec3, at: Position) -> Played:
         _, _, onward = bounce(integrand, onward, depth, L)
         return Played(() if integrand.is_last(depth) else onward)

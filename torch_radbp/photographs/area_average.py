@@ -1,4 +1,4 @@
-"""Smaller images by averages over areas."""
+"""Downsampling of images by averages over areas."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from torch import Tensor
 
 
 def area_average(image: Tensor, width: int, height: int) -> Tensor:
-    """The means of an image over the areas that the pixels of a smaller one cover, parts of pixels included.
+    """Downsamples an image by averaging over the area of each new pixel, parts of old pixels included.
 
     Args:
         image: (..., H, W).

@@ -16,7 +16,7 @@ ROUNDING = 1  # pixel by which the size of a scaled file may differ from the sca
 
 
 def named_as_in_a_scene(cameras: Mapping[str, Any]) -> dict[str, ProjectiveCamera]:
-    """Cameras by the names that a scene gives them.
+    """Cameras under the names that a scene allows: dots become underscores.
 
     Raises:
         TypeError: if one is no camera of one image.
@@ -36,14 +36,14 @@ def named_as_in_a_scene(cameras: Mapping[str, Any]) -> dict[str, ProjectiveCamer
 
 def scaled_to_files(cameras: Mapping[str, ProjectiveCamera], pictures: Sequence[Picture],
                     scale: float) -> dict[str, ProjectiveCamera]:
-    """Cameras of whole images for files that were reduced, whose sizes may be rounded either way.
+    """Rescales cameras to downsampled image files, whose sizes may have been rounded either way.
 
     Raises:
         ValueError: if a file does not have about the scaled size.
     """
     if positive("scale", scale) == 1:
         return dict(cameras)
-    found = {}
+    scaled = {}
     for (name, camera), picture in zip(cameras.items(), pictures):
         size, whole = picture_size(picture.image), (camera.film.width, camera.film.height)
         if any(abs(side - scale * full) > ROUNDING for side, full in zip(size, whole)):
@@ -51,12 +51,12 @@ def scaled_to_files(cameras: Mapping[str, ProjectiveCamera], pictures: Sequence[
             raise ValueError(f"{picture_name(picture.image)} has {size[0]} x {size[1]} pixels, and its camera {whole[0]} x "
                              f"{whole[1]}, which is {whole[0] * scale:g} x {whole[1] * scale:g} with scale={scale:g}"
                              f"{f'; {turned}' if turned else ''}")
-        found[name] = camera.resized(*size)
-    return found
+        scaled[name] = camera.resized(*size)
+    return scaled
 
 
 def checked_size(name: str, camera: ProjectiveCamera, picture: Picture) -> tuple[int, int]:
-    """Width and height of a photograph, which are those of its camera's film and of its mask.
+    """Checks that a photograph, its mask and its camera's film have one size, and returns it: width and height.
 
     Raises:
         ValueError: if they are not.
@@ -72,14 +72,14 @@ def checked_size(name: str, camera: ProjectiveCamera, picture: Picture) -> tuple
         raise ValueError(f"{picture_name(picture.image)} has {width} x {height} pixels, and its camera {name!r} "
                          f"{film.crop_width} x {film.crop_height}; {advice}")
     if picture.mask is not None and picture_size(picture.mask) != (width, height):
-        found = picture_size(picture.mask)
-        raise ValueError(f"the mask {picture_name(picture.mask)} has {found[0]} x {found[1]} pixels, and its image "
+        mask_size = picture_size(picture.mask)
+        raise ValueError(f"the mask {picture_name(picture.mask)} has {mask_size[0]} x {mask_size[1]} pixels, and its image "
                          f"{width} x {height}")
     return width, height
 
 
 def turned_advice(image: Source, size: tuple[int, int], wanted: tuple[float, ...]) -> str:
-    """What to do about an image that has the wanted size if it is turned; "" if it has not."""
+    """Advice for an error, if an image would have the wanted size when rotated; "" if not."""
     if not all(abs(side - other) <= ROUNDING for side, other in zip(size, reversed(wanted))):
         return ""
     orientation = turned_by(image, READABLE[image.suffix.lower()]) if isinstance(image, Path) else None

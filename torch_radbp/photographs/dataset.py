@@ -39,7 +39,7 @@ CACHE = 1 << 30  # bytes
 
 
 class Photograph(NamedTuple):
-    """One photograph, or of a `DataLoader` a batch of B.
+    """One photograph, or a batch of B from a `DataLoader`.
 
     Attributes:
         image: (3, H, W) or (B, 3, H, W) float32, linear RGB.
@@ -121,7 +121,7 @@ class Photographs(Dataset[Photograph]):
                   background: float | Sequence[float] = 0.0, cache_bytes: int = CACHE, missing: str = "skip",
                   rfilter: ReconstructionFilter | str | None = None, width: int | None = None, height: int | None = None,
                   strict: bool = False, **attributes: Unpack[CameraAttributes]) -> Photographs:
-        """The photographs of a NeRF data set, as instant-ngp, nerfstudio and the Blender scenes write it.
+        """Loads the photographs of a NeRF data set, as instant-ngp, nerfstudio and the Blender scenes write it.
 
         Args:
             path: of transforms.json; its `file_path`, which may lack the extension, and `mask_path` are relative to its
@@ -153,7 +153,7 @@ class Photographs(Dataset[Photograph]):
                     cache_bytes: int = CACHE, missing: str = "skip",
                     rfilter: ReconstructionFilter | str | None = None, strict: bool = False,
                     **attributes: Unpack[CameraAttributes]) -> Photographs:
-        """The photographs of a COLMAP model.
+        """Loads the photographs of a COLMAP model.
 
         Args:
             folder: of the model, such as "sparse/0".
@@ -187,7 +187,7 @@ class Photographs(Dataset[Photograph]):
         return Photograph(image.clone(), mask.clone(), self.names[view], view)
 
     def read(self, view: int) -> tuple[Tensor, Tensor]:
-        """Image and mask of a photograph, at the size of its camera's film now.
+        """Reads the image and mask of a photograph, at the current size of its camera's film.
 
         Raises:
             ValueError: if its file has another size than when the data set was made, and as `read_picture`.
@@ -199,7 +199,7 @@ class Photographs(Dataset[Photograph]):
             return self.at_size(view, image, mask)
 
     def at_size(self, view: int, image: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-        """Image and mask, which must have the size of the file, at the size of the camera's film now."""
+        """Resizes image and mask from the file's size to the current size of the camera's film."""
         picture = self.pictures[view]
         if (size := (image.shape[2], image.shape[1])) != self.sizes[view]:
             was = self.sizes[view]
@@ -209,7 +209,7 @@ class Photographs(Dataset[Photograph]):
         return tuple(area_average(part, film.crop_width, film.crop_height) for part in (image, mask))
 
     def at_scale(self, scale: float) -> Photographs:
-        """The same photographs with smaller images and cameras: a level of a resolution pyramid.
+        """The same photographs with images and cameras of another size: a level of a resolution pyramid.
 
         Pixels are averages over areas, of linear values. Cameras share their pose with those here and have intrinsics
         that follow from the values now, so that what has been refined at a small size goes on at a larger one:
@@ -237,20 +237,21 @@ class Photographs(Dataset[Photograph]):
         return other
 
     def place_cameras(self, scene: Scene) -> None:
-        """Puts the cameras into a scene, in the place of those that have their names.
+        """Replaces the cameras of a scene that have the same names.
 
         Raises:
             ValueError: if a name is not that of a sensor of the scene.
         """
-        known = scene.named_sensors
+        sensors = scene.named_sensors
         for name in self.names:
-            if name not in known:
-                raise ValueError(f"the scene has no sensor {name!r} to put a camera in the place of; {nearest(name, known)}")
+            if name not in sensors:
+                raise ValueError(f"the scene has no sensor {name!r} to put a camera in the place of; "
+                                 f"{nearest(name, sensors)}")
         for name, camera in self.cameras.items():
             setattr(scene, name, camera.to(scene.device, scene.dtype))
 
     def batches(self, batch_size: int, shuffle: bool = True, generator: torch.Generator | None = None) -> SizeBatches:
-        """Batches of photographs that have one size each, such as upright and wide ones:
+        """Batches of photographs of one size each, for data sets with several sizes:
 
             batches = photographs.batches(4)
             loader = torch.utils.data.DataLoader(photographs, batch_sampler=batches)
@@ -261,7 +262,7 @@ class Photographs(Dataset[Photograph]):
         return SizeBatches(self.sizes, batch_size, shuffle, generator)
 
     def batch(self, views: Iterable[int] | None = None) -> Photograph:
-        """Some photographs, or all, as one batch.
+        """Some photographs, or all, in one batch.
 
         Args:
             views: their indices; None: all.
@@ -273,7 +274,7 @@ class Photographs(Dataset[Photograph]):
 
 
 def collate(photographs: list[Photograph]) -> Photograph:
-    """A batch of photographs, as `DataLoader` makes it.
+    """Stacks photographs to a batch, for a `DataLoader`.
 
     Raises:
         ValueError: if there is none, or they have several sizes.

@@ -1,4 +1,4 @@
-"""How much light each photograph took: a gain and a white balance per view."""
+"""The exposure of photographs: a gain and a white balance for each view."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Exposure(nn.Module):
 
     @property
     def gains(self) -> Tensor:
-        """(V, 3) what each channel of each view is multiplied by; attached, but for the view that is fixed."""
+        """(V, 3) the factor of each channel of each view; attached, but for the view that is fixed."""
         logarithm = self.log_gain[:, None].expand(-1, 3)
         if self.log_balance is not None:
             logarithm = logarithm + self.log_balance - self.log_balance.mean(1, keepdim=True)
@@ -67,7 +67,7 @@ class Exposure(nn.Module):
         return logarithm.exp()
 
     def forward(self, images: Tensor, views: int | Tensor) -> Tensor:
-        """The images as their views expose them.
+        """Multiplies images by the gains of their views.
 
         Args:
             images: (B, 3, H, W) linear radiance, attached.

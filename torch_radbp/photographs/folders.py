@@ -1,4 +1,4 @@
-"""Where the images and masks of a data set lie."""
+"""Finds the image and mask files of a data set."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Find = Callable[[Path, str], Path | None]  # the file of a name in a folder
 
 def colmap_pictures(model: str | os.PathLike, names: Iterable[str], images: str | os.PathLike,
                     masks: str | os.PathLike | None, missing: str) -> dict[str, Picture]:
-    """The files of the images of a COLMAP model, by their names; without those that are not there.
+    """The image and mask files of a COLMAP model, by names; without missing ones.
 
     Args:
         model: its folder, for messages.
@@ -35,7 +35,7 @@ def colmap_pictures(model: str | os.PathLike, names: Iterable[str], images: str 
 
 def nerf_pictures(path: Path, images: str | os.PathLike | None, masks: str | os.PathLike | None,
                   missing: str) -> dict[str, Picture]:
-    """The files of the frames of transforms.json, by their names and in its order; without those that are not there.
+    """The image and mask files of the frames of transforms.json, by names and in its order; without missing ones.
 
     Arguments as of `Photographs.from_nerf`.
 
@@ -65,7 +65,7 @@ def nerf_pictures(path: Path, images: str | os.PathLike | None, masks: str | os.
 
 def files_of(path: str | os.PathLike, names: Sequence[str], said: Sequence[tuple[Path, Sequence[str]]], find: Find,
              missing: str) -> dict[str, Path]:
-    """The files of images, by their names, where one of them is at least.
+    """Finds image files by name, in the first folder that has at least one of them.
 
     Args:
         path: of the data set, for messages.
@@ -104,13 +104,13 @@ def files_of(path: str | os.PathLike, names: Sequence[str], said: Sequence[tuple
 
 
 def first_with_any(places: Iterable[tuple[Path, Sequence[str]]], find: Find) -> list[Path | None] | None:
-    """The files of names in the first of some folders that has any; None if none has."""
+    """The files in the first of some folders that has any of the names; None if none has."""
     tried = ([find(folder, name) for name in names] for folder, names in places)
     return next((files for files in tried if any(files)), None)
 
 
 def below(folder: Path, name: str, find: Find) -> Path | None:
-    """The file of a name in the one folder in `folder` that has it.
+    """The file of a name in the only subfolder of `folder` that has it.
 
     Raises:
         ValueError: if several have it.
@@ -126,31 +126,31 @@ def below(folder: Path, name: str, find: Find) -> Path | None:
 
 
 def without_first(name: str) -> str:
-    """A name without the first of its folders."""
+    """A relative path without its first folder."""
     _, _, rest = name.replace("\\", "/").partition("/")
     return rest or name
 
 
 def file_in(folder: Path, name: str) -> Path | None:
-    """The file of exactly this name."""
+    """The file with exactly this name in a folder; None: there is none."""
     return folder / name if is_file(folder / name) else None
 
 
 def mask_of(folder: str | os.PathLike, name: str) -> Path:
-    """The mask of an image: view.jpg.png, view.png or view.jpg in the folder of masks.
+    """The mask file of an image: view.jpg.png, view.png or view.jpg in the folder of masks.
 
     Raises:
         FileNotFoundError: if there is none; it lists where it was looked for.
     """
     tried = [Path(folder) / f"{name}.png", (Path(folder) / name).with_suffix(".png"), Path(folder) / name]
-    found = next((path for path in tried if path.is_file()), None)
-    if found is None:
+    mask = next((path for path in tried if path.is_file()), None)
+    if mask is None:
         raise FileNotFoundError(f"the image {name} has no mask; looked for {', '.join(map(str, tried))}")
-    return found
+    return mask
 
 
 def present(path: Path, what: str, name: str) -> Path:
-    """`path`, if there is such a file."""
+    """`path` if that file exists, else raises FileNotFoundError."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: file not found, {what} {name!r} of the data set")
     return path

@@ -1,4 +1,4 @@
-"""The images that were asked for last, within a limit of memory."""
+"""A cache of images, within a limit of memory."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 class ImageCache:
-    """Tuples of tensors by number; those that were not asked for the longest are forgotten first.
+    """Caches tuples of tensors by number; the least recently used are dropped first.
 
     Args:
         limit: bytes; what is larger by itself is not kept.
@@ -20,7 +20,7 @@ class ImageCache:
         self.images: OrderedDict[int, tuple[Tensor, ...]] = OrderedDict()
 
     def get(self, key: int, make: Callable[[], tuple[Tensor, ...]]) -> tuple[Tensor, ...]:
-        """What is kept under a number, or what `make` returns, which is kept then."""
+        """The cached tuple of a number, or what `make` returns, which is cached then."""
         if key in self.images:
             self.images.move_to_end(key)
             return self.images[key]
@@ -38,5 +38,5 @@ class ImageCache:
 
 
 def _size_of(tensors: tuple[Tensor, ...]) -> int:
-    """Bytes of some tensors."""
+    """The size of tensors in bytes."""
     return sum(tensor.numel() * tensor.element_size() for tensor in tensors)

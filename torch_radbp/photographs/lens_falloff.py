@@ -1,4 +1,4 @@
-"""How a lens darkens an image towards its corners."""
+"""Vignetting: how a lens darkens an image towards its corners."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class LensFalloff(nn.Module):
         self.centre = nn.Parameter(torch.zeros(2))
 
     def factors(self, height: int, width: int, window: Sequence[int] | None = None) -> Tensor:
-        """(H, W) what the pixels of an image are multiplied by, or those of a window x, y, width and height; attached."""
+        """(H, W) the factor of each pixel of an image, or of a window x, y, width and height; attached."""
         like = self.coefficients
         left, top, wide, high = (0, 0, width, height) if window is None else window
         half = 0.5 * (height**2 + width**2) ** 0.5
@@ -58,7 +58,7 @@ class LensFalloff(nn.Module):
 
     def forward(self, images: Tensor, views: int | Tensor | None = None, *,
                 window: Sequence[int] | Sequence[Sequence[int]] | None = None, size: Sequence[int] | None = None) -> Tensor:
-        """The images behind the lens.
+        """Multiplies images by the lens's factors.
 
         Args:
             images: (B, 3, H, W) linear radiance, attached.
@@ -85,7 +85,7 @@ class LensFalloff(nn.Module):
 
 
 def windows_of(window: Sequence, images: Tensor, width: int, height: int) -> list[tuple[int, ...]]:
-    """The window of each image, or of all if they have one; errors as of `LensFalloff.forward`."""
+    """The window of each image, or one for all; errors as of `LensFalloff.forward`."""
     rows = torch.as_tensor(window)
     if rows.is_floating_point() or rows.ndim not in (1, 2) or rows.shape[-1] != 4 or (
             rows.ndim == 2 and len(rows) != len(images)):

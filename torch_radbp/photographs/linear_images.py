@@ -1,4 +1,4 @@
-"""What the models of a camera take, checked."""
+"""Checks of the arguments of camera models."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ def check_linear_images(images: Tensor) -> None:
 
 
 def check_numbers(images: Tensor) -> None:
-    """Raises ValueError if `images` have NaN, which has no place on a curve; torch's transforms hide the values."""
+    """Raises ValueError if `images` contain NaN; skipped under torch's transforms, which hide values."""
     if not transforms() and images.isnan().any():
         raise ValueError(f"images have {int(images.isnan().sum())} values that are NaN, which no tone curve codes; put "
                          f"numbers where the mask is 0")
 
 
 def view_indices(views: int | Tensor, images: Tensor, count: int) -> Tensor:
-    """The views of some images, (B,) int64 on their device.
+    """The view of each image, (B,) int64 on the images' device.
 
     Raises:
         ValueError: if there is not one for each image, or there is no such view.
     """
-    found = torch.as_tensor(views, device=images.device).reshape(-1)
-    if found.is_floating_point() or found.dtype == torch.bool or len(found) != len(images):
+    indices = torch.as_tensor(views, device=images.device).reshape(-1)
+    if indices.is_floating_point() or indices.dtype == torch.bool or len(indices) != len(images):
         raise ValueError(f"views must be one integer for each of {len(images)} images, got {views!r:.80}")
-    if len(found) and not 0 <= int(found.min()) <= int(found.max()) < count:
-        raise ValueError(f"views must be from 0 to {count - 1}, got {found.tolist()}")
-    return found.long()
+    if len(indices) and not 0 <= int(indices.min()) <= int(indices.max()) < count:
+        raise ValueError(f"views must be from 0 to {count - 1}, got {indices.tolist()}")
+    return indices.long()

@@ -1,4 +1,4 @@
-"""One photograph: where its image and its mask are, and their linear values."""
+"""One photograph: its image and mask, as files or tensors, and their linear values."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ Source = Path | Tensor
 
 
 class Picture(NamedTuple):
-    """One photograph as it was given."""
+    """The image and mask of a photograph, as files or tensors."""
 
     image: Source
     mask: Source | None
 
 
 def as_source(name: str, value: str | os.PathLike | Tensor, channels: int) -> Source:
-    """A path, or a tensor (channels, H, W), on the CPU; truth values of a mask become 0 and 1.
+    """Checks a path, or a tensor (channels, H, W), which is copied to the CPU; boolean masks become 0 and 1.
 
     Raises:
         TypeError: if it is neither.
@@ -52,12 +52,12 @@ def as_source(name: str, value: str | os.PathLike | Tensor, channels: int) -> So
 
 
 def picture_size(source: Source) -> tuple[int, int]:
-    """Width and height, of a file from its header."""
+    """Width and height of an image; of a file from its header."""
     return image_size(source) if isinstance(source, Path) else (source.shape[2], source.shape[1])
 
 
 def checked_curve(curve: str | float) -> str | float:
-    """`curve`, if it is the name of a known one or a gamma.
+    """Checks the name of a curve, or a gamma, and returns it.
 
     Raises:
         ValueError: otherwise.
@@ -71,7 +71,7 @@ def checked_curve(curve: str | float) -> str | float:
 
 
 def _decoded(path: Path, curve: str | float) -> Tensor:
-    """(3, H, W) linear values of a file, without regard to its alpha."""
+    """(3, H, W) linear values of a file, ignoring its alpha."""
     values = read_image(path, raw=True)
     if READABLE[path.suffix.lower()] not in LINEAR:
         values = CURVES[curve](values) if isinstance(curve, str) else values**curve
@@ -79,7 +79,7 @@ def _decoded(path: Path, curve: str | float) -> Tensor:
 
 
 def read_picture(picture: Picture, curve: str | float, background: Tensor) -> tuple[Tensor, Tensor]:
-    """The image, (3, H, W), and the mask, (1, H, W), of a photograph, float32; as `Photographs` describes them.
+    """Reads the image, (3, H, W), and the mask, (1, H, W), of a photograph, float32; as `Photographs` describes them.
 
     Args:
         picture: where they are.
@@ -115,7 +115,7 @@ def read_picture(picture: Picture, curve: str | float, background: Tensor) -> tu
 
 
 def in_range(name: str, mask: Tensor) -> Tensor:
-    """A mask in [0, 1], cut to it if it is outside by rounding.
+    """Clamps a mask to [0, 1] if it is outside by rounding only.
 
     Raises:
         ValueError: if it is outside by more, or has NaN.
@@ -126,19 +126,19 @@ def in_range(name: str, mask: Tensor) -> Tensor:
 
 
 def read_mask(source: Source) -> Tensor:
-    """(1, H, W) float32; of a file the mean of its channels, without any curve."""
+    """Reads a mask, (1, H, W) float32; of a file the mean of its channels, without any curve."""
     if isinstance(source, Tensor):
         return source.float()
     return read_image(source, raw=True).mean(-1)[None]
 
 
 def picture_name(source: Source) -> str:
-    """What errors call an image."""
+    """The name of an image in error messages."""
     return str(source) if isinstance(source, Path) else f"a tensor of shape {tuple(source.shape)}"
 
 
 def background_colour(value: float | Sequence[float] | Tensor) -> Tensor:
-    """(3,) float32 of a number or three.
+    """Converts one number or three to a (3,) float32 colour.
 
     Raises:
         ValueError: if it is something else.

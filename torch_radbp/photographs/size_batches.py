@@ -28,7 +28,7 @@ class SizeBatches(Sampler[list[int]]):
         self.shuffle, self.generator = boolean("shuffle", shuffle), generator
 
     def order(self, count: int) -> list[int]:
-        """The numbers below `count`, in the order of this epoch."""
+        """The indices below `count` in the order of this epoch."""
         return torch.randperm(count, generator=self.generator).tolist() if self.shuffle else list(range(count))
 
     def __iter__(self) -> Iterator[list[int]]:

@@ -1,4 +1,4 @@
-"""The curve by which a camera codes light: monotone and invertible whatever its parameters are."""
+"""The tone curve of a camera: monotone and invertible for all values of its parameters."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ STARTS = {"srgb": (linear_to_srgb, srgb_to_linear), "identity": (lambda values: 
 
 
 class Bin(NamedTuple):
-    """The piece of a spline that each value lies in; tensors of the shape of the values, attached."""
+    """The piece of a rational spline that contains each value; tensors of the shape of the values, attached."""
 
-    left: Tensor  # where the piece begins
-    low: Tensor  # its value there
-    height: Tensor  # by how much it rises
-    slope: Tensor  # its mean slope
-    first: Tensor  # its slope where it begins
-    last: Tensor  # and where it ends
+    left: Tensor  # start of the piece
+    low: Tensor  # value at the start
+    height: Tensor  # rise over the piece
+    slope: Tensor  # mean slope
+    first: Tensor  # slope at the start
+    last: Tensor  # slope at the end
 
 
 class ToneCurve(nn.Module):
@@ -66,7 +66,7 @@ class ToneCurve(nn.Module):
         self.log_slopes = nn.Parameter(torch.zeros(3 if per_channel else 1, count + 1))
 
     def forward(self, images: Tensor, views: int | Tensor | None = None) -> Tensor:
-        """The values of the files, of exposures.
+        """Applies the curve to exposures, and returns values as in image files.
 
         Args:
             images: (B, 3, H, W) linear, 1 where the camera saturates, attached.
@@ -89,7 +89,7 @@ class ToneCurve(nn.Module):
         return inside + _beyond(x, piece.first, piece.last)
 
     def inverse(self, values: Tensor, views: int | Tensor | None = None) -> Tensor:
-        """The exposures that give these values of files: what `forward` undoes; arguments and results as there."""
+        """Inverts the curve: the exposures for values in image files; arguments and results as of `forward`."""
         check_linear_images(values)
         check_numbers(values)
         piece, count = self.piece_of(values, inverse=True), self.log_heights.shape[1]
@@ -105,7 +105,7 @@ class ToneCurve(nn.Module):
         return STARTS[self.start][1](x)
 
     def piece_of(self, x: Tensor, inverse: bool) -> Bin:
-        """The pieces that arguments, or if `inverse` values, lie in."""
+        """The pieces of the spline that contain arguments, or values if `inverse`."""
         count = self.log_heights.shape[1]
         heights, slopes = (part.to(x) for part in (self.log_heights.softmax(1), self.log_slopes.exp()))
         knots = torch.nn.functional.pad(heights.cumsum(1)[:, :-1], (1, 0))  # (C, K) where pieces begin
@@ -121,6 +121,6 @@ class ToneCurve(nn.Module):
 
 
 def _beyond(x: Tensor, first: Tensor, last: Tensor) -> Tensor:
-    """What a curve on [0, 1] adds outside, where it goes on with the slopes at its ends."""
+    """The linear continuation of a curve on [0, 1] beyond its ends, with the slopes there."""
     # Not by clamping x, whose derivative at exactly 0, where much is black, would count twice.
     return torch.where(x < 0, x * first, torch.where(x > 1, (x - 1) * last, torch.zeros_like(x)))

@@ -1,4 +1,4 @@
-"""Plugins: their base, categories, registry and schemas, and the errors of a scene description."""
+"""Plugins: their base classes, categories, registry and schemas, and the errors of scene descriptions."""
 
 from torch_radbp.plugin.base import (
     BSDF,

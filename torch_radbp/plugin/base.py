@@ -1,4 +1,4 @@
-"""The base of all plugins, and of those of each category.
+"""The base class of all plugins, and the base class of each category.
 
 A plugin is an `nn.Module` registered under a category and a Mitsuba type name. The keyword-only signature of its
 constructor is its schema: the loader, `radbp info` and the writer read attribute names, annotations and defaults from there.
@@ -20,14 +20,14 @@ from torch_radbp.plugin.values import integer, no_gradient
 
 
 class Plugin(nn.Module):
-    """Base of all plugins; `id` is the name given in the scene description, or None."""
+    """Base class of all plugins; `id` is the name given in the scene description, or None."""
 
     category: str = ""
     type: str = ""
-    object_of_any_name: str | None = None  # the attribute for a nested texture whose name says nothing
-    takes_modules = False  # in the place of its textures
-    in_scene = False  # made, with all attributes that it will have
-    instead_of_objects: str | None = None  # what to do where an object is given that Mitsuba takes and this does not
+    object_of_any_name: str | None = None  # attribute for a nested texture under any other name
+    takes_modules = False  # plain modules may be given for its textures
+    in_scene = False  # True once it is part of a scene, with all its attributes
+    instead_of_objects: str | None = None  # advice for an object that Mitsuba takes here and this plugin does not
 
     def __init__(self) -> None:
         super().__init__()
@@ -46,16 +46,16 @@ class Plugin(nn.Module):
         super().__setattr__(name, value)
 
     def share(self, name: str) -> None:
-        """Keeps the child `name` as a reference only, because it is registered (and named) elsewhere."""
+        """Keeps the child `name` without registering it, because it is registered (and named) elsewhere."""
         self.shared[name] = self._modules.pop(name)
 
     @classmethod
     def of_file(cls, arguments: dict[str, Any], note: Callable[[str], None]) -> dict[str, Any]:
-        """Arguments of the constructor as a file gives them, repaired where exporters round; `note` takes what was done."""
+        """Constructor arguments as a file gives them, with exporters' rounding repaired; `note` is told what was done."""
         return arguments
 
     def as_written(self, attribute: str) -> Any:
-        """The value of an attribute as a file of the scene has it."""
+        """The value of an attribute as it is written to a scene file."""
         return getattr(self, attribute)
 
     def domains(self) -> dict[str, Domain]:
@@ -75,7 +75,7 @@ class Plugin(nn.Module):
         self.register_parameter(name, value if live else nn.Parameter(value, requires_grad=False))
 
     def for_mitsuba(self) -> Plugin:
-        """What Mitsuba has in the place of this plugin, with its current values: as a rule itself.
+        """The plugin with current values that Mitsuba has in place of this one: as a rule itself.
 
         Raises:
             ValueError: names what Mitsuba lacks.
@@ -85,29 +85,29 @@ class Plugin(nn.Module):
 
 class Texture(Plugin):
     category = "texture"
-    tabulated = True  # its values are those of a table, `texels`
-    entries: str | None = None  # the parameter whose entries these values are; None: they are computed
-    of_module: typing.ClassVar[type[Texture]]  # makes a texture of a plain module: `NeuralTexture`
+    tabulated = True  # its values are entries of a table, `texels`
+    entries: str | None = None  # the parameter that has these entries; None: they are computed
+    of_module: typing.ClassVar[type[Texture]]  # class that makes a texture of a plain module: `NeuralTexture`
 
     def sources(self) -> tuple[Tensor, ...]:
-        """All tensors that its values are computed from, attached."""
+        """All tensors that the texture's values are computed from, attached."""
         return tuple(source for part in self.parts() for source in part.sources()) or (self.texels(),)
 
     def parts(self) -> tuple[Texture, ...]:
-        """The textures that its values are taken from; none: they are its own."""
+        """The textures that its values are read from; empty if they are its own."""
         return ()
 
     def jumps(self) -> tuple[JumpLines, ...]:
-        """The lines along which its values jump, all that it has on surfaces."""
+        """The lines of (u, v) along which its values are discontinuous."""
         return tuple(lines for part in self.parts() for lines in part.jumps())
 
     def resolution(self) -> tuple[int, int]:
-        """Height and width of the image, in texels."""
+        """Height and width of the texture's image, in texels."""
         height, width = self.texels().shape[:2]
         return height, width
 
     def check(self, name: str, domain: Domain) -> None:
-        """Raises ValueError unless its values, which messages call `name`, are in a domain."""
+        """Raises ValueError unless the texture's values, which messages call `name`, are in a domain."""
         for part in self.parts():
             part.check(name, domain)
         if not self.parts():
@@ -123,21 +123,21 @@ class Emitter(Plugin):
     category = "emitter"
 
     def up(self) -> Tensor | None:
-        """(3,) the world direction of its pole, of any length; None: it has none."""
+        """(3,) the world direction of the emitter's pole, of any length; None: it has none."""
         return None
 
 
 class Shape(Plugin):
     category = "shape"
-    whole = False  # it is one primitive in Mitsuba, whatever it is tessellated into
+    whole = False  # one primitive in Mitsuba, whatever it is tessellated into
 
 
 class Sensor(Plugin):
     category = "sensor"
-    up: tuple[float, float, float] | None = None  # of the world, if the data set that it is of says so
+    up: tuple[float, float, float] | None = None  # up direction of the world, if its data set says so
 
     def views(self) -> dict[str, Sensor]:
-        """The sensors that make an image each, by what is added to the name of this one."""
+        """The sensors that make one image each, by the suffix that is added to the name of this one."""
         return {"": self}
 
 
@@ -150,7 +150,7 @@ class ReconstructionFilter(Plugin):
 
 
 class Sampler(Plugin):
-    """Gives the samples of a pixel their random numbers.
+    """A sampler plugin: how the samples of a pixel get their random numbers.
 
     Args:
         sample_count: default number of samples per pixel.
@@ -171,7 +171,7 @@ class Integrator(Plugin):
     category = "integrator"
 
     def check(self, materials: Iterable[BSDF]) -> None:
-        """Warns if a scene of these materials is rendered differently from what the name of the integrator promises."""
+        """Warns if a scene with these materials is rendered otherwise than the integrator's name promises."""
 
 
 def plugin_categories(annotation: Any) -> list[str]:
@@ -181,15 +181,15 @@ def plugin_categories(annotation: Any) -> list[str]:
 
 
 def assigned(owner: Plugin, name: str, value: Any) -> Any:
-    """What the attribute `name` of a plugin becomes when `value` is assigned to it: a texture of a plain module.
+    """Converts a value that is assigned to a plugin's attribute: a plain module becomes a texture.
 
     Raises:
         AttributeError: if the plugin has no such attribute.
         TypeError: if the attribute holds a plugin, and the value cannot stand there.
     """
     if not hasattr(owner, name) and name != "parametrizations":
-        known = {*attributes(type(owner)), *owner._parameters, *owner._modules, *owner.shared}
-        raise AttributeError(f"{owner.type or type(owner).__name__} has no attribute {name!r}; {nearest(name, known)}")
+        names = {*attributes(type(owner)), *owner._parameters, *owner._modules, *owner.shared}
+        raise AttributeError(f"{owner.type or type(owner).__name__} has no attribute {name!r}; {nearest(name, names)}")
     schema = attributes(type(owner))
     expected = plugin_categories(schema[name].annotation) if name in schema else []
     if not expected or value is None:
@@ -197,16 +197,16 @@ def assigned(owner: Plugin, name: str, value: Any) -> Any:
     if isinstance(value, nn.Module) and not isinstance(value, Plugin) and "texture" in expected:
         value = Texture.of_module(value)
     if not isinstance(value, Plugin) or value.category not in expected:
-        found = "a texture" if isinstance(value, Texture) else f"a {type(value).__name__}"
+        got = "a texture" if isinstance(value, Texture) else f"a {type(value).__name__}"
         advice = {"bsdf": "; a network or another texture stands in a material, as .bsdf.reflectance",
                   "texture": "; numbers go into its parameter, as .reflectance.value.data"}.get(expected[0], "")
-        raise TypeError(f"{name} of {with_article(owner.type)} must be {with_article(expected[0])}, got {found}{advice}")
+        raise TypeError(f"{name} of {with_article(owner.type)} must be {with_article(expected[0])}, got {got}{advice}")
     if isinstance(value, Texture) and not value.tabulated and not owner.takes_modules:
         raise no_module(owner, name, value)
     return value
 
 
 def no_module(owner: Plugin, name: str, texture: Texture) -> TypeError:
-    """The error about a texture that is no table where only tables can stand."""
+    """The error about a texture with computed values where only tables can be used."""
     return TypeError(f"{name} of {type(owner).__name__} must be a colour or a bitmap, got a {type(texture).__name__}: a "
                      f"module can stand in the place of every texture of a material, and of a light on a surface, only")

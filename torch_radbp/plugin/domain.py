@@ -1,4 +1,4 @@
-"""`Domain`: the values that a parameter may have.
+"""`Domain`: the set of valid values of a parameter.
 
 Every plugin says for each of its parameters which they are (`Plugin.domains`). Its constructor checks them, and every
 rendering does (`torch_radbp.scene.parameters`).
@@ -23,22 +23,22 @@ SHORTEST_AXIS = 1e-11  # of a pose; `vec.normalize` leaves vectors shorter than 
 
 
 class Domain(NamedTuple):
-    """The values that a parameter may have. Constructors check them, and so does every rendering (`scene.parameters`)."""
+    """The set of valid values of a parameter. Constructors check it, and so does every rendering (`scene.parameters`)."""
 
     shapes: tuple[tuple[int | str, ...], ...] | None = None  # letters: any length of at least 1; None: any shape
     low: float = -math.inf
     high: float = math.inf
     low_is_in: bool = True
     high_is_in: bool = True
-    limit: float = math.inf  # of the magnitude, for the sake of float32
-    floor: float = -math.inf  # what is smaller may count as this, with the derivative there: optimizers leave the end again
+    limit: float = math.inf  # of the magnitude, so that float32 does not overflow
+    floor: float = -math.inf  # smaller values may count as this, with its derivative: optimizers can leave the end again
     is_reflectance: bool = False  # fractions of light; values above 1 make more light than arrives, and are warned of
     unit: str = ""
-    is_index: bool = False  # rows of a table, int64
-    is_pose: bool = False  # an affine transform that can be inverted
+    is_index: bool = False  # indices of rows of a table, int64
+    is_pose: bool = False  # an invertible affine transform
 
     def check(self, name: str, value: Tensor) -> None:
-        """Raises ValueError unless `value` is in the domain; NaN and infinity are in none."""
+        """Raises ValueError unless `value` is in the domain; NaN and infinity never are."""
         self.check_shape(name, value)
         value = value.detach()
         self.check_range(name, value, *torch.stack(value.aminmax()).tolist())
@@ -72,16 +72,16 @@ class Domain(NamedTuple):
             raise ValueError(f"{name} must be {self.words}, got {float(greatest):g}{advice}")
 
     def warn(self, name: str, greatest: float) -> None:
-        """Warns of a reflectance whose greatest value is above 1."""
+        """Warns of a reflectance above 1."""
         if self.is_reflectance and greatest > 1.0 + LEEWAY:
             warnings.warn(f"{name} has values above 1: the surface reflects more light than it gets, and paths that meet it "
                           f"often may grow without bound", UserWarning, stacklevel=2)
 
     @staticmethod
     def check_pose(name: str, matrix: Tensor) -> None:
-        """Raises ValueError unless a (4, 4) matrix is affine and can be inverted, in float32 too."""
+        """Raises ValueError unless a (4, 4) matrix is an invertible affine transform, in float32 too."""
         *rows, last = matrix.detach().tolist()  # a scene may have thousands: numbers are faster than tensors of 16
-        if max(abs(found - wanted) for found, wanted in zip(last, (0, 0, 0, 1))) > 1e-5:
+        if max(abs(entry - wanted) for entry, wanted in zip(last, (0, 0, 0, 1))) > 1e-5:
             raise ValueError(f"{name} must be affine: its last row must be 0 0 0 1, got {last}")
         (a, b, c), (d, e, f), (g, h, i) = linear = [row[:3] for row in rows]
         volume = abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g))
@@ -96,7 +96,7 @@ class Domain(NamedTuple):
 
     @property
     def words(self) -> str:
-        """The range in words that follow "must be"."""
+        """The range as words that follow "must be" in a message."""
         if self.high == math.inf:
             return f"{'at least' if self.low_is_in else 'greater than'} {self.low:g}{self.unit}"
         if self.low_is_in and self.high_is_in:
@@ -108,7 +108,7 @@ class Domain(NamedTuple):
 
 
 def fits(shape: tuple[int, ...], pattern: tuple[int | str, ...]) -> bool:
-    """True if a shape matches a pattern of lengths and letters."""
+    """True if a shape matches a pattern of lengths and letters, equal letters for equal lengths."""
     return len(shape) == len(pattern) and all(length == wanted if isinstance(wanted, int) else length > 0
                                               for length, wanted in zip(shape, pattern))
 

@@ -1,4 +1,4 @@
-"""The errors and warnings of a scene description, how messages list what is known, and where warnings point to."""
+"""The errors and warnings about scene descriptions."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ class SceneWarning(UserWarning):
     """A scene description that is read in another way than its author may have meant."""
 
 
-def nearest(name: str, known: Iterable[str], alike: float = 0.5) -> str:
-    """A sentence that lists the known names, the most similar first: those that are `alike`, 1 for the same."""
-    known = sorted(known)
-    close = difflib.get_close_matches(name, known, n=3, cutoff=alike)
+def nearest(name: str, names: Iterable[str], alike: float = 0.5) -> str:
+    """A sentence that lists known names, the most similar first: those whose similarity (1: equal) is at least `alike`."""
+    names = sorted(names)
+    close = difflib.get_close_matches(name, names, n=3, cutoff=alike)
     hint = f"did you mean {' or '.join(repr(c) for c in close)}? " if close else ""
-    return f"{hint}known: {', '.join(known) or 'none'}"
+    return f"{hint}known: {', '.join(names) or 'none'}"
 
 
 def with_article(noun: str) -> str:
-    """"an emitter", "a bsdf"."""
+    """The noun with its indefinite article: "an emitter", "a bsdf"."""
     return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 

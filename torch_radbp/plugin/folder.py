@@ -1,4 +1,4 @@
-"""Folders of plugins: a file in one is a plugin, and registers itself when it is imported."""
+"""Imports all plugin files of a folder, each of which registers itself."""
 
 from collections.abc import Iterable
 from importlib import import_module
@@ -6,6 +6,6 @@ from pkgutil import iter_modules
 
 
 def import_files(package: str, path: Iterable[str]) -> None:
-    """Imports every file of a package, of which `__name__` and `__path__` are given."""
+    """Imports every file of a package, given its `__name__` and `__path__`."""
     for file in iter_modules(path, f"{package}."):
         import_module(file.name)

@@ -1,4 +1,4 @@
-"""Lines along which the values of a texture jump."""
+"""Lines along which the values of a texture are discontinuous."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 
 class JumpLines(NamedTuple):
-    """Parallel lines of the surface coordinates (u, v): where x u + y v + z is an integer."""
+    """Parallel lines in the surface coordinates (u, v): where x u + y v + z is an integer."""
 
     x: float
     y: float
     z: float
-    first: float = -inf  # the integers are not less
-    last: float = inf  # nor greater
+    first: float = -inf  # the least of these integers
+    last: float = inf  # the greatest

@@ -1,4 +1,4 @@
-"""The registry of plugins by category and type name, and of those of Mitsuba that are absent."""
+"""The registry of plugins by category and type name, and of Mitsuba's plugins that are missing here."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from collections.abc import Callable, Iterator, MutableMapping
 from typing import TypeVar
 
 Class = TypeVar("Class", bound=type)
-PACKAGES = ("bsdf", "emitter", "film", "integrator", "sensor", "shape", "texture")  # their import registers plugins
+PACKAGES = ("bsdf", "emitter", "film", "integrator", "medium", "sensor", "shape", "texture")  # register plugins
 
 
 class PluginTypes(MutableMapping):
-    """The plugin classes of one category by type name; the package's own are imported when they are first asked for."""
+    """The plugin classes of one category by type name; the package's own are imported at first use."""
 
     def __init__(self) -> None:
         self.registered: dict[str, type] = {}
 
     def all(self) -> dict[str, type]:
-        """All registered classes by name; imports the package's plugins first."""
+        """All registered classes by name, after importing the package's plugins."""
         for package in PACKAGES:
             importlib.import_module(f"torch_radbp.{package}")
         return self.registered
@@ -48,16 +48,16 @@ ABSENT: dict[tuple[str, str], str] = {}  # plugins of Mitsuba that are not there
 
 
 def register(category: str, name: str) -> Callable[[Class], Class]:
-    """Class decorator that makes a plugin known to the loader as `category` / `name`."""
+    """Class decorator that registers a plugin as `category` / `name`."""
 
     def add(cls: Class) -> Class:
         cls.category, cls.type = category, name
-        REGISTRY[category][name] = cls
+        REGISTRY.setdefault(category, PluginTypes())[name] = cls
         return cls
 
     return add
 
 
 def absent(category: str, name: str, reason: str) -> None:
-    """Lets the loader say why it does not know a plugin of Mitsuba, and what to use in its place."""
+    """Registers why a plugin of Mitsuba is missing, and what to use in its place, for the loader's error."""
     ABSENT[category, name] = reason

@@ -37,7 +37,7 @@ class Attribute(NamedTuple):
 
 @cache
 def attributes(cls: type) -> dict[str, Attribute]:
-    """The schema of a plugin class: attribute name to annotation, default and whether it is required; not to be changed."""
+    """The schema of a plugin class, by attribute name; not to be changed."""
     hints = typing.get_type_hints(cls.__init__)
     schema = {}
     for name, parameter in inspect.signature(cls.__init__).parameters.items():

@@ -1,4 +1,4 @@
-"""Plain values that constructors are given: checked, and as tensors, integers, truth values."""
+"""Checks and conversions of the plain values that constructors are given."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NARROW = 2.0  # degrees; few views and beams are narrower, and many angles in ra
 
 
 def finite(name: str, value: Any, shape: tuple[int, ...] | None = None) -> Tensor:
-    """`value` as a float tensor, checked for shape and for NaN or infinity: an `nn.Parameter` itself, else a copy.
+    """`value` as a finite float tensor of the given shape: an `nn.Parameter` itself, else a copy.
 
     Raises:
         ValueError: if the shape differs, a value is complex or not finite, or the copy of a tensor would lose its gradient.
@@ -52,7 +52,7 @@ def finite(name: str, value: Any, shape: tuple[int, ...] | None = None) -> Tenso
 
 
 def no_gradient(name: str) -> ValueError:
-    """The error about a tensor that cannot become a parameter and would leave its gradient behind."""
+    """The error about a tensor with a gradient that would be lost when it becomes a parameter."""
     return ValueError(f"{name} requires a gradient, which would not reach it: only an nn.Parameter, of the dtype, shape and "
                       f"space in which the scene keeps it, becomes the scene's own parameter. Give one; or load the scene "
                       f"first and hand the tensor over by torch.func.functional_call or torch.nn.utils.parametrize")

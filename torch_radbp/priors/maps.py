@@ -1,4 +1,4 @@
-"""Priors of maps: that neighbouring texels are alike."""
+"""Priors of smooth or piecewise constant maps."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def smoothness(values: Tensor, wrap_rows: bool = False, wrap_columns: bool = Fal
 
 
 def _differences(values: Tensor, wrap_rows: bool, wrap_columns: bool) -> tuple[Tensor, Tensor]:
-    """(H, W, C) the texel below less each texel, and the one to the right less it; 0 where there is none."""
+    """(H, W, C) differences from each texel to the one below, and to the one on the right; 0 at a border without wrap."""
     if values.ndim != 3 or not values.is_floating_point() or values.numel() == 0:
         raise ValueError(f"values must be floats of shape (H, W, C), got {values.dtype} of {tuple(values.shape)}; of an "
                          f"image (C, H, W) take values.movedim(0, -1)")

@@ -1,4 +1,4 @@
-"""A prior of colours: that they are grey on average."""
+"""A prior of colours that are grey on average."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls 
 
 def _new_caster(name: str, vertices: Tensor, faces: Tensor, balls: Balls | None, instances: Instances | None,
                 last: RayCaster | None = None) -> RayCaster:
-    """The caster called `name`. Args: as for `make_caster`."""
+    """Builds the ray caster called `name`, as `make_caster` does, without instances in casters that know none."""
     if name not in CASTERS:
         raise ValueError(f"unknown ray caster {name!r}; known are {', '.join(map(repr, CASTERS))}")
     caster = getattr(importlib.import_module(f"torch_radbp.raycast.{name}"), CASTERS[name])
@@ -67,6 +67,6 @@ def _new_caster(name: str, vertices: Tensor, faces: Tensor, balls: Balls | None,
 
 
 def few(faces: Tensor, balls: Balls | None, instances: Instances | None) -> bool:
-    """True if triangles are so few that it is worth looking what they cost without a tree. Args: as for `make_caster`."""
+    """True if a mesh has so few triangles that casting without a tree may be cheaper. Args: as for `make_caster`."""
     seen = len(faces) if instances is None else instances.triangles()
     return seen - (0 if balls is None else TRIANGLES * len(balls.first)) <= MOST_TRIANGLES

@@ -1,4 +1,4 @@
-"""What loops over rays read of balls, see `shape.ball`."""
+"""The tables of tessellated spheres ("balls", see `shape.ball`) that the compiled ray casting loops read."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ LARGEST_STRETCH = 1e12  # of the map to the unit sphere, and its inverse; beyond
 
 
 class BallTables(NamedTuple):
-    """What loops over rays read of balls; numbers are of one dtype."""
+    """The tessellated spheres of a mesh, as the ray casting loops read them; all floats have one dtype."""
 
     placements: Tensor  # (B, 12) centre, and by rows the map from there to the unit sphere
-    triangles: Tensor  # (B, 2) int32, `first` and `turned`
+    triangles: Tensor  # (B, 2) int32, as `Ball.first` and `Ball.turned`
     count: Tensor  # () int64, B
     sectors: Tensor  # (SEGMENTS, 2) cosine and sine of the azimuth in the middle of a segment
     rings: Tensor  # (RINGS, 7) see `ring_table`
 
 
 def ball_tables(balls: Balls, dtype: torch.dtype) -> BallTables:
-    """The tables of some balls, for rays of a dtype."""
+    """Builds the `BallTables` of some balls for rays of a dtype."""
     placement = balls.placement.double()
     to_unit = torch.linalg.inv(placement[:, :3, :3])
     middle = (torch.arange(SEGMENTS, dtype=torch.float64) + 0.5) * (2 * math.pi / SEGMENTS)
@@ -53,7 +53,7 @@ def ring_table() -> Tensor:
 
 
 def castable(balls: Balls) -> Tensor:
-    """(B,) bool: balls that are neither so small nor so large that numbers overflow."""
+    """(B,) bool: balls whose size neither overflows nor underflows in a ray caster."""
     values = torch.linalg.svdvals(balls.placement[:, :3, :3].double())
     return (values > 1 / LARGEST_STRETCH).all(1) & (values < LARGEST_STRETCH).all(1)
 
@@ -61,7 +61,7 @@ def castable(balls: Balls) -> Tensor:
 def other_triangles(faces: Tensor, balls: Balls) -> tuple[Tensor, Tensor]:
     """The triangles of a mesh that belong to no ball, (G, 3), and their numbers in the mesh, (G,) int32.
 
-    Where there are none, the first triangle without its area.
+    If all belong to balls, the result is one degenerate triangle.
     """
     others = torch.ones(len(faces), dtype=torch.bool)
     others[(balls.first[:, None] + torch.arange(TRIANGLES)).long()] = False

@@ -1,4 +1,4 @@
-"""A batch of rays as LLVM's text: what is known of them, and which of them meet a box; see `batches.py`.
+"""A batch of rays as LLVM IR: the arrays that hold its rays, and the list of those that meet a box; see `batches.py`.
 
 A box is met if it is within rounding: by more than corners move that are seen along a ray.
 """
@@ -26,13 +26,15 @@ DONE = "-1.0"
 
 
 def begin(code: Vectors, balls: bool, columns: int, outputs: int) -> list[str]:
-    """Lays the head of a loop, up to the label `batch`, and gives the addresses of the inputs with an entry per lane."""
+    """Emits the head of a loop over batches, up to the label `batch`, and returns the addresses of the inputs of each
+    lane.
+    """
     code.lay("entry:")
     for number in range(outputs):
         code.lay(f"%out{number} = load ptr, ptr {code.at('ptr', '%outputs', number)}")
     for number, name in enumerate((*INPUTS, *(every_ball.INPUTS if balls else ())), columns):
         code.lay(f"%{name} = load ptr, ptr {code.at('ptr', '%inputs', number)}")
-    found = [code.load("ptr", "%inputs", number) for number in range(columns)]
+    columns_at = [code.load("ptr", "%inputs", number) for number in range(columns)]
     code.lay("%run_count = load i64, ptr %run_count_at", "%columns = load i64, ptr %columns_at",
              f"%scale = load {code.scalar}, ptr %scale_at")
     code.lay(f"%seen = alloca {code.numbers}, i64 {12 * MOST}, align 64")  # the corners of a run
@@ -46,30 +48,32 @@ def begin(code: Vectors, balls: bool, columns: int, outputs: int) -> list[str]:
     left = code.line("sub i64 %last, %base")
     code.lay(f"%count = call i64 @llvm.smin.i64(i64 {left}, i64 {BATCH})")
     code.declared["llvm.smin.i64"] = "declare i64 @llvm.smin.i64(i64, i64)"
-    return [code.at(code.scalar, column, "%base") for column in found]
+    return [code.at(code.scalar, column, "%base") for column in columns_at]
 
 
 def next_batch(code: Vectors) -> str:
-    """Lays the end of the loop and gives the text."""
+    """Emits the end of the loop over batches and returns the whole text."""
     code.lay("answered_all:", f"%base.next = add i64 %base, {BATCH}", "%base.more = icmp slt i64 %base.next, %last",
              "br i1 %base.more, label %batch, label %done", "done:", "ret void")
     return code.text()
 
 
 def loop(code: Vectors, name: str, before: str, step: int, *carried: str) -> None:
-    """Lays the head of a loop with the counter `%<name>.at`, which begins at 0 after the label `before`."""
+    """Emits the head of a loop with the counter `%<name>.at`, which begins at 0 after the label `before`."""
     code.lay(f"br label %{name}", f"{name}:", f"%{name}.at = phi i64 [ 0, %{before} ], [ %{name}.next, %{name}.end ]",
              *carried, f"%{name}.next = add i64 %{name}.at, {step}")
 
 
 def again(code: Vectors, name: str, end: str, then: str) -> None:
-    """Lays the end of a loop, and the label `then`, where it goes on when the counter has reached `end`, an i64."""
+    """Emits the end of a loop, and the label `then`, where execution goes on when the counter has reached `end`, an i64."""
     code.lay(f"br label %{name}.end", f"{name}.end:", f"%{name}.more = icmp slt i64 %{name}.next, {end}",
              f"br i1 %{name}.more, label %{name}, label %{then}", f"{then}:")
 
 
 def enter(code: Vectors, rays: RayVector, at: str, end: str | None) -> None:
-    """Stores what is known of a vector of rays at the place `at` of the batch; `end`: t where they end; None: nowhere."""
+    """Stores a vector of rays, in the form in which faces are tested, at the place `at` of the batch; `end`: their greatest
+    t, None: infinite.
+    """
     view, unit = view_along(code, rays)
     end = code.constant(INFINITY) if end is None else code.mul(end, unit)
     far = ZERO
@@ -79,9 +83,9 @@ def enter(code: Vectors, rays: RayVector, at: str, end: str | None) -> None:
     length = greatest(code, rays.d)
     over = [code.negated_where_negative(code.lesser(code.div(length, code.magnitude(component)),
                                                     code.number(STEEPEST)), component) for component in rays.d]
-    known = (*view.o, *view.slopes, unit, *over, code.mul(far, code.number(WIDER)),
-             code.choose(rays.valid, end, code.constant(DONE)))
-    for name, value in zip(NUMBERS, known):
+    values = (*view.o, *view.slopes, unit, *over, code.mul(far, code.number(WIDER)),
+              code.choose(rays.valid, end, code.constant(DONE)))
+    for name, value in zip(NUMBERS, values):
         code.store(code.numbers, value, code.at(code.scalar, f"%ray.{name}", at))
     code.store(code.integers, view.axis, code.at("i32", "%ray.axis", at))
     for name in ("prim", "ball"):
@@ -89,8 +93,8 @@ def enter(code: Vectors, rays: RayVector, at: str, end: str | None) -> None:
 
 
 def list_of_box(code: Vectors, name: str, number: str, before: str, count: str) -> None:
-    """Lays the loop that lists the rays that meet a box, `%<name>.listed` of them; goes on at `<before>.end` if none does,
-    else at `<before>.some`.
+    """Emits the loop that lists the rays of the batch that meet a box, `%<name>.listed` of them; goes on at `<before>.end`
+    if none does, else at `<before>.some`.
 
     Args:
         name: of the loop.
@@ -102,13 +106,13 @@ def list_of_box(code: Vectors, name: str, number: str, before: str, count: str) 
     numbers = [code.splat(code.load(code.scalar, box, number), code.scalar) for number in range(6)]
     at = f"%{name}.at"
     loop(code, name, before, code.width, f"%{name}.found = phi i64 [ 0, %{before} ], [ %{name}.listed, %{name}.end ]")
-    known = {column: code.line(f"load {code.numbers}, ptr {code.at(code.scalar, f'%ray.{column}', at)}")
-             for column in ("x", "y", "z", "over_x", "over_y", "over_z", "margin", "end")}
-    near, far = ZERO, known["end"]
+    loaded = {column: code.line(f"load {code.numbers}, ptr {code.at(code.scalar, f'%ray.{column}', at)}")
+              for column in ("x", "y", "z", "over_x", "over_y", "over_z", "margin", "end")}
+    near, far = ZERO, loaded["end"]
     for axis, centre, half in zip("xyz", numbers[:3], numbers[3:]):
-        over = known[f"over_{axis}"]
-        middle = code.mul(code.sub(centre, known[axis]), over)
-        reach = code.mul(code.add(half, known["margin"]), code.magnitude(over))
+        over = loaded[f"over_{axis}"]
+        middle = code.mul(code.sub(centre, loaded[axis]), over)
+        reach = code.mul(code.add(half, loaded["margin"]), code.magnitude(over))
         near, far = code.greater(near, code.sub(middle, reach)), code.lesser(far, code.add(middle, reach))
     met = code.compare(near, "ole", far)
     packed = code.compressed(code.counted(at), met)
@@ -120,13 +124,15 @@ def list_of_box(code: Vectors, name: str, number: str, before: str, count: str) 
 
 
 def listed_rays(code: Vectors, listed: str, at: str) -> tuple[str, str]:
-    """Flags of lanes that are rays of the list from a place on, and the places of these in the batch, i32."""
+    """The vector of rays that begins at one entry of a list: flags of lanes within the list, and the rays' places in the
+    batch, i32.
+    """
     mask = lanes_before(code, listed, at)
     rays = code.line(f"load {code.integers}, ptr {code.at('i32', '%list', at)}, align 4")
     return mask, code.choose(mask, rays, ZERO, "i32")
 
 
 def greatest(code: Vectors, vector: list[str]) -> str:
-    """The greatest magnitude of a component."""
+    """The greatest magnitude of the components of a vector."""
     x, y, z = map(code.magnitude, vector)
     return code.greater(code.greater(x, y), z)

@@ -1,4 +1,4 @@
-"""The two loops over lanes for small meshes, as LLVM's text: batches of rays against the runs of `runs.py`.
+"""The two ray casting loops for small meshes, as LLVM IR: batches of rays against the runs of `runs.py`.
 
 A tree spends most of its time on branches that a processor cannot foresee, and on vectors of rays of which few want to know
 what is looked at. Here a batch of some hundred rays takes the runs one by one: all are tested against the box of a run,
@@ -37,76 +37,76 @@ PICKED, FOLLOWING = 14, 4
 
 
 class Listed(NamedTuple):
-    """The rays of a list, a vector of them from a place in it on: few of the batch."""
+    """One vector of the rays of a batch that a list names, as those that meet a box."""
 
-    mask: str  # the lanes that are rays
+    mask: str  # flags of lanes within the list
     ray: str  # their places in the batch
 
     def view(self, code: Vectors) -> RayView:
-        """How they see points."""
+        """The view of points along these rays, gathered from the batch."""
         return RayView.of(code.gather("i32" if name in INTEGERS else code.scalar, f"%ray.{name}", self.ray) for name in VIEW)
 
     def end(self, code: Vectors) -> str:
-        """Where their search ends."""
+        """The greatest t of each ray, gathered from the batch; lanes beyond the list have one at which nothing is hit."""
         return code.choose(self.mask, code.gather(code.scalar, "%ray.end", self.ray), code.constant(DONE))
 
     def learn(self, code: Vectors, kind: str, name: str, value: str, where: str) -> None:
-        """Stores new values at those with a flag."""
+        """Scatters new values of a column into the batch, in lanes whose flag is set."""
         code.scatter(kind, value, f"%ray.{name}", self.ray, where)
 
 
 class Following(NamedTuple):
-    """Rays of the batch that follow each other, a vector from a place on, also those that are not in the list."""
+    """One vector of consecutive rays of a batch, whether or not they meet the box."""
 
     at: str
 
-    def known(self, code: Vectors, name: str) -> str:
-        """A column of what is known of them."""
+    def column(self, code: Vectors, name: str) -> str:
+        """Loads a column of the batch for these rays."""
         kind = "i32" if name in INTEGERS else code.scalar
         return code.line(f"load {code.vector(kind)}, ptr {code.at(kind, f'%ray.{name}', self.at)}")
 
     def view(self, code: Vectors) -> RayView:
-        """As of `Listed`."""
-        return RayView.of(self.known(code, name) for name in VIEW)
+        """The view of points along these rays, loaded from the batch."""
+        return RayView.of(self.column(code, name) for name in VIEW)
 
     def end(self, code: Vectors) -> str:
-        """As of `Listed`."""
-        return self.known(code, "end")
+        """The greatest t of each ray, loaded from the batch."""
+        return self.column(code, "end")
 
     def learn(self, code: Vectors, kind: str, name: str, value: str, where: str) -> None:
-        """As of `Listed`."""
-        code.store(code.vector(kind), code.choose(where, value, self.known(code, name), kind),
+        """Stores new values of a column into the batch, in lanes whose flag is set."""
+        code.store(code.vector(kind), code.choose(where, value, self.column(code, name), kind),
                    code.at(kind, f"%ray.{name}", self.at))
 
 
 def seen_face(code: Vectors, row: str, corners: int) -> list[list[str]]:
-    """The corners of a face of the run, as rays see them; `row`: of `Runs.faces`."""
-    found = []
+    """The corners of a face of a run in the rays' own coordinates; `row`: of `Runs.faces`."""
+    points = []
     for number in range(corners):
         corner = code.line(f"zext i32 {code.load('i32', row, number)} to i64")
         place = code.at(code.numbers, "%seen", code.line(f"mul i64 {code.line(f'sub i64 {corner}, %corner.first')}, 3"))
-        found.append([code.load(code.numbers, place, k) for k in range(3)])
-    return found
+        points.append([code.load(code.numbers, place, k) for k in range(3)])
+    return points
 
 
 def tested(code: Vectors, row: str, parallelogram: bool, end: str, any_hit: bool) -> tuple[str, str, str]:
-    """Flags of rays that hit a face, how far, and the triangle that is hit, i32."""
+    """Tests rays against one face: flags of those that hit it, their t, and the number of the triangle, i32."""
     first = code.splat(code.load("i32", row, 4), "i32")
     if parallelogram:
-        found, between = crossing_of_both(code, *seen_face(code, row, 4))
+        crossing, between = crossing_of_both(code, *seen_face(code, row, 4))
     else:
-        found = triangle_crossing(code, *seen_face(code, row, 3))
+        crossing = triangle_crossing(code, *seen_face(code, row, 3))
     if any_hit:
-        return struck(code, found, end), code.constant(DONE), first
-    hit, distance = closer(code, found, end)
+        return struck(code, crossing, end), code.constant(DONE), first
+    hit, distance = closer(code, crossing, end)
     if not parallelogram:
         return hit, distance, first
-    beyond = code.compare(code.negated_where_negative(between, found.total), "olt", ZERO)
+    beyond = code.compare(code.negated_where_negative(between, crossing.total), "olt", ZERO)
     return hit, distance, code.choose(beyond, code.splat(code.load("i32", row, 5), "i32"), first, "i32")
 
 
 def test_run(code: Vectors, name: str, rays: Listed | Following, before: str, any_hit: bool) -> None:
-    """Lays the test of a vector of rays against the faces of a run, from the label `before` to `<name>.tested`."""
+    """Emits the test of a vector of rays against all faces of a run, from the label `before` to `<name>.tested`."""
     view = rays.view(code)
 
     # See the corners of the run.
@@ -131,8 +131,8 @@ def test_run(code: Vectors, name: str, rays: Listed | Following, before: str, an
              f"{end} = phi {code.numbers} [ {first_end}, %{name}.{kind} ], [ {end}.next, %{face}.end ]",
              f"{prim} = phi {code.integers} [ splat (i32 -1), %{name}.{kind} ], [ {prim}.next, %{face}.end ]")
         row = code.at("[6 x i32]", "%faces", code.line(f"add i64 %face.first, %{face}.at"))
-        hit, found, number = tested(code, row, kind == "two", end, any_hit)
-        code.lay(f"{end}.next = select {code.flags} {hit}, {code.numbers} {found}, {code.numbers} {end}",
+        hit, distance, number = tested(code, row, kind == "two", end, any_hit)
+        code.lay(f"{end}.next = select {code.flags} {hit}, {code.numbers} {distance}, {code.numbers} {end}",
                  f"{prim}.next = select {code.flags} {hit}, {code.integers} {number}, {code.integers} {prim}")
         again(code, face, "%face.count", f"{name}.{kind}.all")
         code.lay(f"br label %{name}.tested")
@@ -147,7 +147,7 @@ def test_run(code: Vectors, name: str, rays: Listed | Following, before: str, an
 
 
 def _search(code: Vectors, before: str, count: str, any_hit: bool) -> None:
-    """Lays the search for what the rays of the batch meet, `count` of them, from the label `before` to `answer`."""
+    """Emits the search for hits of a batch of `count` rays in all runs, from the label `before` to `answer`."""
     loop(code, "run", before, 1)
     this, following = (code.at("[3 x i32]", "%firsts", run) for run in ("%run.at", "%run.next"))
     for which, name in enumerate(("face", "corner")):
@@ -172,7 +172,8 @@ def _search(code: Vectors, before: str, count: str, any_hit: bool) -> None:
 
 
 def search_balls(code: Vectors, before: str, count: str, columns: list[str], any_hit: bool) -> None:
-    """Lays the same search among balls, from `before` to `ball_answer`; their boxes come behind those of runs.
+    """Emits the search for hits of a batch of rays among balls, from `before` to `ball_answer`; boxes of balls follow those
+    of runs.
 
     Args:
         columns: addresses of what the lanes hold of their rays.
@@ -206,7 +207,9 @@ def search_balls(code: Vectors, before: str, count: str, columns: list[str], any
 
 
 def columns_at(code: Vectors, triangle: str, before: str) -> tuple[list[str], str]:
-    """The nine numbers of the corners of triangles, i32, one a lane; from the label `before` to the one that is given."""
+    """Loads the nine coordinates of the corners of one triangle (i32) per lane; emitted from the label `before` to the
+    returned one.
+    """
     starts = [code.at(code.scalar, "%by_triangle", code.line(f"mul i64 %columns, {number}")) for number in range(9)]
     if not code.permutes:
         return [code.gather(code.scalar, start, triangle) for start in starts], before
@@ -222,7 +225,7 @@ def columns_at(code: Vectors, triangle: str, before: str) -> tuple[list[str], st
 
 
 def closest_hit_of_batches(code: Vectors, balls: bool) -> str:
-    """The text of the loop for closest hits: prim, u, v and t of every lane; of several at one distance the first."""
+    """The LLVM IR of the closest-hit loop: prim, u, v and t of every lane; of several hits at one distance the first."""
     columns = begin(code, balls, columns=6, outputs=4)
 
     def rays_at(at: str) -> tuple[str, RayVector]:
@@ -240,16 +243,16 @@ def closest_hit_of_batches(code: Vectors, balls: bool) -> str:
     # Say where they are hit.
     loop(code, "locate", "ball_answer" if balls else "answer", code.width)
     batch = Following("%locate.at")
-    view, prim, unit = batch.view(code), batch.known(code, "prim"), batch.known(code, "unit")
-    found = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
-    numbers, label = columns_at(code, code.choose(found, prim, ZERO, "i32"), "locate")
+    view, prim, unit = batch.view(code), batch.column(code, "prim"), batch.column(code, "unit")
+    is_hit = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
+    numbers, label = columns_at(code, code.choose(is_hit, prim, ZERO, "i32"), "locate")
     corners = [view.sees(code, numbers[number:number + 3]) for number in (0, 3, 6)]
-    answers = (prim, *(code.choose(found, answer, ZERO) for answer in place_on(code, corners, unit)))
+    answers = (prim, *(code.choose(is_hit, answer, ZERO) for answer in place_on(code, corners, unit)))
     mask = lanes_before(code, "%count", "%locate.at")
     if balls:
         rays = rays_at("%locate.at")[1]
-        ball, row, column = (batch.known(code, name) for name in ("ball", "row", "column"))
-        t = batch.known(code, "t")
+        ball, row, column = (batch.column(code, name) for name in ("ball", "row", "column"))
+        t = batch.column(code, "t")
         t = code.choose(code.line(f"icmp sge {code.integers} {ball}, {ZERO}"), t, answers[3])
         others = [every_ball.numbers_in_mesh(code, prim), *answers[1:3]]
         answers = every_ball.placed(code, rays, (ball, row, column), t, others, label)
@@ -261,7 +264,7 @@ def closest_hit_of_batches(code: Vectors, balls: bool) -> str:
 
 
 def any_hit_of_batches(code: Vectors, balls: bool) -> str:
-    """The text of the loop for occlusion: 1 in every lane with a triangle at 0 < t <= tmax, else 0, as bytes.
+    """The LLVM IR of the occlusion loop: 1 in every lane with a triangle at 0 < t <= tmax, else 0, as bytes.
 
     Lanes without a segment cost next to nothing: the others come together.
     """

@@ -52,7 +52,9 @@ class Brute:
         return torch.cat(chunks).view(ray.o.x.shape)
 
     def _chunks(self, ray: Ray):
-        """Yields (rays as (lanes, 1) columns, slice of these lanes); one empty chunk if there are no lanes."""
+        """Yields chunks of the rays as (lanes, 1) columns, with the slice of lanes; one empty chunk if there are no
+        lanes.
+        """
         o, d = (vector.detach().map(lambda component: component.reshape(-1, 1)) for vector in ray)
         size = max(1, TABLE_BYTES // (len(self.faces) * torch.float64.itemsize))
         for start in range(0, max(1, len(o.x)), size):
@@ -63,13 +65,15 @@ class Brute:
         """The closest hit of the (lanes, 1) rays, as flat tensors."""
         t, u, v = self._crossings(ray)
         distance, prim = t.min(dim=1, keepdim=True)
-        found = (distance < torch.inf).squeeze(1)
+        is_hit = (distance < torch.inf).squeeze(1)
         zero = torch.zeros_like(distance).squeeze(1)
-        u, v, t = (torch.where(found, column.gather(1, prim).squeeze(1), zero) for column in (u, v, t))
-        return Hit(torch.where(found, prim.squeeze(1), -1).to(torch.int32), u, v, t)
+        u, v, t = (torch.where(is_hit, column.gather(1, prim).squeeze(1), zero) for column in (u, v, t))
+        return Hit(torch.where(is_hit, prim.squeeze(1), -1).to(torch.int32), u, v, t)
 
     def _crossings(self, ray: Ray) -> tuple[Tensor, Tensor, Tensor]:
-        """The crossings of lines with triangles, (lanes, F): t, infinite unless that is a hit, and the weights u and v."""
+        """The crossings of all rays with all triangles' planes, (lanes, F): t, infinite for a miss, and the barycentric u
+        and v.
+        """
         dtype, (o, d) = ray.o.x.dtype, (vector.map(torch.Tensor.double) for vector in ray)
         corners = self.vertices.double()[self.faces.long()]
         a, b, c = (Vec3.of(corners[:, corner]) - o for corner in range(3))

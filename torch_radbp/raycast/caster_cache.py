@@ -1,4 +1,4 @@
-"""The ray caster of the last rendering, and how to tell that it still serves."""
+"""The ray caster of the last rendering, and whether its triangles are still those of the scene."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from torch_radbp.tensors.vec import Vec3
 
 
 class CastTriangles(NamedTuple):
-    """The triangles of a scene, detached. These tensors are never written into."""
+    """The triangles of a scene as a ray caster is built from them, detached. These tensors are never written into."""
 
     p: Vec3  # (V,) positions
     corners: tuple[Tensor, Tensor, Tensor]  # (T,) int32 each, rows of `p`
-    balls: Balls | None  # among them
-    instances: Instances | None = None  # of some of them
+    balls: Balls | None  # the triangles that tessellate spheres
+    instances: Instances | None = None  # of groups of these triangles
 
     def equals(self, other: CastTriangles) -> bool:
-        """True if the other has the same triangles."""
+        """True if the other record has the same triangles."""
         mine, others = ((*mesh.p, *mesh.corners, *(mesh.balls or ()), *(mesh.instances or ())) for mesh in (self, other))
         return len(mine) == len(others) and all(map(same_values, mine, others))
 
@@ -32,7 +32,7 @@ class CastTriangles(NamedTuple):
 
 
 class CachedCaster(NamedTuple):
-    """A ray caster and what it was made of."""
+    """A ray caster and the triangles that it was built from."""
 
     caster: RayCaster
     mesh: CastTriangles

@@ -27,7 +27,8 @@ CPU = torch.device("cpu")
 
 
 class DirectCaster:
-    """A `RayCaster` for tensors on the CPU, in the dtype of the rays. What a ray costs, in tests of a triangle, is `cost`.
+    """A `RayCaster` without a tree, for small meshes on the CPU, in the dtype of the rays. `cost`: of a ray, in tests of a
+    triangle.
 
     No ray slips between two triangles that share an edge, or whose corners are in the same places. A copied or unpickled
     caster counts its rays from zero.
@@ -77,7 +78,7 @@ class DirectCaster:
         return hidden
 
     def _run(self, loop: Callable, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
-        """Runs a loop of `batches` over all lanes."""
+        """Runs one of the loops of `batches` over all lanes."""
         dtype, lanes = columns[0].dtype, columns[0].numel()
         inputs = [*columns_of(columns, dtype), *self.tables(dtype, loop)]
         body = code_of_batches(loop, dtype, self.balls is not None).address
@@ -88,16 +89,16 @@ class DirectCaster:
         self.count(lanes)
 
     def count(self, rays: int) -> None:
-        """Counts rays that are cast."""
+        """Adds to the number of rays cast."""
         with self._counting:
             self.rays_cast += rays
 
     def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
-        """What the loops read beside rays of a dtype, as a `Recording` is given it."""
+        """The tables and addresses that the loops read beside the rays, in a form that a `Recording` takes."""
         return [*self.tables(dtype, batches.closest_hit_of_batches), *self.tables(dtype, batches.any_hit_of_batches)]
 
     def tables(self, dtype: torch.dtype, loop: Callable) -> tuple[Tensor, ...]:
-        """What a loop of `batches` reads of the mesh, for rays of a dtype."""
+        """The tables of the mesh that a loop of `batches` reads, for rays of a dtype."""
         if (dtype, loop) not in self._meshes:
             p = self.vertices.to(dtype)[self._others.long()]
             faces = self._faces._replace(points=self._faces.points.to(dtype))
@@ -113,14 +114,14 @@ class DirectCaster:
 
 @made_once
 def code_of_batches(loop: Callable, dtype: torch.dtype, balls: bool = False, width: int | None = None) -> MachineCode:
-    """A loop of `batches` for numbers of a dtype and vectors of a width; None: what the processor has."""
+    """Compiles a loop of `batches` for a dtype and a vector width; None: the processor's own width."""
     width = width or host_width() * torch.float32.itemsize // dtype.itemsize
     code = Vectors(width, "float" if dtype == torch.float32 else "double")
     return cached_code(loop(code, balls))
 
 
 def unit_of(vertices: Tensor) -> Tensor:
-    """() what coordinates are multiplied by to be in units of the mesh: a power of two.
+    """() the power of two that scales coordinates to about the extent of the mesh.
 
     Products of three coordinates then neither overflow nor underflow, and nothing is rounded.
     """

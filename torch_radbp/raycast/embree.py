@@ -59,10 +59,10 @@ class Embree:
         self.vertices = checked_vertices(vertices, device=CPU)
         self.faces = checked_faces(faces, len(self.vertices), device=CPU)
         self.balls, self.instances = balls, instances
-        own = self.faces if instances is None else self.faces[:int(instances.first_triangle[0])]
+        triangles = self.faces if instances is None else self.faces[:int(instances.first_triangle[0])]
         self._tables, numbers = [], None
         if balls is not None:
-            own, numbers = other_triangles(own, balls)
+            triangles, numbers = other_triangles(triangles, balls)
         self.rays_cast = 0
         self._counting = Lock()
         embree = library.load_embree()
@@ -70,21 +70,21 @@ class Embree:
         extent = self.vertices.amax(0) - self.vertices.amin(0) if instances is None else instances.extent(self.vertices)
         self._near = (packets.NEAR * extent.max()).float()
         device = Device() if instances is None or last is None else last.device
-        geometries = [TreeGeometry.of_triangles(device, self.vertices, own)] if len(own) else []
+        geometries = [TreeGeometry.of_triangles(device, self.vertices, triangles)] if len(triangles) else []
         self.groups: list[GroupTree] = []
         if instances is not None:
             self.groups = groups_of(device, self.vertices, self.faces, instances, [] if last is None else last.groups)
             places = instances.to_world.float().split(instances.first_instance.diff().tolist())
-            shown = [TreeGeometry.of_instances(device, group.tree, own) for group, own in zip(self.groups, places)]
+            shown = [TreeGeometry.of_instances(device, group.tree, poses) for group, poses in zip(self.groups, places)]
             geometries = [*shown, *geometries]  # Embree numbers them in this order
             self._tables = [torch.cat([torch.zeros(1), instances.first_triangle[:-1] - int(instances.first_triangle[0])
-                                       + len(own)]).to(torch.int32),
+                                       + len(triangles)]).to(torch.int32),
                             torch.cat([torch.ones(1), instances.first_instance[:-1] + 1]).to(torch.int32)]
         if balls is not None:
             shown = torch.arange(0 if instances is None else int(instances.first_triangle[0]), len(self.faces))
             numbers = numbers if instances is None else torch.cat([numbers, shown.to(torch.int32)])
             self._tables += [*ball_tables(balls, torch.float32), numbers]
-        self.device, self._scene = device, Tree(device, geometries, len(own))
+        self.device, self._scene = device, Tree(device, geometries, len(triangles))
 
     def intersect(self, ray: Ray) -> Hit:
         check_lanes(ray, None, CPU)
@@ -101,12 +101,12 @@ class Embree:
         return hidden
 
     def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
-        """What the loops read beside rays of a dtype, as a `Recording` is given it."""
+        """The tables and addresses that the loops read beside the rays, in a form that a `Recording` takes."""
         return [self._intersect, self._occluded, self._scene.handle, self._near.data_ptr(),
                 *(table.data_ptr() for table in self._tables)]
 
     def _run(self, loop: Callable, query: int, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
-        """Runs a loop of `queries` over all lanes."""
+        """Runs one of the loops of `queries` over all lanes."""
         lanes = columns[0].numel()
         columns = columns_of(columns, torch.float32)
         read = [query, self._scene.handle, self._near.data_ptr(), *(table.data_ptr() for table in self._tables)]
@@ -120,7 +120,7 @@ class Embree:
         self.count(lanes)
 
     def count(self, rays: int) -> None:
-        """Counts rays that are cast."""
+        """Adds to the number of rays cast."""
         with self._counting:
             self.rays_cast += rays
 
@@ -130,6 +130,6 @@ class Embree:
 
 @made_once
 def code_of_packets(loop: Callable, balls: bool, instances: bool = False) -> MachineCode:
-    """A loop of `queries` over packets."""
+    """Compiles a loop of `queries` for Embree's packets of rays."""
     kernel = packets.OF_INSTANCES if instances else packets.KERNEL
     return cached_code(loop(Vectors(packets.WIDTH, "float"), every_ball.beside(kernel) if balls else kernel))

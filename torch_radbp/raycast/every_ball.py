@@ -1,4 +1,4 @@
-"""Meetings of vectors of rays with balls, beside what another kernel does with the other triangles, as LLVM's text.
+"""Intersections of vectors of rays with tessellated spheres, added to another kernel for the other triangles, as LLVM IR.
 
 Every ray is tested against the spheres around all balls. Then each meets the ball of the nearest sphere, whichever that is,
 until it hits a ball before the next sphere.
@@ -30,39 +30,41 @@ STEPS = 12  # rays that graze a ball may turn in circles, by rounding
 
 
 class Local(NamedTuple):
-    """A vector of rays relative to one ball: the unit sphere at the origin."""
+    """A vector of rays in the frame of one ball, where its sphere is the unit sphere at the origin."""
 
     o: list[str]
     d: list[str]
 
     def at(self, code: Vectors, t: str) -> list[str]:
-        """The points at distances `t`."""
+        """The points on the rays at distances `t`."""
         return [code.add(o, code.mul(d, t)) for o, d in zip(self.o, self.d)]
 
 
 class SphereCrossing(NamedTuple):
-    """Where rays meet the sphere around a ball."""
+    """Where rays enter and leave the sphere around a ball."""
 
-    start: str  # of the search for the ball: where the ray enters, or 0 if its origin is near
-    leave: str
-    near: str  # flags: the origin is inside, or near
-    met: str  # flags: it lies ahead
+    start: str  # t at which the search for the facet starts: where the ray enters, or 0 if its origin is near
+    leave: str  # t at which the ray leaves
+    near: str  # flags: the origin is inside the sphere, or near
+    met: str  # flags: the sphere lies ahead
 
 
 class Nearest(NamedTuple):
-    """The ball that each ray is to meet next."""
+    """The next ball along each ray."""
 
-    number: str  # i32; 0 where there is none
-    some: str  # flags
+    number: str  # i32, of the ball; 0 where there is none
+    some: str  # flags: there is one
 
 
 def beside(kernel: CasterKernel) -> CasterKernel:
-    """A kernel for balls and for the other triangles, which `kernel` sees under numbers of their own."""
+    """A kernel that casts rays against balls and, by `kernel`, against the other triangles, which are numbered by
+    themselves.
+    """
 
     def closest(code: Vectors, rays: RayVector) -> tuple[str, ...]:
         prim, u, v, t, *instance = kernel.closest(code, rays)
-        found, prim = code.line(f"icmp sge {code.integers} {prim}, {ZERO}"), numbers_in_mesh(code, prim)
-        farthest = code.choose(found, t, code.choose(rays.valid, code.constant(INFINITY), ZERO))
+        is_hit, prim = code.line(f"icmp sge {code.integers} {prim}, {ZERO}"), numbers_in_mesh(code, prim)
+        farthest = code.choose(is_hit, t, code.choose(rays.valid, code.constant(INFINITY), ZERO))
         answer = closest_ball(code, rays, (farthest, prim, u, v))
         kept = code.line(f"icmp eq {code.integers} {prim}, {answer[0]}")  # balls are in no group
         return *answer, *(code.choose(kept, shown, ZERO, "i32") for shown in instance)
@@ -79,18 +81,20 @@ def beside(kernel: CasterKernel) -> CasterKernel:
 
 
 def prepare(code: Vectors) -> None:
-    """Lays what comes before the loop."""
+    """Emits what comes before the loop."""
     code.lay("%ball_count = load i64, ptr %ball_count_at", f"%starts = alloca {code.numbers}, i64 %ball_count")
 
 
 def numbers_in_mesh(code: Vectors, prim: str) -> str:
-    """The numbers in the mesh of triangles that were found among the others; -1 stays."""
-    found = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
-    return code.choose(found, code.gather("i32", "%numbers", prim, found), prim, "i32")
+    """Maps the numbers of triangles that are no ball's to their numbers in the mesh; -1 (a miss) stays."""
+    is_hit = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
+    return code.choose(is_hit, code.gather("i32", "%numbers", prim, is_hit), prim, "i32")
 
 
 def closest_ball(code: Vectors, rays: RayVector, before: tuple[str, str, str, str]) -> tuple[str, str, str, str]:
-    """prim, u, v and t of the closest hit of balls, or of what was found before: t, which bounds the search, prim, u, v."""
+    """prim, u, v and t of the closest hit among balls and a hit that is given: its t, which bounds the search, prim, u and
+    v.
+    """
     farthest, *others = before
     carried = [("ball.t", code.numbers, farthest),
                *((f"ball.{name}", code.integers, "splat (i32 -1)") for name in ("met", "row", "column"))]
@@ -104,7 +108,7 @@ def closest_ball(code: Vectors, rays: RayVector, before: tuple[str, str, str, st
 
 def placed(code: Vectors, rays: RayVector, met: tuple[str, str, str], t: str, others: list[str], before: str
            ) -> tuple[str, str, str, str]:
-    """prim, u, v and t of rays, from what they have met at `t`.
+    """prim, u, v and t of rays that hit a facet of a ball, or another triangle, at distance `t`.
 
     Args:
         met: i32, the ball, negative where it is none, and row and column of its facet.
@@ -115,17 +119,17 @@ def placed(code: Vectors, rays: RayVector, met: tuple[str, str, str], t: str, ot
     on_ball = code.line(f"icmp sge {code.integers} {ball}, {ZERO}")
     branch_if_any(code, on_ball, "place", "placed")
     ball, row, column = (code.choose(on_ball, number, ZERO, "i32") for number in (ball, row, column))
-    found = place_on_facet(code, local_of(code, rays, Nearest(ball, on_ball)).at(code, t), ball, row, column)
+    answers = place_on_facet(code, local_of(code, rays, Nearest(ball, on_ball)).at(code, t), ball, row, column)
     kinds = ("i32", code.scalar, code.scalar)
-    found = [code.choose(on_ball, *values, kind) for *values, kind in zip(found, others, kinds)]
+    answers = [code.choose(on_ball, *values, kind) for *values, kind in zip(answers, others, kinds)]
     code.lay("br label %placed", "placed:")
     prim, u, v = (code.line(f"phi {code.vector(kind)} [ {old}, %{before} ], [ {new}, %place ]")
-                  for old, new, kind in zip(others, found, kinds))
+                  for old, new, kind in zip(others, answers, kinds))
     return prim, u, v, code.choose(code.line(f"icmp sge {code.integers} {prim}, {ZERO}"), t, ZERO)
 
 
 def any_ball(code: Vectors, rays: RayVector, before: str, tmax: str) -> str:
-    """Flags of rays that were met before, or meet a ball at 0 < t <= tmax."""
+    """Flags of rays that are flagged already, or hit a ball at 0 < t <= tmax."""
     begin_search(code, rays, [("left", code.numbers, code.choose(before, ZERO, tmax))])
     hit, _, _ = meet_nearest(code, rays, next_ball(code, "%left"), "%left")
     code.lay(f"%left.next = select {code.flags} {hit}, {code.numbers} {ZERO}, {code.numbers} %left",
@@ -134,7 +138,8 @@ def any_ball(code: Vectors, rays: RayVector, before: str, tmax: str) -> str:
 
 
 def begin_search(code: Vectors, rays: RayVector, carried: list[tuple[str, str, str]]) -> None:
-    """Lays a loop that stores in `%starts` where rays enter spheres, and the head of the loop in which each meets the balls.
+    """Emits a loop that stores in `%starts` where rays enter each sphere, and the head of the loop that visits spheres in
+    that order.
 
     Args:
         carried: name, type and first value of what goes from turn to turn.
@@ -155,7 +160,7 @@ def begin_search(code: Vectors, rays: RayVector, carried: list[tuple[str, str, s
 
 
 def next_ball(code: Vectors, end: str) -> Nearest:
-    """Lays the search for the nearest sphere beyond `%past`; goes on at `all_balls` if no ray has one, else at `meet`.
+    """Emits the search for the nearest sphere beyond `%past`; goes on at `all_balls` if no ray has one, else at `meet`.
 
     Args:
         end: where spheres must begin at the most; 0: none is wanted.
@@ -179,21 +184,21 @@ def next_ball(code: Vectors, end: str) -> Nearest:
 
 
 def seen_from_ball(code: Vectors, rays: RayVector, placement: list[str]) -> Local:
-    """Rays relative to balls, of which the 12 numbers of `ball.Tables.placements` are given."""
+    """Transforms rays into the frames of balls; `placement`: their rows of `BallTables.placements`."""
     rows = [placement[3:6], placement[6:9], placement[9:12]]
     away = [code.sub(o, centre) for o, centre in zip(rays.o, placement)]
     return Local([code.dot(row, away) for row in rows], [code.dot(row, rays.d) for row in rows])
 
 
 def local_of(code: Vectors, rays: RayVector, ball: Nearest) -> Local:
-    """Each ray relative to its ball."""
+    """Transforms each ray into the frame of its next ball."""
     place = code.line(f"mul {code.integers} {ball.number}, splat (i32 12)")
     return seen_from_ball(code, rays, [code.gather(code.scalar, "%placements", plus(code, place, number), ball.some)
                                        for number in range(12)])
 
 
 def meet_sphere(code: Vectors, local: Local) -> SphereCrossing:
-    """Where rays enter and leave the sphere around a ball: half a chord from the point closest to its centre."""
+    """Intersects rays with the spheres around their balls: half a chord from the point closest to the centre."""
     o, d = local
     one = code.constant("1.0")
     shorter = code.div(one, code.dot(d, d))
@@ -209,13 +214,13 @@ def meet_sphere(code: Vectors, local: Local) -> SphereCrossing:
 
 
 def meet_nearest(code: Vectors, rays: RayVector, ball: Nearest, end: str) -> tuple[str, str, Facet]:
-    """The meeting of each ray with a ball of its own; args and results as for `meet_ball`."""
+    """Intersects each ray with the next ball along it; args and results as for `meet_ball`."""
     local = local_of(code, rays, ball)
     return meet_ball(code, local, meet_sphere(code, local), ball.some, end)
 
 
 def meet_ball(code: Vectors, local: Local, sphere: SphereCrossing, some: str, end: str) -> tuple[str, str, Facet]:
-    """Lays the meeting of rays with balls; up to the label `settled`.
+    """Emits the intersection of rays with the facets of balls, up to the label `settled`.
 
     Args:
         local: the rays, each relative to its ball.
@@ -243,15 +248,15 @@ def meet_ball(code: Vectors, local: Local, sphere: SphereCrossing, some: str, en
     facet = facet_of(code, local.at(code, "%reached"), "%meeting")
     slope = code.dot(facet.n, local.d)
     falls = code.compare(code.choose("%out", code.negative(slope), slope), "olt", ZERO)
-    same = code.both(code.line(f"icmp eq {code.integers} {facet.row}, %row"),
-                     code.line(f"icmp eq {code.integers} {facet.column}, %column"))
+    unchanged = code.both(code.line(f"icmp eq {code.integers} {facet.row}, %row"),
+                          code.line(f"icmp eq {code.integers} {facet.column}, %column"))
     crossing = code.div(code.sub(one, code.dot(facet.n, local.o)), slope)
     code.lay(f"%row.next = add {code.integers} {facet.row}, {ZERO}",
              f"%column.next = add {code.integers} {facet.column}, {ZERO}",
              f"%meeting.next = and {code.flags} %meeting, {falls}",
-             f"%further = select {code.flags} {same}, {code.numbers} %reached, {code.numbers} {crossing}",
+             f"%further = select {code.flags} {unchanged}, {code.numbers} %reached, {code.numbers} {crossing}",
              "%steps.next = add i64 %steps, 1")
-    moving = code.both("%meeting.next", code.line(f"xor {code.flags} {same}, splat (i1 true)"))
+    moving = code.both("%meeting.next", code.line(f"xor {code.flags} {unchanged}, splat (i1 true)"))
     left = code.line(f"icmp ne i64 {code.bits(moving)}, 0")
     again = code.line(f"and i1 {left}, {code.line(f'icmp slt i64 %steps, {STEPS}')}")
     code.lay(f"br i1 {again}, label %step, label %settled", "settled:")
@@ -260,7 +265,7 @@ def meet_ball(code: Vectors, local: Local, sphere: SphereCrossing, some: str, en
 
 
 def branch_if_any(code: Vectors, flags: str, to: str, otherwise: str) -> None:
-    """Goes to a label, which follows, if any flag is set."""
+    """Emits a branch to `to` if any flag is set; that label follows."""
     code.lay(f"br i1 {code.line(f'icmp ne i64 {code.bits(flags)}, 0')}, label %{to}, label %{otherwise}", f"{to}:")
 
 

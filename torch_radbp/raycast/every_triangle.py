@@ -1,4 +1,4 @@
-"""Tests of triangles against a vector of rays, as LLVM's text for any width and type of numbers.
+"""Ray-triangle tests for a vector of rays, as LLVM IR for any width and floating-point type.
 
 The corners of the mesh are first seen along the rays: relative to the ray's origin, and sheared so that the ray runs along
 its greatest axis at x = y = 0. Each corner is moved once for all of its triangles. The edge function x0 y1 - x1 y0 has its
@@ -21,20 +21,20 @@ ALONG_X, ALONG_Y, BACKWARDS = 1, 2, 4  # flags of `RayView.axis`
 
 
 class RayView(NamedTuple):
-    """How a vector of rays sees points that are given in units of the mesh."""
+    """A vector of rays, ready to transform points (in units of the mesh) into each ray's sheared coordinates."""
 
     o: list[str]  # the origins
-    slopes: list[str]  # what rays go along the two other axes while they go 1 along theirs, negative
-    axis: str  # i32, flags: along which they run
+    slopes: list[str]  # minus the ray's slopes along the two other axes, per unit of the main axis
+    axis: str  # i32, flags: the main axis of each ray, the greatest component of its direction
 
     @classmethod
     def of(cls, numbers: Iterable[str]) -> RayView:
-        """From the names of all six, one after the other."""
+        """The record from the names of its six values, one after the other."""
         x, y, z, first, second, axis = numbers
         return cls([x, y, z], [first, second], axis)
 
     def sees(self, code: Vectors, p: list[str]) -> list[str]:
-        """x, y and the distance along the axis of points."""
+        """Transforms points into the rays' sheared coordinates: x, y and the distance along the main axis."""
         away = [code.sub(number, origin) for number, origin in zip(p, self.o)]
         along_x, along_y = (flagged(code, self.axis, flag) for flag in (ALONG_X, ALONG_Y))
         along = code.choose(along_x, away[0], code.choose(along_y, away[1], away[2]))
@@ -45,13 +45,12 @@ class RayView(NamedTuple):
 
 
 def flagged(code: Vectors, integers: str, flag: int) -> str:
-    """Flags of lanes whose integer has a flag."""
+    """Flags of lanes whose integer has the bit `flag` set."""
     return code.line(f"icmp ne {code.integers} {code.line(f'and {code.integers} {integers}, splat (i32 {flag})')}, {ZERO}")
 
 
 def view_along(code: Vectors, rays: RayVector) -> tuple[RayView, str]:
-    """How rays see points, and the length of 1 along them in units of the mesh: they run along the greatest component of
-    their direction."""
+    """The view of points along rays, and the length of 1 along the main axis in units of the mesh."""
     d = rays.d
     x, y, z = (code.magnitude(component) for component in d)
     along_x = code.both(code.compare(x, "oge", y), code.compare(x, "oge", z))
@@ -73,45 +72,45 @@ class Crossing(NamedTuple):
 
     edges: list[str]  # the edge functions: on which side of each edge
     total: str  # twice the area of the triangle, as rays see it
-    distance: str  # along the axis, times that
+    distance: str  # along the main axis, times `total`
 
 
 def triangle_crossing(code: Vectors, a: list[str], b: list[str], c: list[str]) -> Crossing:
-    """Of a triangle; the edge functions are of the edges opposite to the corners."""
+    """The crossing of rays with the plane of a triangle; each edge function is of the edge opposite to a corner."""
     edges = [code.determinant(c, b), code.determinant(a, c), code.determinant(b, a)]
     total = code.add(code.add(edges[0], edges[1]), edges[2])
     return Crossing(edges, total, code.dot(edges, [a[2], b[2], c[2]]))
 
 
 def crossing_of_both(code: Vectors, a: list[str], b: list[str], c: list[str], d: list[str]) -> tuple[Crossing, str]:
-    """Of the triangles a, b, c and a, c, d, which make up a parallelogram, and the edge function between them."""
+    """The crossing with a parallelogram of the triangles a, b, c and a, c, d, and the edge function of the diagonal."""
     half = triangle_crossing(code, a, b, c)
     return half._replace(edges=[half.edges[0], half.edges[2], code.determinant(d, c), code.determinant(a, d)]), half.edges[1]
 
 
 def _inside(code: Vectors, edges: list[str]) -> str:
-    """Flags of rays that pass through the face: no two edge functions have opposite signs."""
+    """Flags of rays that pass through a face: no two edge functions have opposite signs."""
     low, high = edges[0], edges[0]
     for edge in edges[1:]:
         low, high = code.lesser(low, edge), code.greater(high, edge)
     return code.either(code.compare(low, "oge", ZERO), code.compare(high, "ole", ZERO))
 
 
-def closer(code: Vectors, found: Crossing, end: str) -> tuple[str, str]:
-    """Flags of rays that hit a face before `end`, and how far."""
-    distance = code.div(found.distance, found.total)
+def closer(code: Vectors, crossing: Crossing, end: str) -> tuple[str, str]:
+    """Flags of rays that cross a face before `end`, and t of the crossing."""
+    distance = code.div(crossing.distance, crossing.total)
     before_end = code.both(code.compare(distance, "ogt", ZERO), code.compare(distance, "olt", end))
-    return code.both(_inside(code, found.edges), before_end), distance
+    return code.both(_inside(code, crossing.edges), before_end), distance
 
 
-def struck(code: Vectors, found: Crossing, end: str) -> str:
-    """Flags of rays that hit a face not beyond `end`."""
-    distance = code.negated_where_negative(found.distance, found.total)  # so is what it is compared to: no division
-    before_end = code.compare(distance, "ole", code.mul(end, code.magnitude(found.total)))
-    return code.both(_inside(code, found.edges), code.both(code.compare(distance, "ogt", ZERO), before_end))
+def struck(code: Vectors, crossing: Crossing, end: str) -> str:
+    """Flags of rays that cross a face at or before `end`."""
+    distance = code.negated_where_negative(crossing.distance, crossing.total)  # so is what it is compared to: no division
+    before_end = code.compare(distance, "ole", code.mul(end, code.magnitude(crossing.total)))
+    return code.both(_inside(code, crossing.edges), code.both(code.compare(distance, "ogt", ZERO), before_end))
 
 
 def place_on(code: Vectors, corners: list[list[str]], unit: str) -> tuple[str, str, str]:
-    """u, v and t where rays hit triangles; `unit`: the length of 1 along them."""
+    """Barycentric u and v, and t, of hits on triangles; `unit`: the length of 1 along the rays."""
     weights, total, distance = triangle_crossing(code, *corners)
     return code.div(weights[1], total), code.div(weights[2], total), code.div(code.div(distance, total), unit)

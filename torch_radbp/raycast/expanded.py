@@ -1,18 +1,20 @@
-"""Casters that know triangles only: each instance has its own, which is for tiny scenes."""
+"""Instances for casters that know only triangles, by copying the triangles of each instance: for tiny scenes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
+from torch_radbp.jit import LaneFunction
+from torch_radbp.jit.recording import recording
 from torch_radbp.raycast.protocol import Hit, Ray, RayCaster
 from torch_radbp.shape.placement import Instances, expanded
 
 
 class ExpandedCaster:
-    """A `RayCaster` over the triangles of a scene and of every instance in it, by a caster that knows no instances.
+    """A `RayCaster` that copies the triangles of every instance and casts rays by a caster that knows no instances.
 
     Args:
         make: makes that caster, of vertices and faces.
@@ -27,14 +29,39 @@ class ExpandedCaster:
 
     @property
     def rays_cast(self) -> int:
-        """Lanes handed over so far."""
+        """The number of rays cast so far."""
         return self.caster.rays_cast
 
     def intersect(self, ray: Ray) -> Hit:
-        hit = self.caster.intersect(ray)
-        met, prim = hit.prim >= 0, hit.prim.clamp_min(0)
-        return hit._replace(prim=torch.where(met, self.triangle[prim], -1),
-                            instance=torch.where(met, self.instance[prim], 0))
+        hit, shown = self.caster.intersect(ray), as_shown if recording() is None else AS_SHOWN
+        prim, instance = shown(self.triangle, self.instance, hit.prim)
+        return hit._replace(prim=prim, instance=instance)
 
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
         return self.caster.occluded(ray, tmax)
+
+    def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
+        """What a `Recording` is given beside rays of a dtype."""
+        return [self.triangle, self.instance, *self.caster.reads(dtype)]
+
+    def launch(self, *arguments) -> None:
+        """See `jit.launches.Caster`."""
+        self.caster.launch(*arguments)
+
+    def count(self, rays: int) -> None:
+        """Counts rays that are cast."""
+        self.caster.count(rays)
+
+
+def as_shown(triangle: Tensor, instance: Tensor, prim: Tensor) -> tuple[Tensor, Tensor]:
+    """The triangle of the scene and the instance that show what rays meet, (N,) int32 each.
+
+    Args:
+        triangle, instance: of each triangle that is met.
+        prim: (N,) int32, which of these; -1: none.
+    """
+    met, place = prim >= 0, prim.clamp_min(0)
+    return torch.where(met, triangle.index_select(0, place), -1), torch.where(met, instance.index_select(0, place), 0)
+
+
+AS_SHOWN = LaneFunction(as_shown, ("triangle", "instance"))

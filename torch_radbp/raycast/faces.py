@@ -1,4 +1,4 @@
-"""The faces of a small mesh: its triangles, of which two that make up a parallelogram are one, for `batches.py`.
+"""The faces of a small mesh for `batches.py`: pairs of triangles that make up a parallelogram become one face.
 
 Rooms, boxes and plates are made of rectangles. A ray has one plane to cross there, and four edges rather than six.
 """
@@ -16,14 +16,14 @@ CLOSE = 1e-6  # how far the fourth corner may be from where it belongs, of the d
 class MergedFaces(NamedTuple):
     """The P faces of F triangles, in the order of their first triangles."""
 
-    points: Tensor  # (N, 3) where corners are, each place once
-    corners: Tensor  # (P, 4) int64, which of them, all around; of a triangle the last is the first one again
+    points: Tensor  # (N, 3) distinct positions of corners
+    corners: Tensor  # (P, 4) int64, rows of `points` in order around the face; a triangle repeats its first
     prims: Tensor  # (P, 2) int32, the triangle of corners 0, 1, 2 and that of 0, 2, 3, which may be the same
     parallelogram: Tensor  # (P,) bool
 
 
 def faces_of(p: Tensor) -> MergedFaces:
-    """The faces of triangles.
+    """Merges pairs of triangles that make up parallelograms; other triangles remain faces by themselves.
 
     Two triangles are one face if either has the edge between them as its longest, nobody else has that edge as its longest,
     and their corners are, within rounding, those of a parallelogram.
@@ -57,10 +57,10 @@ def faces_of(p: Tensor) -> MergedFaces:
 
 
 def _places_of(points: Tensor) -> tuple[Tensor, Tensor]:
-    """What is different of (N, 3) points, and which of these each is, (N,) int64."""
+    """The distinct points among (N, 3), and the index of each point into them, (N,) int64."""
     place = 0
     for numbers in points.T:  # one by one: torch sorts rows slowly
-        known, number = torch.unique(numbers, return_inverse=True)
-        place = place * len(known) + number
-    known, place = torch.unique(place, return_inverse=True)
-    return points.new_empty(len(known), 3).index_copy(0, place, points), place
+        distinct, number = torch.unique(numbers, return_inverse=True)
+        place = place * len(distinct) + number
+    distinct, place = torch.unique(place, return_inverse=True)
+    return points.new_empty(len(distinct), 3).index_copy(0, place, points), place

@@ -1,4 +1,4 @@
-"""The facets of balls, where a line from the centre meets them, as LLVM's text; see `shape.ball`."""
+"""The facets of a tessellated sphere that lines from its centre meet, as LLVM IR; see `shape.ball`."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ ARC = (0.999999886, -0.33332597, 0.199859068, -0.141612294, 0.104989467, -0.0723
 
 
 class Facet(NamedTuple):
-    """The facets in the direction of points from the centre."""
+    """The facets of a unit sphere's tessellation that lie in given directions from the centre."""
 
-    row: str  # i32, of polar angles
-    column: str  # i32, of azimuths
-    n: list[str]  # n . x = 1 in its plane
+    row: str  # i32, by polar angle
+    column: str  # i32, by azimuth
+    n: list[str]  # the plane n . x = 1 of the facet
 
 
 def facet_of(code: Vectors, p: list[str], mask: str) -> Facet:
-    """The facets that lines from the centre through points meet."""
+    """The facets that lines from the centre through points `p` meet."""
     azimuth = angle(code, p[0], p[1])
     whole = code.sub(code.number(2 * math.pi), azimuth)
     azimuth = code.choose(code.compare(p[1], "olt", ZERO), whole, azimuth)
@@ -60,7 +60,7 @@ def angle(code: Vectors, x: str, y: str) -> str:
 
 
 def _polynomial(code: Vectors, coefficients: tuple[float, ...], x: str) -> str:
-    """The sum of coefficients times powers of x, from 0 up."""
+    """Evaluates a polynomial in `x`, with coefficients from the constant upwards."""
     value = code.number(coefficients[-1])
     for coefficient in reversed(coefficients[:-1]):
         value = code.add(code.mul(value, x), code.number(coefficient))
@@ -68,7 +68,7 @@ def _polynomial(code: Vectors, coefficients: tuple[float, ...], x: str) -> str:
 
 
 def cell(code: Vectors, angle: str, per_radian: float, count: int, mask: str) -> str:
-    """The number of the cell with an angle, i32 in [0, count); 0 where the mask is not set."""
+    """The index of the cell of an angle, i32 in [0, count); 0 where the mask is not set."""
     scaled = code.choose(mask, code.mul(angle, code.number(per_radian)), ZERO)
     # Of a float that is too great, or none, a processor would have to ask lane by lane.
     return code.line(f"fptosi {code.numbers} {code.lesser(scaled, code.number(count - 1))} to {code.integers}")
@@ -79,7 +79,7 @@ def plus(code: Vectors, integers: str, number: int) -> str:
 
 
 def place_on_facet(code: Vectors, p: list[str], ball: str, row: str, column: str) -> tuple[str, str, str]:
-    """prim, u and v of points on facets.
+    """prim, u and v of points on facets of balls.
 
     Args:
         p: the points, relative to the unit sphere.

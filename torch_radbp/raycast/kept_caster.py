@@ -1,4 +1,4 @@
-"""The ray caster that is kept from one rendering to the next."""
+"""The ray caster that is kept from one rendering to the next while the triangles stay the same."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ class KeptCaster:
     """
 
     def __init__(self) -> None:
-        self.known: CachedCaster | None = None
+        self.cached: CachedCaster | None = None
 
     def of(self, mesh: CastTriangles, name: str | None) -> RayCaster:
-        """That of the last rendering if it has the same triangles, else a new one, called `name`; see `make_caster`."""
-        known = self.known
-        if known is None or not known.mesh.equals(mesh):
+        """Returns the caster of the last rendering if its triangles are the same, else builds one by `make_caster`."""
+        cached = self.cached
+        if cached is None or not cached.mesh.equals(mesh):
             # Freed first, if no graph and no thread holds it; but for groups, which the new one may take over.
-            last = None if known is None or mesh.instances is None else known.caster
-            known = self.known = None
-            known = CachedCaster(make_caster(name, *mesh.stacked(), last), mesh)
-        self.known = known._replace(mesh=mesh)  # the next one may bring the very same tensors again
-        return known.caster
+            last = None if cached is None or mesh.instances is None else cached.caster
+            cached = self.cached = None
+            cached = CachedCaster(make_caster(name, *mesh.stacked(), last), mesh)
+        self.cached = cached._replace(mesh=mesh)  # the next one may bring the very same tensors again
+        return cached.caster

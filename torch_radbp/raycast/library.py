@@ -67,7 +67,7 @@ def library_path() -> Path:
 
 @functools.cache
 def load_embree() -> ctypes.CDLL:
-    """Embree with typed entry points. Its own dependencies (TBB) lie beside it, where the loader looks first."""
+    """Loads Embree with typed entry points. Its own dependencies (TBB) lie beside it, where the loader looks first."""
     library = ctypes.CDLL(str(library_path()))
     for name, (result, arguments) in PROTOTYPES.items():
         function = getattr(library, name)

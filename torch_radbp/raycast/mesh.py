@@ -1,4 +1,4 @@
-"""The border of ray casting: what a caster accepts as a mesh and as rays."""
+"""Checks and converts the meshes and rays that are handed to ray casters."""
 
 from __future__ import annotations
 
@@ -80,6 +80,6 @@ def check_lanes(ray: Ray, tmax: Tensor | None, device: torch.device) -> None:
 
 
 def columns_of(lanes: Iterable[Tensor], dtype: torch.dtype) -> list[Tensor]:
-    """Tensors of lanes as compiled loops read them: contiguous, of one dtype; copies only of those that are not."""
+    """Components of rays as the compiled loops read them, contiguous and of one dtype; copies only where needed."""
     return [column if column.dtype == dtype and column.is_contiguous() else column.detach().to(dtype).contiguous()
             for column in lanes]

@@ -1,4 +1,4 @@
-"""Vectors of rays as packets of Embree's, as LLVM's text.
+"""Vectors of rays as Embree's ray packets, as LLVM IR.
 
 Embree follows a packet as a whole if it is told that its rays are coherent, and ray by ray otherwise. Camera rays are two to
 three times as fast as a whole, rays after a diffuse bounce a third slower. So each packet is looked at: its rays are
@@ -30,7 +30,7 @@ NOTHING = "splat (i32 -1)"  # the geometry before any is hit; also: all bits of 
 
 
 def _prepare(code: Vectors) -> None:
-    """Lays a packet on the stack, aligned as Embree asks, with the rows that never change."""
+    """Emits a packet on the stack, aligned as Embree requires, with the rows that never change."""
     code.lay(f"%packet = alloca [{ROWS} x {code.integers}], align 64", f"%active = alloca {code.integers}, align 64")
     for number in range(ROWS):
         code.store(code.integers, NOTHING if number == MASK else ZERO, row(code, number))
@@ -40,17 +40,19 @@ def _prepare(code: Vectors) -> None:
 
 
 def row(code: Vectors, number: int) -> str:
-    """The address of a row of the packet."""
+    """The address of one field (a row of lanes) of the packet."""
     return code.at(code.numbers, "%packet", number)
 
 
 def get(code: Vectors, number: int, kind: str = "float") -> str:
-    """A row of the packet, numbers unless "i32" is asked for."""
+    """Loads one field of the packet, as floats unless `kind` is "i32"."""
     return code.line(f"load {code.vector(kind)}, ptr {row(code, number)}")
 
 
 def cast(code: Vectors, rays: RayVector, tfar: str) -> str:
-    """Fills the packet and hands it to Embree; the rays end at `tfar`. Gives an i1: they went as a whole."""
+    """Emits the filling of a packet and the call of Embree; rays end at `tfar`. Returns an i1: they were traced as
+    coherent.
+    """
     for first, components, harmless in ((ORIGIN, rays.o, ZERO), (DIRECTION, rays.d, code.constant("1.0"))):
         for number, component in enumerate(components, first):
             code.store(code.numbers, code.choose(rays.valid, component, harmless), row(code, number))
@@ -63,7 +65,7 @@ def cast(code: Vectors, rays: RayVector, tfar: str) -> str:
 
 
 def coherent(code: Vectors, rays: RayVector) -> str:
-    """An i1: all rays of the packet start near the first and point about where it points."""
+    """An i1: all rays of the packet start near the first ray and point in about its direction."""
     apart, length = distance_from_first(code, rays.o)[0], code.splat("%near", "float")
     near = code.compare(apart, "ole", length)
     apart, length = distance_from_first(code, rays.d)
@@ -73,7 +75,7 @@ def coherent(code: Vectors, rays: RayVector) -> str:
 
 
 def distance_from_first(code: Vectors, vector: list[str]) -> tuple[str, str]:
-    """By how much vectors differ from that of lane 0, and its length: sums of magnitudes."""
+    """The difference of vectors from that of lane 0, and the sum of its magnitudes."""
     first = [code.line(f"shufflevector {code.numbers} {component}, {code.numbers} poison, {code.integers} {ZERO}")
              for component in vector]
     apart = [code.magnitude(code.sub(component, one)) for component, one in zip(vector, first)]
@@ -82,23 +84,23 @@ def distance_from_first(code: Vectors, vector: list[str]) -> tuple[str, str]:
 
 
 def closest(code: Vectors, rays: RayVector) -> tuple[str, str, str, str]:
-    """prim, u, v and t of the closest hit, by rtcIntersect8."""
+    """prim, u, v and t of the closest hits, by rtcIntersect8."""
     together = cast(code, rays, code.constant(INFINITY))
-    found = code.line(f"icmp ne {code.integers} {get(code, GEOM_ID, 'i32')}, {NOTHING}")
-    on_edge = code.both(found, at_edge(code, get(code, U), get(code, V)))
+    is_hit = code.line(f"icmp ne {code.integers} {get(code, GEOM_ID, 'i32')}, {NOTHING}")
+    on_edge = code.both(is_hit, at_edge(code, get(code, U), get(code, V)))
     some = code.line(f"icmp ne i64 {code.bits(on_edge)}, 0")
     code.lay(f"%unsure = and i1 {together}, {some}", "br i1 %unsure, label %alone, label %sure", "alone:")
     code.store(code.numbers, code.choose(on_edge, code.constant(INFINITY), get(code, TFAR)), row(code, TFAR))
     code.store(code.integers, code.choose(on_edge, NOTHING, get(code, GEOM_ID, "i32"), "i32"), row(code, GEOM_ID))
     code.store(code.integers, code.line(f"sext {code.flags} {on_edge} to {code.integers}"), "%active")
     code.lay("store i32 0, ptr %arguments", QUERY, "br label %sure", "sure:")
-    found = code.line(f"icmp ne {code.integers} {get(code, GEOM_ID, 'i32')}, {NOTHING}")
-    prim = code.choose(found, get(code, PRIM_ID, "i32"), NOTHING, "i32")
-    return prim, *(code.choose(found, get(code, number), ZERO) for number in (U, V, TFAR))
+    is_hit = code.line(f"icmp ne {code.integers} {get(code, GEOM_ID, 'i32')}, {NOTHING}")
+    prim = code.choose(is_hit, get(code, PRIM_ID, "i32"), NOTHING, "i32")
+    return prim, *(code.choose(is_hit, get(code, number), ZERO) for number in (U, V, TFAR))
 
 
 def at_edge(code: Vectors, u: str, v: str) -> str:
-    """Flags of places so near an edge that Embree, which allows for rounding, may find them on both of its sides."""
+    """Flags of hits so near an edge that Embree, which allows for rounding, may report them on both of its sides."""
     w = code.sub(code.sub(code.constant("1.0"), u), v)
     first, second, third = (code.compare(weight, "ole", code.constant(repr(EDGE))) for weight in (u, v, w))
     return code.either(code.either(first, second), third)
@@ -111,18 +113,18 @@ def occluded(code: Vectors, rays: RayVector, tmax: str) -> str:
 
 
 def closest_of_instances(code: Vectors, rays: RayVector) -> tuple[str, str, str, str, str]:
-    """As `closest`, in a scene of triangles and of arrays of instances; and the instance, counted through all arrays.
+    """prim, u, v and t of the closest hits in a scene with instances, and the number of the instance.
 
     Embree counts both anew in each of its geometries: what comes before is read from two tables, first that of the
     triangles that no instance shows, whose geometry Embree calls -1.
     """
     prim, *place = closest(code, rays)
-    found = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
+    is_hit = code.line(f"icmp sge {code.integers} {prim}, {ZERO}")
     geometry = code.line(f"sub {code.integers} {get(code, INST_ID, 'i32')}, {NOTHING}")
-    before, first = (code.gather("i32", table, geometry, found) for table in ("%first_triangles", "%first_instances"))
-    prim = code.choose(found, code.line(f"add {code.integers} {prim}, {before}"), prim, "i32")
+    before, first = (code.gather("i32", table, geometry, is_hit) for table in ("%first_triangles", "%first_instances"))
+    prim = code.choose(is_hit, code.line(f"add {code.integers} {prim}, {before}"), prim, "i32")
     instance = code.line(f"add {code.integers} {get(code, INST_PRIM_ID, 'i32')}, {first}")
-    return prim, *place, code.choose(found, instance, ZERO, "i32")
+    return prim, *place, code.choose(is_hit, instance, ZERO, "i32")
 
 
 # Embree's function and scene, and the address of the distance within which origins are near.

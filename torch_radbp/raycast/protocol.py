@@ -16,11 +16,11 @@ class Hit(NamedTuple):
     u: Tensor  # barycentric weight of the second vertex, the ray's dtype; 0 on a miss
     v: Tensor  # barycentric weight of the third vertex
     t: Tensor  # in units of the length of d; 0 on a miss
-    instance: Tensor | None = None  # int32, that shows the triangle, from 1; 0: none, or a miss; None: the scene has none
+    instance: Tensor | None = None  # int32, the instance that was hit, from 1; 0: none, or a miss; None: the scene has none
 
 
 class RayCaster(Protocol):
-    """Detached queries against one triangle mesh, and the instances of parts of it: no result carries a derivative.
+    """Ray queries against one triangle mesh and its instances; results are detached.
 
     A caster never changes, so that graphs and threads may keep theirs while the scene goes on: moved geometry has another
     caster. A lane whose ray is not finite, or whose direction is zero, is no query: it misses, and disturbs no other lane.

@@ -1,4 +1,4 @@
-"""The two loops over lanes, closest hits and occlusion, as LLVM's text: all but what a caster does with a vector of rays."""
+"""The closest-hit and the occlusion loop over lanes, as LLVM IR, around a kernel that casts one vector of rays."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ INFINITY = "0x7FF0000000000000"
 
 
 class RayVector(NamedTuple):
-    """A vector of rays: names of numbers, and flags of the lanes that are rays."""
+    """A vector of rays in LLVM IR: the names of their components, and flags of the lanes that are valid rays."""
 
     o: list[str]
     d: list[str]
-    valid: str  # finite, with a direction, and asked for; what others hold is of no meaning
+    valid: str  # flags: finite, with a direction, and active; other lanes have no meaning
 
 
 class CasterKernel(NamedTuple):
-    """What a caster does with a vector of rays. Its functions lay their text where the last label was `cast`."""
+    """What a ray caster plugs into the loops: functions that emit IR for one vector of rays, after the label `cast`."""
 
-    inputs: tuple[str, ...]  # names of the addresses behind the columns
+    inputs: tuple[str, ...]  # names of the addresses that follow the columns of lanes
     prepare: Callable[[Vectors], None]  # what comes before the loop
     # prim (i32, -1 on a miss), u, v and t (0 on a miss); and where there are instances, which (i32, 0 on a miss).
     closest: Callable[[Vectors, RayVector], tuple[str, ...]]
@@ -30,7 +30,7 @@ class CasterKernel(NamedTuple):
 
 
 def _begin(code: Vectors, kernel: CasterKernel, columns: int, outputs: int) -> list[str]:
-    """Lays the head of a loop and gives the addresses of the inputs with an entry per lane; the outputs are `%out0`, ..."""
+    """Emits the head of a loop and returns the addresses of the inputs of each lane; the outputs are `%out0`, ..."""
     code.lay("entry:")
     for number in range(outputs):
         code.lay(f"%out{number} = load ptr, ptr {code.at('ptr', '%outputs', number)}")
@@ -41,13 +41,13 @@ def _begin(code: Vectors, kernel: CasterKernel, columns: int, outputs: int) -> l
 
 
 def lanes_before(code: Vectors, end: str, at: str) -> str:
-    """Flags of the lanes of the vector that starts at `at` and come before `end`; both i64."""
+    """Flags of lanes of the vector that starts at index `at` which come before `end`; both i64."""
     left = code.splat(code.line(f"sub i64 {end}, {at}"), "i64")
     return code.line(f"icmp slt {code.vector('i64')} {code.steps('i64')}, {left}")
 
 
 def rays_among_lanes(code: Vectors, columns: list[str], mask: str) -> RayVector:
-    """The rays among lanes: those that are finite and have a direction."""
+    """Loads a vector of rays from columns of lanes; rays that are not finite, or have no direction, are not valid."""
     o, d = columns[:3], columns[3:]
     zero_if_finite = ZERO
     for column in columns:
@@ -58,7 +58,7 @@ def rays_among_lanes(code: Vectors, columns: list[str], mask: str) -> RayVector:
 
 
 def closest_hit_of_packets(code: Vectors, kernel: CasterKernel) -> str:
-    """The text of the loop for closest hits: prim, u, v and t of every lane, and the instance if there are any."""
+    """The LLVM IR of the closest-hit loop: prim, u, v and t of every lane, and the instance if there are any."""
     kinds = ("i32", *[code.scalar] * 3, *["i32"] * kernel.instances)
     columns = _begin(code, kernel, columns=6, outputs=len(kinds))
     code.lay("br label %cast\ncast:\n%at = phi i64 [ %first, %entry ], [ %at.next, %answered ]")
@@ -74,7 +74,7 @@ def closest_hit_of_packets(code: Vectors, kernel: CasterKernel) -> str:
 
 
 def write_hidden(code: Vectors, hidden: str, lanes: str, then: str) -> None:
-    """Lays the loop that writes 1 into `%hidden` at those lanes whose flags are set, and then the label `then`.
+    """Emits the loop that writes 1 into `%hidden` at lanes whose flags are set, and then the label `then`.
 
     Args:
         hidden: the flags.
@@ -91,7 +91,7 @@ def write_hidden(code: Vectors, hidden: str, lanes: str, then: str) -> None:
 
 
 def any_hit_of_packets(code: Vectors, kernel: CasterKernel) -> str:
-    """The text of the loop for occlusion: 1 in every lane with a triangle at 0 < t <= tmax, else 0, as bytes.
+    """The LLVM IR of the occlusion loop: 1 in every lane with a triangle at 0 < t <= tmax, else 0, as bytes.
 
     Lanes without a segment cost next to nothing: the others queue up until they fill a vector.
     """

@@ -1,4 +1,4 @@
-"""Where a line crosses the plane of a triangle that is known, as exactly as the ray's dtype allows."""
+"""Intersects a ray with the plane of the triangle that a less exact query has hit, in the ray's dtype."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch_radbp.tensors.vec import Vec3, crossing, dot
 
 
 def refined(vertices: Tensor, faces: Tensor, ray: Ray, hit: Hit, instances: Instances | None = None) -> Hit:
-    """The hit with u, v and t of the ray's line and the triangle's plane, in the ray's dtype.
+    """The hit with t and barycentric u and v computed again from the triangle's plane, in the ray's dtype.
 
     Args:
         vertices: (V, 3).
@@ -30,6 +30,6 @@ def refined(vertices: Tensor, faces: Tensor, ray: Ray, hit: Hit, instances: Inst
     volume, of_u, of_v = crossing(ray, p0, e1, e2)
     u, v = of_u / volume, of_v / volume
     t = dot(p0 + e1 * u + e2 * v - ray.o, ray.d) / dot(ray.d, ray.d)
-    found = (hit.prim >= 0) & (volume != 0)
-    places = (torch.where(found, exact, rough.to(exact.dtype)) for exact, rough in zip((u, v, t), hit[1:4]))
+    is_exact = (hit.prim >= 0) & (volume != 0)
+    places = (torch.where(is_exact, exact, rough.to(exact.dtype)) for exact, rough in zip((u, v, t), hit[1:4]))
     return Hit(hit.prim, *places, hit.instance)

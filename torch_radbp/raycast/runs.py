@@ -1,4 +1,4 @@
-"""Runs: a small mesh in parts of faces that follow each other, each with a box, for `batches.py`.
+"""Runs: a small mesh divided into sequences of consecutive faces, each with a bounding box, for `batches.py`.
 
 Files list the triangles of a thing one after the other, so that such parts are compact without a search for better ones.
 """
@@ -20,10 +20,10 @@ PARALLELOGRAM, CORNER, LOST = 1.3, 0.2, 1 / 64
 
 
 class Costs(NamedTuple):
-    """Of a run, in tests of a triangle."""
+    """Estimated costs of a run of faces, in tests of one triangle."""
 
-    box: float  # what all rays are tested against
-    visit: float  # if it is met, beside faces and corners
+    box: float  # of the test of its box, for every ray
+    visit: float  # of each ray that meets the box, beside its faces and corners
 
 
 # Rays without an end meet whatever is around them. Segments end before what is around them, so that boxes spare more.
@@ -33,7 +33,7 @@ FEW = 64  # triangles that a processor which permutes vectors reads without gath
 
 
 class Runs(NamedTuple):
-    """What loops over batches of rays read of a mesh of F triangles, P faces, in R runs."""
+    """A mesh of F triangles (P faces) in R runs, as the loops over batches of rays read it."""
 
     corners: Tensor  # (C, 3) numbers in units of the mesh, run by run; corners of a run in the same place are one
     faces: Tensor  # (P, 6) int32, four rows of these and two triangles, as of `MergedFaces`
@@ -47,25 +47,26 @@ class Runs(NamedTuple):
 
 
 def divisions(faces: MergedFaces, costs: Iterable[Costs]) -> list[tuple[list[int], float]]:
-    """For each kind of rays the first face of each run, behind them P, and about what a ray costs: the cheapest of all.
+    """For each kind of rays the cheapest division into runs: the first face of each run and then P; and the cost of a ray.
 
     A ray is taken to meet boxes in proportion to their area. The faces of a run are all triangles, or all parallelograms.
     """
     p, kind = faces.points[faces.corners], faces.parallelogram.to(faces.points.dtype)
     most = min(MOST, len(p))
-    low, high = (beginning_at_each(found, most) for found in (p.amin(1), p.amax(1)))
+    low, high = (beginning_at_each(bound, most) for bound in (p.amin(1), p.amax(1)))
     extent = (high.cummax(2).values - low.cummin(2).values).transpose(1, 2)  # (P, most, 3) by first face and number
     scene = area(p.amax((0, 1)) - p.amin((0, 1))).clamp_min(torch.finfo(p.dtype).tiny)
     met = area(extent) / scene + LOST
     tests = (1 + (PARALLELOGRAM - 1) * kind)[:, None] * torch.arange(1, most + 1, device=p.device)
     tests = tests + CORNER * corners_from(faces.corners, most).to(p.dtype)
     mixed = (beginning_at_each(kind[:, None], most)[:, 0] != kind[:, None]).cummax(1).values
-    found = [torch.where(mixed, torch.inf, box + met * (visit + tests)) for box, visit in costs]
-    return cheapest(torch.stack(found).numpy())
+    per_run = [torch.where(mixed, torch.inf, box + met * (visit + tests)) for box, visit in costs]
+    return cheapest(torch.stack(per_run).numpy())
 
 
 def cheapest(costs: np.ndarray) -> list[tuple[list[int], float]]:
-    """For each of K kinds of rays the first face of each run of the cheapest division, behind them P, and its cost.
+    """The cheapest division of P faces into runs, for each of K kinds of rays: the first face of each run and then P; and
+    its cost.
 
     Args:
         costs: (K, P, most) of a run, by its first face and the number of its faces.
@@ -75,9 +76,9 @@ def cheapest(costs: np.ndarray) -> list[tuple[list[int], float]]:
     least[:, count + 1:] = np.inf
     following = np.zeros((kinds, count), np.int64)
     for first in reversed(range(count)):
-        found = costs[:, first] + least[:, first + 1:first + 1 + most]
-        following[:, first] = found.argmin(1)
-        least[:, first] = found.min(1)
+        totals = costs[:, first] + least[:, first + 1:first + 1 + most]
+        following[:, first] = totals.argmin(1)
+        least[:, first] = totals.min(1)
     divisions = []
     for steps, cost in zip((following + 1 + np.arange(count)).tolist(), least[:, 0].tolist()):
         firsts = [0]
@@ -88,7 +89,7 @@ def cheapest(costs: np.ndarray) -> list[tuple[list[int], float]]:
 
 
 def corners_from(corners: Tensor, most: int) -> Tensor:
-    """(P, most) int64: how many different corners faces have, by the first of them and their number.
+    """(P, most) int64: the number of distinct corners of a run, by its first face and its number of faces.
 
     Args:
         corners: (P, 4) of faces.
@@ -102,30 +103,30 @@ def corners_from(corners: Tensor, most: int) -> Tensor:
 
 
 def beginning_at_each(rows: Tensor, count: int) -> Tensor:
-    """(P, K, count): of each of (P, K) rows as many that follow from it on, at the end the last one again."""
+    """(P, K, count): for each of (P, K) rows itself and the rows that follow; past the end the last one again."""
     return torch.cat([rows, rows[-1:].expand(count - 1, *rows.shape[1:])]).unfold(0, count, 1)
 
 
 def area(extent: Tensor) -> Tensor:
-    """Half of the area of boxes, (..., 3)."""
+    """Half of the surface area of boxes of extents (..., 3)."""
     x, y, z = extent.unbind(-1)
     return x * y + y * z + z * x
 
 
 def _boxes_around(low: Tensor, high: Tensor) -> Tensor:
-    """(N, 6) centres and half extents of boxes, from their least and greatest coordinates, (N, 3)."""
+    """Centres and half extents of boxes, (N, 6), from their least and greatest coordinates, (N, 3)."""
     centre = 0.5 * (low + high)
     return torch.cat([centre, torch.maximum(high - centre, centre - low)], 1)
 
 
 def box_of_ball(placement: Tensor) -> tuple[Tensor, Tensor]:
-    """The least and greatest coordinates of unit spheres that are placed, (B, 3) each, by (B, 3, 4) matrices."""
+    """Bounding boxes, as least and greatest coordinates (B, 3), of unit spheres transformed by (B, 3, 4) matrices."""
     centre, half = placement[:, :3, 3], placement[:, :3, :3].norm(dim=2)
     return centre - half, centre + half
 
 
 def triangle_runs(p: Tensor, faces: MergedFaces, first: Tensor, scale: Tensor, balls: Tensor | None) -> Runs:
-    """What loops read of triangles.
+    """Builds the `Runs` of a mesh from its faces and the first face of each run.
 
     Args:
         p: (F, 3, 3) their corners.
@@ -137,8 +138,8 @@ def triangle_runs(p: Tensor, faces: MergedFaces, first: Tensor, scale: Tensor, b
     points = faces.points * scale
     corner = points[faces.corners]
     lengths = torch.cat([first, first.new_tensor([len(corner)])]).diff()
-    borders = [torch.segment_reduce(found, how, lengths=lengths)
-               for found, how in ((corner.amin(1), "min"), (corner.amax(1), "max"))]
+    borders = [torch.segment_reduce(values, how, lengths=lengths)
+               for values, how in ((corner.amin(1), "min"), (corner.amax(1), "max"))]
     if balls is not None:
         borders = [torch.cat(pair) for pair in zip(borders, box_of_ball(balls.to(p.dtype) * scale))]
     low, high = borders

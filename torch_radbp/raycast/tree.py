@@ -1,4 +1,4 @@
-"""Embree's objects, released with the Python objects that hold them: a device, geometries, and the trees over these."""
+"""Embree's objects, released with the Python objects that hold them: a device, geometries, and scenes (trees over these)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LARGE = 100_000  # triangles, which take some ten milliseconds
 
 
 class Device:
-    """A device of Embree's."""
+    """An Embree device."""
 
     def __init__(self) -> None:
         self.handle = library.new_device()
@@ -26,7 +26,7 @@ class Device:
 
 
 class TreeGeometry:
-    """Something that a tree is built of.
+    """An Embree geometry: the triangles or instances that a tree is built over.
 
     Args:
         device: that makes it.
@@ -49,7 +49,7 @@ class TreeGeometry:
 
     @staticmethod
     def of_triangles(device: Device, vertices: Tensor, faces: Tensor) -> TreeGeometry:
-        """Triangles: (V, 3) positions, of which (F, 3) int32 `faces` are the corners."""
+        """An Embree geometry of triangles: (V, 3) positions, of which (F, 3) int32 `faces` are the corners."""
         made = TreeGeometry(device, library.GEOMETRY_TYPE_TRIANGLE, f"{len(faces)} triangles")
         # Embree reads 16 bytes at a time: past the last vertex by 4.
         padded = torch.zeros(len(vertices) + 1, 3, dtype=torch.float32, device=vertices.device)
@@ -60,7 +60,7 @@ class TreeGeometry:
 
     @staticmethod
     def of_instances(device: Device, tree: Tree, to_world: Tensor) -> TreeGeometry:
-        """A tree at several places: (I, 3, 4) float32 transforms."""
+        """An Embree geometry that shows one tree at several places: (I, 3, 4) float32 transforms."""
         made = TreeGeometry(device, library.GEOMETRY_TYPE_INSTANCE_ARRAY, f"{len(to_world)} instances")
         made.held.append(tree)
         library.load_embree().rtcSetGeometryInstancedScene(made.handle, tree.handle)
@@ -70,7 +70,7 @@ class TreeGeometry:
 
 
 class Tree:
-    """A hierarchy over geometries, which rays can be cast against: a scene of Embree's.
+    """A bounding volume hierarchy over geometries: a scene of Embree's.
 
     A large one is built on a thread of its own: whoever makes it has other work until rays are cast, of which little is
     shared by threads.
@@ -98,7 +98,7 @@ class Tree:
             self.building.start()
 
     def build(self) -> None:
-        """Builds it on this thread, whose errors Embree tells to this thread alone."""
+        """Builds the tree on this thread, to which alone Embree tells errors."""
         embree = library.load_embree()
         try:
             embree.rtcSetSceneFlags(self.scene, library.SCENE_FLAG_ROBUST)  # no ray slips between two triangles
@@ -113,12 +113,12 @@ class Tree:
 
     @property
     def handle(self) -> int:
-        """Of the scene, once it is built."""
+        """The address of Embree's scene, once it is built."""
         self.wait()
         return self.scene
 
     def wait(self) -> None:
-        """Until it is built; raises the error that this met."""
+        """Waits until the tree is built; raises the error if that failed."""
         building = self.building
         if building is not None:
             building.join()
@@ -128,31 +128,31 @@ class Tree:
 
 
 class GroupTree(NamedTuple):
-    """The tree of a group, and what it was built of, in the group's frame."""
+    """The tree of a group of shapes, and the triangles that it was built over, in the group's frame."""
 
     tree: Tree
     vertices: Tensor  # (V, 3)
-    faces: Tensor  # (F, 3) int32, rows of these
+    faces: Tensor  # (F, 3) int32, rows of `vertices`
 
 
 def groups_of(device: Device, vertices: Tensor, faces: Tensor, instances: Instances,
-              known: Sequence[GroupTree]) -> list[GroupTree]:
-    """The groups that instances show; those of `known`, which are of the same device, whose triangles are the same.
+              last_groups: Sequence[GroupTree]) -> list[GroupTree]:
+    """The trees of the groups that instances show; trees of `last_groups` with the same triangles are reused.
 
     Args:
         device: for new ones.
         vertices: (V, 3) of the scene and of all groups.
         faces: (F, 3) likewise.
         instances: tell which are of which group.
-        known: groups of before.
+        last_groups: of the same device.
     """
     firsts, groups = zip(instances.first_vertex.tolist(), instances.first_triangle.tolist()), []
     start = next(firsts)
     for end in firsts:
-        own, corners = vertices[start[0]:end[0]], faces[start[1]:end[1]] - start[0]
-        same = next((group for group in known
-                     if torch.equal(group.vertices, own) and torch.equal(group.faces, corners)), None)
-        groups.append(same or GroupTree(Tree(device, [TreeGeometry.of_triangles(device, own, corners)], len(corners)),
-                                        own, corners))
+        points, corners = vertices[start[0]:end[0]], faces[start[1]:end[1]] - start[0]
+        equal = next((group for group in last_groups
+                      if torch.equal(group.vertices, points) and torch.equal(group.faces, corners)), None)
+        groups.append(equal or GroupTree(Tree(device, [TreeGeometry.of_triangles(device, points, corners)], len(corners)),
+                                         points, corners))
         start = end
     return groups

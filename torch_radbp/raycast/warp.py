@@ -9,13 +9,16 @@ meet are the true ones.
 
 import math
 import weakref
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from itertools import repeat
 from threading import Lock
 
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.launches import RayQuery
 from torch_radbp.jit.machine import made_once
+from torch_radbp.jit.recording import recording
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices
 from torch_radbp.raycast.protocol import Hit, Ray
 from torch_radbp.raycast.refined import refined
@@ -57,8 +60,8 @@ class Warp:
         self.vertices = checked_vertices(vertices)
         self.faces = checked_faces(faces, len(self.vertices), device=self.vertices.device)
         self.balls = balls
-        self.rays_cast = 0
-        self._counting = Lock()
+        self._rays, self._counting = 0, Lock()
+        self._rays_counted = torch.zeros(1, dtype=torch.int64, device=self.vertices.device)  # of which only the device knows
         self._device = _started(self.vertices.device)
         self._streams: set[torch.cuda.Stream] = set()
         corners, self._unit = in_units(self.vertices, self.faces)
@@ -83,18 +86,48 @@ class Warp:
         return hidden
 
     def _launch(self, kernel: wp.Kernel, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
-        """Runs a kernel over all lanes, on torch's current stream; it does not wait for it."""
+        """Launches a kernel over all lanes, on torch's current stream, without waiting for it."""
         lanes = columns[0].numel()
+        columns = [column.detach().to(torch.float32).reshape(-1) for column in columns]
+        if (listener := recording()) is not None:
+            listener.cast(RayQuery(kernel), lanes, lanes, columns, list(answers))
+            return
         if lanes:
-            columns = [column.detach().to(torch.float32).reshape(-1) for column in columns]
-            wp.launch(kernel, lanes, [self._mesh.id, self._unit, *map(lanes_of, columns)],
-                      [lanes_of(answer.view(-1)) for answer in answers], device=self._device, stream=self._stream(),
-                      record_tape=False)
+            self._start(kernel, lanes, None, [*map(lanes_of, columns), *(lanes_of(answer.view(-1)) for answer in answers)])
+        self.count(lanes)
+
+    def count(self, rays: int) -> None:
+        """Counts rays that are cast."""
         with self._counting:
-            self.rays_cast += lanes
+            self._rays += rays
+
+    def launch(self, kernel: wp.Kernel, lanes: int, last: int, *addresses: int) -> None:
+        """See `jit.launches.Caster`."""
+        kinds = [argument.type.dtype for argument in kernel.adj.args[-len(addresses):]]
+        self._start(kernel, lanes, self._memory(last, wp.int64, 1), list(map(self._memory, addresses, kinds, repeat(lanes))))
+
+    def _memory(self, address: int, kind: type, entries: int):
+        """Warp's descriptor of entries that lie at an address."""
+        found = lanes_of(self._rays_counted)
+        found.data, found.shape[0], found.strides[0] = address, entries, wp.types.type_size_in_bytes(kind)
+        return found
+
+    def _start(self, kernel: wp.Kernel, lanes: int, last, columns: list) -> None:
+        """Launches a kernel, and does not wait for it; `last`: None if all lanes are meant."""
+        wp.launch(kernel, lanes, [self._mesh.id, self._unit, last, lanes_of(self._rays_counted), *columns],
+                  device=self._device, stream=self._stream(), record_tape=False)
+
+    def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
+        """Nothing that a `Recording` is given: launches are told the tree when they begin."""
+        return ()
+
+    @property
+    def rays_cast(self) -> int:
+        """Waits for the device, if rays were cast there of which it alone knows the number."""
+        return self._rays + int(self._rays_counted)
 
     def _stream(self):
-        """torch's current stream, as Warp's; None on the CPU."""
+        """torch's current CUDA stream as Warp's object; None on the CPU."""
         if self._device.is_cpu:
             return None
         current = torch.cuda.current_stream(self.vertices.device)
@@ -107,12 +140,13 @@ class Warp:
 
 
 def lanes_of(column: Tensor):
-    """Warp's descriptor of a tensor, of any stride; the tensor must outlive the launch."""
+    """Warp's array descriptor of a tensor, of any stride; the tensor must outlive the launch."""
     return wp.from_torch(column, return_ctype=True, requires_grad=False)
 
 
 def in_units(vertices: Tensor, faces: Tensor) -> tuple[Tensor, float]:
-    """The corners of triangles, (F, 3, 3) float32, in units of about the mesh's extent, and by what they were multiplied.
+    """The corners of triangles, (F, 3, 3) float32, scaled to about unit extent, and the power of two that they were scaled
+    by.
 
     That is a power of two, which rounds nothing. Triangles without area are points, of which Warp is sure.
     """
@@ -127,7 +161,7 @@ def in_units(vertices: Tensor, faces: Tensor) -> tuple[Tensor, float]:
 
 
 def widened(corners: Tensor) -> Tensor:
-    """Corners of triangles whose boxes are `WIDER` on every side than those of triangles of extent 1.
+    """Moves the corners of triangles outwards so that their bounding boxes grow by `WIDER` on every side.
 
     Args:
         corners: (F, 3, 3).
@@ -150,19 +184,19 @@ def widened(corners: Tensor) -> Tensor:
 
 @made_once
 def _started(device: torch.device):
-    """Warp's device for one of torch's, with the kernels loaded: compiled the first time, and kept on disk by Warp."""
+    """Warp's device for a torch device, with the kernels loaded: compiled the first time, and kept on disk by Warp."""
     level, wp.config.log_level = wp.config.log_level, max(wp.config.log_level, wp.LOG_ERROR)
     try:  # without a word on what Warp finds and compiles
         wp.init()
-        found = wp.device_from_torch(device)
-        wp.load_module(__name__, device=found)
+        warp_device = wp.device_from_torch(device)
+        wp.load_module(__name__, device=warp_device)
     finally:
         wp.config.log_level = level
-    return found
+    return warp_device
 
 
 def release(mesh: wp.Mesh, streams: set[torch.cuda.Stream]) -> None:
-    """Waits for queries that are under way on streams that do not wait for Warp's memory to be freed, as the mesh is now."""
+    """Waits until queries on other streams no longer read the mesh, so that its memory may be freed."""
     for stream in streams:
         stream.synchronize()
 
@@ -172,17 +206,17 @@ def release(mesh: wp.Mesh, streams: set[torch.cuda.Stream]) -> None:
 
 @wp.struct
 class Query:
-    """A ray in the units of the tree."""
+    """A ray scaled to the units of the tree."""
 
     valid: wp.bool
     o: wp.vec3
-    d: wp.vec3  # times a number that keeps divisions in range
-    per_t: float  # t in the tree of one t of the ray
+    d: wp.vec3  # scaled so that divisions stay in range
+    per_t: float  # t in the tree per t of the ray
 
 
 @wp.func
 def query_of(unit: float, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> Query:
-    """A ray of the scene for a tree in which everything is `unit` times as large."""
+    """Scales a ray of the scene by `unit` to the units of the tree."""
     query = Query()
     query.o = wp.vec3(ox * unit, oy * unit, oz * unit)
     d = wp.vec3(dx, dy, dz)
@@ -194,13 +228,25 @@ def query_of(unit: float, ox: float, oy: float, oz: float, dx: float, dy: float,
     return query
 
 
+@wp.func
+def is_beyond(lane: int, last: wp.array(dtype=wp.int64), rays: wp.array(dtype=wp.int64)) -> bool:
+    """Whether there are fewer lanes than threads, where only the device knows; their number is added to that of rays."""
+    if not last:
+        return False
+    if lane == 0:
+        wp.atomic_add(rays, 0, last[0])
+    return wp.int64(lane) >= last[0]
+
+
 @wp.kernel(enable_backward=False)
-def closest_hit(mesh: wp.uint64, unit: float,
+def closest_hit(mesh: wp.uint64, unit: float, last: wp.array(dtype=wp.int64), rays: wp.array(dtype=wp.int64),
                 ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
                 dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float),
                 prim: wp.array(dtype=int), u: wp.array(dtype=float), v: wp.array(dtype=float), t: wp.array(dtype=float)):
-    """`RayCaster.intersect`, a ray a thread."""
+    """The kernel of `RayCaster.intersect`, one thread per ray."""
     lane = wp.tid()
+    if is_beyond(lane, last, rays):
+        return
     prim[lane] = -1
     u[lane] = 0.0
     v[lane] = 0.0
@@ -208,21 +254,23 @@ def closest_hit(mesh: wp.uint64, unit: float,
     query = query_of(unit, ox[lane], oy[lane], oz[lane], dx[lane], dy[lane], dz[lane])
     if not query.valid:
         return
-    found = wp.mesh_query_ray(mesh, query.o, query.d, FARTHEST)
-    if found.result:
-        prim[lane] = found.face
-        u[lane] = found.v  # Warp's u and v are the weights of the first and the second vertex
-        v[lane] = wp.max(1.0 - found.u - found.v, 0.0)
-        t[lane] = found.t / query.per_t
+    hit = wp.mesh_query_ray(mesh, query.o, query.d, FARTHEST)
+    if hit.result:
+        prim[lane] = hit.face
+        u[lane] = hit.v  # Warp's u and v are the weights of the first and the second vertex
+        v[lane] = wp.max(1.0 - hit.u - hit.v, 0.0)
+        t[lane] = hit.t / query.per_t
 
 
 @wp.kernel(enable_backward=False)
-def any_hit(mesh: wp.uint64, unit: float,
+def any_hit(mesh: wp.uint64, unit: float, last: wp.array(dtype=wp.int64), rays: wp.array(dtype=wp.int64),
             ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
             dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float), tmax: wp.array(dtype=float),
             hidden: wp.array(dtype=wp.bool)):
-    """`RayCaster.occluded`, a ray a thread."""
+    """The kernel of `RayCaster.occluded`, one thread per ray."""
     lane = wp.tid()
+    if is_beyond(lane, last, rays):
+        return
     hidden[lane] = False
     query = query_of(unit, ox[lane], oy[lane], oz[lane], dx[lane], dy[lane], dz[lane])
     if query.valid and tmax[lane] > 0.0:

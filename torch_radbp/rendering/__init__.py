@@ -1,1 +1,1 @@
-"""What users render with: the renderer, its settings, and what is planned for a call."""
+"""The user's interface to rendering: the renderer, its settings, and the plan of each call."""

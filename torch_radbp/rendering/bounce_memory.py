@@ -1,4 +1,4 @@
-"""The memory that one bounce needs at its worst moment, measured on a few paths.
+"""Measures the peak memory of one bounce, on a few paths.
 
 What a bounce computes depends on the scene: on its kinds of material, its textures, what moves. So nothing is assumed: a
 bounce, its adjoint and, for `TapeAdjoint`, a whole path are taken on two small numbers of lanes, and all that torch
@@ -33,7 +33,7 @@ LANES = (1024, 3072)  # of the two measurements
 
 
 class LinearSize(NamedTuple):
-    """A number of bytes as a function of the number of lanes."""
+    """A number of bytes as a linear function of the number of lanes."""
 
     per_lane: float
     fixed: float
@@ -43,26 +43,26 @@ NOTHING = LinearSize(0.0, 0.0)
 
 
 class TableBytes(NamedTuple):
-    """Bytes that the gradients of tables need, however many the lanes are."""
+    """Bytes that gradients of tables need, for any number of lanes."""
 
-    totals: float = 0.0  # of each worker, while bounces are differentiated
-    packing: float = 0.0  # afterwards, at the worst moment of what autograd does with them
+    totals: float = 0.0  # sums of each worker, while bounces are differentiated
+    packing: float = 0.0  # peak of autograd's backward pass through packing, afterwards
 
 
 class BounceMemory(NamedTuple):
-    """Bytes that are alive at the worst moment, beside those of what goes in."""
+    """Peak bytes of a bounce, beside its inputs."""
 
     bounce: LinearSize
     adjoint: LinearSize
-    tape: LinearSize | None  # that autograd keeps of whole paths; None if nothing is recorded
-    outside: LinearSize = NOTHING  # that modules need beside, of the lanes that they compute at a time,
-    at_once: float = 0.0  # which are so many at the most, in each thread
-    held: float = 0.0  # of a lane's adjoints that are held back before modules run on them, see `outside.HELD`
+    tape: LinearSize | None  # kept by autograd for whole paths; None if nothing is recorded
+    outside: LinearSize = NOTHING  # needed by modules, for the lanes that they compute at once,
+    at_once: float = 0.0  # whose number, per thread, is at most this
+    held: float = 0.0  # of a lane's adjoints that wait for modules to run on them, see `outside.HELD`
     tables: TableBytes = TableBytes()
 
 
 class AllocatedBytes(TorchDispatchMode):
-    """Counts the bytes of the tensors that are made within it: `alive` now, and at the most (`peak`)."""
+    """Counts the bytes of tensors made within the block: `alive` now, and at the `peak`."""
 
     def __init__(self):
         super().__init__()
@@ -77,7 +77,7 @@ class AllocatedBytes(TorchDispatchMode):
         return made
 
     def add(self, tensor: Tensor) -> None:
-        """Counts what a tensor rests on, if it is new, until nothing rests on it any more."""
+        """Counts a tensor's storage, if it is new, until it is freed."""
         storage = tensor.untyped_storage()
         if storage not in self.counted:
             self.counted[storage] = True
@@ -90,14 +90,14 @@ class AllocatedBytes(TorchDispatchMode):
 
 
 def linear_size(measure: Callable[[int], float]) -> LinearSize:
-    """The line through two measurements."""
+    """The linear function through two measurements."""
     few, many = (measure(lanes) for lanes in LANES)
     per_lane = max(0.0, (many - few) / (LANES[1] - LANES[0]))
     return LinearSize(per_lane, max(0.0, few - per_lane * LANES[0]))
 
 
 def tables_of(leaves: Sequence[Tensor], parameters: Sequence[Tensor]) -> TableBytes:
-    """What the gradients of `leaves` need, which are attached to `parameters`."""
+    """The bytes for gradients of `leaves`, which are attached to `parameters`."""
     if not leaves:
         return TableBytes()
     with torch.enable_grad(), AllocatedBytes() as allocated:
@@ -108,7 +108,7 @@ def tables_of(leaves: Sequence[Tensor], parameters: Sequence[Tensor]) -> TableBy
 
 def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[int], PathState],
              wanted: tuple[bool, ...]) -> BounceMemory:
-    """The working set of a call.
+    """Measures the peak memory of a bounce, forwards and backwards.
 
     Args:
         integrand: of the detached scene.
@@ -181,13 +181,13 @@ def without_modules(numbered: SceneTensors) -> SceneTensors:
 
 
 def held_of(integrand: Integrand) -> float:
-    """Bytes of the adjoints of values of modules of a lane, at the most: rows, places and adjoints."""
+    """Greatest bytes per lane of adjoints of modules' values: rows, inputs and adjoints."""
     layout = integrand.scene.layout
     values = max(number_outside(layout, scatterer, integrand.settings.nee) for scatterer in (None, *layout.appearances))
     return values * (torch.int32.itemsize + 2 * len(Vec3._fields) * integrand.scene.lights.choice.pmf.dtype.itemsize)
 
 
 def at_once(scene: SceneTensors) -> float:
-    """The most lanes that a module of a scene computes at a time."""
+    """The greatest number of lanes that a module of the scene computes at once."""
     return max(bank.size(module, scene.device) for bank in (*scene.textures, *scene.lit) if isinstance(bank, ModuleBank)
                for module in range(len(bank.functions)))

@@ -1,4 +1,4 @@
-"""The least cost of a call, predicted before its first ray; the absurd is refused with the numbers."""
+"""Predicts the least cost of a call before its first ray; raises if no machine could do it."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ SHARE_OF_RECORDS = 1 / 8  # of all memory
 
 
 class Request(NamedTuple):
-    """The size of a call."""
+    """The size of a call, for predictions of its cost."""
 
     images: int
     width: int  # pixels
     height: int
     spp: int
-    chunk: int | None  # lanes traced together; None: not known yet
+    chunk: int | None  # lanes traced together; None: not planned yet
     max_depth: int
     dtype: torch.dtype
     device: torch.device
     workers: int  # chunks that are traced side by side
-    adjoint: AdjointStrategy | None  # if there is a backward pass within no budget
-    record_bytes: float  # see `RenderCall`; 0: image and derivative have samples of their own
+    adjoint: AdjointStrategy | None  # of the backward pass, unless a memory budget is set
+    record_bytes: float  # see `RenderCall`; 0: image and derivative have different samples
     compiled: bool
 
     @property
@@ -46,7 +46,7 @@ class Request(NamedTuple):
 
     @property
     def least_bytes(self) -> int:
-        """Without what depends on the scene: as if no path went on after its first bounce."""
+        """The least memory of a call: as if every path ended after its first bounce."""
         images = IMAGE_COPIES * 3 * self.images * self.width * self.height * self.dtype.itemsize
         together = min(self.paths, self.workers * self.chunk)
         working = together * LEAST_BOUNCE * self.dtype.itemsize
@@ -60,7 +60,7 @@ class Request(NamedTuple):
 
 
 def lanes_of_chunks(device: torch.device, dtype: torch.dtype, workers: int, compiled: bool) -> int:
-    """About how many lanes a chunk has if the user does not say."""
+    """The default number of lanes of a chunk."""
     if device.type != "cuda":
         return LANES[compiled or workers == 1]
     fewest, most = LANES_ON_GPU
@@ -69,13 +69,13 @@ def lanes_of_chunks(device: torch.device, dtype: torch.dtype, workers: int, comp
 
 @functools.lru_cache
 def recorded_lanes(adjoint, max_depth: int, rr_depth: int, dtype: torch.dtype) -> int:
-    """The lanes of a chunk on the CPU whose records take their share of memory, if paths are as long as can be expected."""
+    """The default lanes of a CPU chunk, by the memory for records of paths of expected length."""
     bounces = max(1, min(max_depth, rr_depth + LONGEST_TAIL))
     return RECORDS_OF_CHUNK // max(1, predict(Workload([1.0] * bounces, 1, max_depth, dtype), 1, adjoint).kept)
 
 
 def traced_together(adjoint, lanes: int, max_depth: int, rr_depth: int, dtype: torch.dtype) -> bool:
-    """True if the samples of an image and those of its derivative are so few that they are traced as one wavefront.
+    """True if the samples of an image and of its derivative are so few that they are traced as one wavefront.
 
     A wavefront of some thousand lanes takes as long as one of half as many, most of it in Python. The records of all are
     kept until the backward pass, so they must fit what is kept of a chunk, and nothing may be taken again.
@@ -89,12 +89,12 @@ def traced_together(adjoint, lanes: int, max_depth: int, rr_depth: int, dtype: t
 
 
 def bytes_of_records(device: torch.device) -> float:
-    """What the paths of an image may take of a device's memory until the backward pass, if nothing else is said."""
+    """The default limit of bytes, on a device, for path records between forward and backward pass."""
     return SHARE_OF_RECORDS * memory_of(device)
 
 
 def check_cost(request: Request) -> None:
-    """Refuses what no machine traces in a day, and what cannot fit the memory of this one.
+    """Raises ValueError for calls that no machine traces in a day, or that cannot fit this machine's memory.
 
     Raises:
         ValueError: with the number of paths, or the bytes that are needed at least and those that there are.
@@ -112,7 +112,7 @@ def check_cost(request: Request) -> None:
 
 
 def memory_of(device: torch.device) -> float:
-    """All bytes that a device has, used or not; infinite if it does not tell. Processes under torchrun share the host's."""
+    """Total bytes of a device's memory; infinite if unknown. Processes under torchrun share the host's."""
     if device.type == "cuda":
         return torch.cuda.get_device_properties(device).total_memory
     if device.type != "cpu" or "SC_PHYS_PAGES" not in getattr(os, "sysconf_names", ()):

@@ -98,7 +98,7 @@ class DualImage(NamedTuple):
 
 
 def checked_tangents(scene: Scene, tangents: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The tangents in the dtype and on the device of their parameters; raises as `jvp` says."""
+    """Checks tangents, and converts them to the dtype and device of their parameters; raises as `jvp` says."""
     if not isinstance(tangents, Mapping):
         raise TypeError(f"tangents must map names of parameters to tensors, got {type(tangents).__name__}; "
                         f"for instance {{\"white.reflectance.value\": torch.ones(3)}}")
@@ -119,7 +119,7 @@ def rendering_with_tangent(renderer: Renderer, tangents: Mapping[str, Tensor], s
 
 
 def render_with_tangents(renderer: Renderer, tangents: Mapping[str, Tensor], arguments: dict):
-    """What `renderer(**arguments)` returns, each image with its derivative along `tangents`; or, given rays, `radiance`."""
+    """Calls the renderer on dual numbers: each image with its derivative along `tangents`; or, given rays, `radiance`."""
     module, scene = (RadianceOf(renderer), "renderer.scene") if "origins" in arguments else (renderer, "scene")
 
     def unpacked(image: Tensor) -> DualImage:

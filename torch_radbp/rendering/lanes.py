@@ -1,4 +1,4 @@
-"""Which lanes of a call are traced together, and whether those of its derivative are among them."""
+"""Plans the chunks and wavefronts of a call."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from torch_radbp.rendering.cost import Request, check_cost, lanes_of_chunks, rec
 
 
 class LanePlan(NamedTuple):
-    """How the lanes of a call are divided."""
+    """The division of a call's lanes into chunks and wavefronts."""
 
     grids: list[tuple[int, int]]  # columns and rows of pixels that have samples, of each image
-    lanes: int  # of a chunk
-    most: int  # of a wavefront
+    lanes: int  # of a chunk, at most
+    most: int  # of a wavefront, at most
     together: bool  # see `RenderCall`
 
     def bounded(self, lanes: int) -> LanePlan:
-        """The same with chunks and wavefronts of so many lanes at most."""
+        """The plan with chunks and wavefronts of at most `lanes` lanes."""
         return self._replace(lanes=lanes, most=min(lanes, self.most))
 
 
 def plan_lanes(windows: Sequence[Window], rr_depth: int, request: Request) -> LanePlan:
-    """The division of a call.
+    """Plans the chunks and wavefronts of a call.
 
     Args:
         windows: of its images.
@@ -56,7 +56,7 @@ def plan_lanes(windows: Sequence[Window], rr_depth: int, request: Request) -> La
 
 
 def wavefronts_of(views: Sequence[View], plan: LanePlan, spp: int, workers: int) -> list[Wavefront]:
-    """The wavefronts of a call: of views that are one chunk each, several together, if their cameras are alike.
+    """The wavefronts of a call: views of one chunk each are traced together if their cameras are alike.
 
     Args:
         views: of the call.

@@ -1,4 +1,4 @@
-"""The memory that a rendering with its backward pass will need, and the chunk and stride that fit a budget.
+"""Predicts the memory of a rendering with its backward pass, and picks a chunk size and stride that fit a budget.
 
 Dead lanes leave the wavefront, so that the need depends on the scene: a pilot of a few thousand paths tells how many lanes
 reach each depth, and one of its bounces what a lane needs while it is computed (`bounce_memory.py`). What is counted: the
@@ -48,7 +48,7 @@ UNITS = {"B": 1, "KiB": 1 << 10, "MiB": MIB, "GiB": 1 << 30, "TiB": 1 << 40, "kB
 
 
 class RecordSizes(NamedTuple):
-    """Bytes that a lane takes in the records of a call."""
+    """Bytes of a lane in the path records of a call."""
 
     state: int  # `PathState`
     step: int  # `Step`
@@ -60,7 +60,7 @@ class MemoryPlan(NamedTuple):
 
     chunk: int  # lanes
     adjoint: AdjointStrategy
-    retrace: bool  # the backward pass traces paths anew, all or those of which nothing is kept between the passes
+    retrace: bool  # the backward pass traces paths again, of which no records are kept
     kept: int  # bytes between forward and backward pass
     working: int  # bytes on top of that while a chunk is processed
 
@@ -89,7 +89,7 @@ def parse_budget(budget: str | int | float) -> int:
 
 
 def reaching(integrand: Integrand, pilot: PathState) -> list[float]:
-    """The fraction of camera paths that reach each depth, from a pilot of some paths."""
+    """The fraction of camera paths that reach each depth, estimated by pilot paths."""
     counts: list[int] = []
     with torch.no_grad():
         trace(integrand, pilot, lambda depth, state, step: counts.append(len(state.lane)))
@@ -97,12 +97,12 @@ def reaching(integrand: Integrand, pilot: PathState) -> list[float]:
 
 
 def lane_bytes(record) -> int:
-    """Bytes of one lane of a record."""
+    """The bytes of one lane of a record."""
     return sum(leaf.element_size() for leaf in leaves_of(record) if isinstance(leaf, Tensor))
 
 
 def record_sizes(integrand: Integrand, pilot: PathState, triangles: bool) -> RecordSizes:
-    """Those of a call, from one bounce of a few of its paths.
+    """The record sizes of a call, measured on one bounce of pilot paths.
 
     Args:
         integrand: of the detached scene.
@@ -119,7 +119,7 @@ def record_sizes(integrand: Integrand, pilot: PathState, triangles: bool) -> Rec
 
 @functools.lru_cache
 def least_records(dtype: torch.dtype) -> RecordSizes:
-    """Those of a scene in which nothing moves and nothing asks for more."""
+    """The record sizes of the simplest scene, in which nothing moves."""
     number, index, flag = (torch.empty(0, dtype=kind, device="cpu") for kind in (dtype, torch.int32, torch.bool))
     state = start_path(Ray(Vec3.buffer(number), Vec3.buffer(number)), LaneKey(index, index))
     step = Step(Hit(index, number, number, number), None, index, (), flag, flag)
@@ -127,21 +127,21 @@ def least_records(dtype: torch.dtype) -> RecordSizes:
 
 
 class Workload(NamedTuple):
-    """The work of a call, whatever the plan."""
+    """The work of a call, independent of its plan."""
 
-    fractions: list[float]  # from `reaching`
+    fractions: list[float]  # of camera paths that reach each depth
     lanes: int  # of the whole call: sensors x pixels x samples
     max_depth: int  # greatest number of bounces
     dtype: torch.dtype  # of the scene
-    compiled: bool = False  # whether the bounce is
+    compiled: bool = False  # True if bounces are compiled
     workers: int = 1  # chunks that are traced side by side
-    moving: bool = False  # whether rays carry derivatives
-    records: RecordSizes | None = None  # None: the least that they may take
+    moving: bool = False  # True if rays carry derivatives
+    records: RecordSizes | None = None  # None: the least sizes
     images: int = 0  # bytes of the images, of their sums and of their gradients
-    measured: BounceMemory | None = None  # of a bounce; None: the least that it may be
-    least: int = 1  # lanes of a chunk, whatever is asked for
+    measured: BounceMemory | None = None  # of a bounce; None: the least sizes
+    least: int = 1  # least lanes of a chunk
     row: int = 1  # lanes of a row of pixels
-    jumps: int = 0  # bytes of the curves at which images jump, and of places on them; 0: these are not looked for
+    jumps: int = 0  # bytes of discontinuity curves and samples on them; 0: no boundary terms
 
     @property
     def bounce_memory(self) -> BounceMemory:
@@ -152,7 +152,7 @@ class Workload(NamedTuple):
 
 
 def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: float = inf) -> MemoryPlan:
-    """Bytes that a forward and backward pass will need.
+    """Predicts the bytes of a forward and backward pass.
 
     Args:
         work: what is to be done.
@@ -195,14 +195,14 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
 
 
 def states_kept(adjoint, bounces: int, work: Workload) -> float:
-    """The number of states kept of a camera path after `bounces` bounces; the first only if all others are."""
+    """The number of states kept of a camera path after `bounces` bounces; 1 if the first serves for all."""
     depths = adjoint.kept(bounces, work.max_depth)
     return sum(work.fractions[depth] for depth in depths if depth > 0 or len(depths) == bounces)
 
 
 def _candidates(chunk: int, adjoint: AdjointStrategy | None,
                 shares_samples: bool) -> Iterator[tuple[int, AdjointStrategy, float]]:
-    """Chunk, strategy and how much to keep between the passes, from the fastest to the most frugal.
+    """Yields chunk, strategy and record bytes to try, from the fastest to the most frugal.
 
     Smaller chunks cost little, replayed bounces more, and tracing all paths again most.
     """
@@ -218,14 +218,14 @@ def _candidates(chunk: int, adjoint: AdjointStrategy | None,
 
 
 def bytes_text(count: float) -> str:
-    """Bytes for people, in binary units."""
+    """Bytes as text, in binary units."""
     unit = max((unit for unit in UNITS if UNITS[unit] <= count and len(unit) != 2), key=UNITS.get, default="B")
     return f"{count / UNITS[unit]:.3g} {unit}"
 
 
 def plan_memory(budget: int, work: Workload, chunk: int, adjoint: AdjointStrategy | None = None,
                 shares_samples: bool = True) -> MemoryPlan:
-    """The fastest chunk and strategy that fit `budget` bytes.
+    """Picks the fastest chunk size and strategy that fit `budget` bytes.
 
     Args:
         budget: bytes.

@@ -1,4 +1,4 @@
-"""Notices a loop that renders every step with the same noise."""
+"""Detects loops that render every step with the same noise."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from torch_radbp.plugin.errors import level_of_the_caller
 
 
 class RepeatedNoiseWarning(UserWarning):
-    """Steps of an optimisation are rendered with one seed, so that it fits their noise."""
+    """Warning: all steps of an optimisation are rendered with one seed, so that it fits their noise."""
 
 
 class NoiseWatch:
-    """Warns once, of a renderer that is called without a seed again after its parameters have changed."""
+    """Warns once if a renderer is called without a seed again after its parameters have changed."""
 
     def __init__(self):
         self.versions: dict[str, int] = {}
 
     def look(self, seed: int | None, parameters: Mapping[str, Tensor]) -> None:
-        """Is told of the seed of a call, and of the parameters that derivatives are wanted of."""
+        """Observes a call: its seed, and the parameters that require a gradient."""
         if seed is not None or not parameters or not torch.is_grad_enabled():
             return
         versions = {name: parameter._version for name, parameter in parameters.items()}

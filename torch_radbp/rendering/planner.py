@@ -1,4 +1,4 @@
-"""Predicts how much memory a rendering needs, and divides it so that it fits a budget."""
+"""Predicts the memory of calls, and divides these to fit a budget."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from torch_radbp.boundary import bytes_of_edges
 from torch_radbp.call.render_call import RenderCall, pilot_paths
 from torch_radbp.film.splat import TOGETHER
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.lane_room import room_for
+from torch_radbp.path.taped_bounces import keeps_all_lanes
 from torch_radbp.rendering.bounce_memory import BounceMemory, measured, tables_of
 from torch_radbp.rendering.memory import MemoryPlan, Workload, plan_memory, predict, reaching, record_sizes
 from torch_radbp.rendering.settings import PRIMARY, SHADOW
@@ -25,14 +27,14 @@ IMAGE_COPIES = 5  # the sums of its rows, the image, its gradient, that by sums 
 
 
 class MemoryPlanner:
-    """Plans the calls of one renderer, and keeps what it has measured of them."""
+    """Plans the calls of one renderer, and caches what it measures."""
 
     def __init__(self):
         self.measured: dict[tuple, BounceMemory] = {}  # by kind of call
 
     def plan(self, call: RenderCall, budget: str | int | None, adjoint_is_chosen: bool,
              terms: Collection[str]) -> MemoryPlan:
-        """The chunk and the strategy of a call, with its predicted memory, by a pilot of its paths.
+        """Plans chunk size and strategy of a call, with its predicted memory, by pilot paths.
 
         Args:
             call: with the chunks and the strategy that it would have without a budget.
@@ -51,7 +53,7 @@ class MemoryPlanner:
         return plan_memory(budget, work, chunk, call.adjoint if adjoint_is_chosen else None, call.shares_samples)
 
     def workload(self, call: RenderCall) -> Workload:
-        """What a call has to compute, and what each bounce of it needs."""
+        """Measures the work of a call: path lengths, and the memory of a bounce."""
         scene = detached(call.scene)
         integrand = call.integrand.with_stages(EAGER)
         lanes = call.spp * sum(view.grid.columns * view.grid.rows for view in call.views)
@@ -61,14 +63,17 @@ class MemoryPlanner:
         triangles = (moving and integrand.settings.sampling != "attached"
                      and any_differentiated(call.scene.triangles.vertices.p))
         still = call.still()
-        return Workload(reaching(integrand, pilot_paths(still, PILOT_LANES)), lanes, integrand.max_depth, scene.dtype,
+        fractions = reaching(integrand, pilot_paths(still, PILOT_LANES))
+        if keeps_all_lanes(call.integrand):
+            fractions = room_for(fractions)[:integrand.max_depth]
+        return Workload(fractions, lanes, integrand.max_depth, scene.dtype,
                         call.stages.is_compiled, call.workers, moving,
                         record_sizes(integrand, pilot_paths(still, FEW_LANES), triangles), IMAGE_COPIES * image_bytes,
                         self.bounce_memory_of(call, integrand, triangles),
                         columns * min(call.spp, TOGETHER), columns * call.spp)
 
     def bounce_memory_of(self, call: RenderCall, integrand: Integrand, triangles: bool) -> BounceMemory:
-        """The working memory of a bounce of a call; measured once for each kind of call.
+        """The memory of a bounce of a call; measured once for each kind of call.
 
         Args:
             call: whose scene, with what is differentiated in it, and whose strategy tell its kind.

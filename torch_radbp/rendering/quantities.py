@@ -1,4 +1,4 @@
-"""Images of quantities with all parts of their derivatives: of the interior, and of jumps at the edges of surfaces."""
+"""AOV images with all parts of their derivatives: of the interior, and boundary terms."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from torch_radbp.tensors.differentiated import primal
 
 def images_of_quantities(call: RenderCall, edges: EdgesOfCall, names: tuple[str, ...], channels: Tensor | None,
                          terms: Collection[str]) -> dict[str, Tensor]:
-    """Images of quantities by name; `call` and `channels` as for `render_aovs`, `edges` of the call, `terms` as settings."""
+    """AOV images by name; `call` and `channels` as for `render_aovs`, `edges` of the call, `terms` as settings."""
     images = render_aovs(call, names, channels)
     images = images if INTERIOR in terms else {name: primal(image) for name, image in images.items()}
     if edges.in_view is not None:
@@ -30,7 +30,7 @@ def images_of_quantities(call: RenderCall, edges: EdgesOfCall, names: tuple[str,
 
 
 def aov_jumps(call: RenderCall, jumps: list[Jumps], names: tuple[str, ...]) -> dict[str, Tensor]:
-    """By name, zeros whose derivative is what the edges of surfaces contribute to images of quantities; see `image_jumps`.
+    """Boundary terms of AOV images: by name, zeros with the derivative that surface edges contribute; see `image_jumps`.
 
     Args:
         call: of which something moves.
@@ -55,5 +55,5 @@ def aov_jumps(call: RenderCall, jumps: list[Jumps], names: tuple[str, ...]) -> d
 
 
 def with_emitters(integrand: Integrand) -> Integrand:
-    """The integrand of a scene in which nothing is hidden."""
+    """The integrand with all emitters visible."""
     return integrand._replace(settings=integrand.settings._replace(hide_emitters=False))

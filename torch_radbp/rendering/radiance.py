@@ -1,4 +1,4 @@
-"""Radiance along rays as a module, as `torch.func` asks for one."""
+"""A renderer's method `radiance` as a module, for `torch.func`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch_radbp.adjoint.forward_mode import render_outside_transforms
 
 
 class RadianceOf(nn.Module):
-    """The method `radiance` of a renderer as the call of a module."""
+    """A module whose call is the method `radiance` of a renderer."""
 
     def __init__(self, renderer: nn.Module):
         super().__init__()
@@ -23,7 +23,7 @@ class RadianceOf(nn.Module):
 
 def radiance_outside(renderer: nn.Module, rays: Mapping[str, Tensor], seed: int | None, spp: int | None,
                      seed_grad: int | None) -> Tensor:
-    """What `renderer.radiance(**rays, ...)` gives inside of `torch.func.jvp`; raises as `render_outside_transforms`."""
+    """Computes `renderer.radiance(**rays, ...)` inside of `torch.func.jvp`; raises as `render_outside_transforms`."""
     module = RadianceOf(renderer)
 
     def render(tensors: dict[str, Tensor]) -> Tensor:

@@ -1,4 +1,4 @@
-"""`render`: a rendering as a function."""
+"""`render`: the renderer as a function."""
 
 from __future__ import annotations
 

@@ -17,7 +17,9 @@ from torch_radbp.adjoint.rendered import rendered
 from torch_radbp.aov.images import beside_image
 from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
 from torch_radbp.boundary import EdgesOfCall, JumpWatch, edges_of_call, rendering_of
+from torch_radbp.call.pixels import Films
 from torch_radbp.call.render_call import RenderCall
+from torch_radbp.call.source import Cameras
 from torch_radbp.call.view import OF_NO_SENSOR, Shot, view_of
 from torch_radbp.call.zeroed_memory import ZeroedMemory
 from torch_radbp.jit.stages import compiled
@@ -142,7 +144,7 @@ class Renderer(nn.Module):
 
     @property
     def spp(self) -> int:
-        """Samples per pixel of a call that renders all sensors and does not say how many."""
+        """Default samples per pixel of a call that renders all sensors."""
         return samples_per_pixel(self.chosen_spp, self.scene.sensors)
 
     @spp.setter
@@ -216,7 +218,7 @@ class Renderer(nn.Module):
         return images if outputs is None else (images, self.quantities(call, edges, outputs, channels))
 
     def with_terms(self, images: Tensor, edges: EdgesOfCall, call: RenderCall) -> Tensor:
-        """The images with those terms of derivatives that are asked for."""
+        """Adds the boundary terms to the images, as far as `terms` asks for them."""
         return edges.added_to(images if INTERIOR in self.terms else primal(images), call)
 
     @public_call
@@ -296,7 +298,7 @@ class Renderer(nn.Module):
         return self.quantities(call, edges, outputs)
 
     def outputs(self, names: Sequence[str] | None) -> dict[str, str]:
-        """The quantities that are asked for, by the names of the outputs; errors as for `aovs`."""
+        """The quantities of the requested AOVs, by name; errors as for `aovs`."""
         found = self.scene.integrator.outputs() if names is None else {name: name for name in checked_names(names)}
         if not found:
             raise ValueError("the scene's integrator lists no outputs; name some, such as renderer.aovs([\"depth\"])")
@@ -304,7 +306,7 @@ class Renderer(nn.Module):
 
     def quantities(self, call: RenderCall, edges: EdgesOfCall, outputs: dict[str, str],
                    channels: Tensor | None = None) -> dict[str, Tensor]:
-        """Images of quantities by the names of outputs; `call`, `channels`: as for `render_aovs`, `edges`: of `look`."""
+        """AOV images by name; `call`, `channels`: as for `render_aovs`, `edges`: of `look`."""
         quantities = tuple(dict.fromkeys(outputs.values()))
         if call.scene.layout.surround is not None and not self.hide_emitters:
             self.jump_watch.say(alpha_of_surroundings(quantities))
@@ -312,7 +314,7 @@ class Renderer(nn.Module):
         return {output: images[quantity] for output, quantity in outputs.items()}
 
     def look(self, call: RenderCall, seed: int, aovs: bool = False) -> EdgesOfCall:
-        """The edges at which the images of a call, prepared for `aovs`, jump. Warns of what derivatives and image lack."""
+        """Finds the edges at which a call's images are discontinuous, and warns of what derivatives or image lack."""
         rendering = rendering_of(call, self.scene, self.sampling, self.cache_for_aovs if aovs else self.cache,
                                  PRIMARY in self.terms, SHADOW in self.terms, self.depth_limit)
         edges = edges_of_call(rendering, self.scene, call, seed)
@@ -321,13 +323,12 @@ class Renderer(nn.Module):
 
     def prepare(self, seed: int | None, sensors: SensorChoice, spp: int | None, seed_grad: int | None,
                 aovs: bool = False, window: WindowChoice = None) -> RenderCall:
-        """The call that renders some sensors; with what `aovs` may be about if asked for."""
+        """Prepares a call that renders some sensors; `aovs`: with the columns that AOVs read."""
         return self.prepared(shots_of(self.scene, sensors, window), seed, spp, seed_grad, aovs)
 
     def prepared(self, shots: list[Shot], seed: int | None, spp: int | None, seed_grad: int | None,
                  aovs: bool = False, beside: Mapping[str, Tensor] = MappingProxyType({})) -> RenderCall:
-        """The scene packed, rays ready to be cast, chunks planned; with what `aovs` may be about if asked for. `beside`: by
-        name, what the shots depend on beside the scene."""
+        """Prepares a call for some shots: packs the scene, builds the ray caster, plans chunks."""
         check_settings(self)  # they may have been assigned since
         refuse_tracing()
         cache = PackCache(self.cache_for_aovs if aovs else self.cache)
@@ -335,9 +336,8 @@ class Renderer(nn.Module):
         named, seen = self.scene.named_sensors, [shot.sensor for shot in shots]
         spp = samples_per_pixel(self.chosen_spp if spp is None else spp, seen)
         seeds = checked_seeds(seed, seed_grad, self.share_samples)
-        device = self.scene.device
+        device, fused = self.scene.device, self.runs_compiled()
         workers = threads() if device.type == "cpu" else 1
-        fused = self.runs_compiled()
         parameters = wanted_parameters(self.scene, seen, cache, beside)
         record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
@@ -361,7 +361,7 @@ class Renderer(nn.Module):
         def make_integrand(tensors: SceneTensors) -> Integrand:
             return integrand._replace(scene=tensors, proposal=proposal_of(tensors), parts={})
 
-        call = RenderCall(scene, caster, make_integrand, integrand, stages, self.adjoint, views,
+        call = RenderCall(scene, caster, make_integrand, integrand, stages, self.adjoint, Cameras(views), Films(),
                           wavefronts_of(views, plan, spp, workers), spp, seeds[0] == seeds[1], record_bytes, plan.together,
                           workers, self.memory, settings.following, self.scene, parameters)
         if self.memory_budget is None:
@@ -372,29 +372,28 @@ class Renderer(nn.Module):
 
     @property
     def depth_limit(self) -> int:
-        """The bounces that a path may have."""
+        """The greatest number of bounces of a path."""
         return UNLIMITED if self.max_depth == -1 else self.max_depth
 
     def runs_compiled(self) -> bool:
-        """True if calls run fused loops: those are for the CPU and for CUDA, and autograd records nothing of them."""
+        """True if calls run compiled loops: on the CPU and CUDA, unless autograd must record operations."""
         return self.compile_stages and self.scene.device.type in COMPILED and not self.adjoint.taped
 
     @public_call
     def memory_plan(self, sensors: SensorChoice = None, spp: int | None = None, window: WindowChoice = None) -> MemoryPlan:
-        """Chunk and strategy that a call would use, and the bytes that it is predicted to need with its backward pass."""
+        """The chunk size and strategy that a call would use, and its predicted memory with the backward pass."""
         return self.plan(self.prepare(0, sensors, spp, None, window=window))
 
     def plan(self, call: RenderCall) -> MemoryPlan:
-        """The chunk and the strategy of a call, with its predicted memory; within the budget, if there is one."""
+        """Plans chunk size and strategy of a call; within the memory budget, if there is one."""
         return self.planner.plan(call, self.memory_budget, self.adjoint_is_chosen, self.terms)
 
     def caster_of(self, scene: SceneTensors) -> RayCaster:
         """The ray caster of a scene's triangles: that of the last call if they are the same, else a new one."""
-        triangles = scene.triangles
-        return self.casters.of(CastTriangles(triangles.vertices.p.map(primal), triangles.corners, triangles.balls,
-                                             triangles.casting_instances), self.caster_name)
+        return self.casters.of(CastTriangles(scene.triangles.vertices.p.map(primal), scene.triangles.corners,
+                                             scene.triangles.balls, scene.triangles.casting_instances), self.caster_name)
 
     @property
     def last_caster(self) -> RayCaster | None:
         """The ray caster of the last call."""
-        return None if self.casters.known is None else self.casters.known.caster
+        return None if self.casters.cached is None else self.casters.cached.caster

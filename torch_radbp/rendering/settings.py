@@ -1,4 +1,4 @@
-"""What a renderer and its calls are told, checked: settings, samples per pixel, seeds, sensors and their films."""
+"""Checks the arguments of a renderer and its calls: settings, samples per pixel, seeds and sensors."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ OF_DERIVATIVE = 0x3F84D5B5B5470917  # what the seed of a derivative differs by: 
 
 
 class RendererSettings(TypedDict, total=False):
-    """The arguments of `Renderer` but for scene and spp, by which other functions take them as keywords; see there."""
+    """The keyword arguments of `Renderer` except scene and spp, for functions that pass them on; see there."""
 
     max_depth: int | None
     rr_depth: int | None
@@ -48,7 +48,7 @@ class RendererSettings(TypedDict, total=False):
 
 
 def checked_scene(scene: Scene) -> Scene:
-    """`scene`, if it can be rendered.
+    """Checks that `scene` can be rendered, and returns it.
 
     Raises:
         TypeError: if it is no scene.
@@ -63,7 +63,7 @@ def checked_scene(scene: Scene) -> Scene:
 
 
 def check_settings(renderer: nn.Module) -> None:
-    """Checks the settings of a renderer as they are now, and brings each to the type in which it is used.
+    """Checks the settings of a renderer, and converts each to the type in which it is used.
 
     Raises:
         ValueError: for a value that makes no sense.
@@ -91,7 +91,7 @@ def check_settings(renderer: nn.Module) -> None:
 
 
 def settings_of_integrand(renderer: nn.Module, scene: SceneTensors, cameras: Sequence[Camera]) -> Settings:
-    """What the integrand of a call is compiled for: whether rays carry derivatives in it, and which."""
+    """The settings with which the integrand of a call is compiled: which rays carry derivatives."""
     sampling = renderer.sampling
     moving = sampling == "attached" or any_differentiated((scene.triangles, cameras)) or (
         sampling == "hybrid" and scene.layout.bending)
@@ -108,7 +108,7 @@ def refuse_tracing() -> None:
 
 
 def samples_per_pixel(spp: int | None, sensors: Sequence[Sensor]) -> int:
-    """`spp`, or what the samplers of the sensors say.
+    """Samples per pixel: `spp`, or what the sensors' samplers say.
 
     Raises:
         ValueError: if it is no integer of at least 1, or nothing is chosen and the samplers disagree.
@@ -123,7 +123,7 @@ def samples_per_pixel(spp: int | None, sensors: Sequence[Sensor]) -> int:
 
 
 def checked_seed(name: str, value: int) -> int:
-    """`value` as an int of 64 bits: more would not tell one seed from another.
+    """Checks a seed: an int of at most 64 bits.
 
     Raises:
         ValueError: if it is no integer, or needs more bits.
@@ -135,7 +135,7 @@ def checked_seed(name: str, value: int) -> int:
 
 
 def checked_seeds(seed: int | None, seed_grad: int | None, share_samples: bool) -> tuple[int, int]:
-    """The seeds of an image and of its derivative; None as `Renderer.forward` has it.
+    """Checks the seeds of an image and of its derivative; None as in `Renderer.forward`.
 
     Raises:
         ValueError: as `checked_seed`.
@@ -147,7 +147,7 @@ def checked_seeds(seed: int | None, seed_grad: int | None, share_samples: bool) 
 
 
 def sensor_indices(scene: Scene, sensors: SensorChoice) -> list[int]:
-    """The indices of sensors that are chosen by index or name, one or several; None: all.
+    """The indices of sensors chosen by index or name, one or several; None: all.
 
     Raises:
         ValueError: if there is no such sensor, or none is chosen.

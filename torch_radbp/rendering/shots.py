@@ -1,4 +1,4 @@
-"""The images that a call is to make: of which sensors, and which parts of them."""
+"""The images that a call is to make: sensors, and windows of their images."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WindowChoice = Part | Sequence[Part] | None  # of all sensors, or of each; None:
 
 
 def shots_of(scene: Scene, sensors: SensorChoice, window: WindowChoice) -> list[Shot]:
-    """The shots of the sensors that are chosen, and of the windows in their images.
+    """The shots for the chosen sensors and windows.
 
     Raises:
         ValueError: if there is no such sensor, a window is none or lies outside of the image, or the sizes differ.
@@ -35,7 +35,7 @@ def shots_of(scene: Scene, sensors: SensorChoice, window: WindowChoice) -> list[
 
 
 def _parts_of(window: Part | Sequence[Part], sensors: Sequence[Sensor]) -> list[tuple[int, int, int, int]]:
-    """A part of the image of each of some sensors; errors as for `shots_of`."""
+    """The window (x, y, width, height) in the image of each sensor; errors as for `shots_of`."""
     given = window.tolist() if isinstance(window, (Tensor, np.ndarray)) else window
     if not isinstance(given, Sequence) or isinstance(given, str) or not len(given):
         raise ValueError(f"window must be (x, y, width, height), integers, or a list of one for each sensor, got {window!r}")
@@ -48,7 +48,7 @@ def _parts_of(window: Part | Sequence[Part], sensors: Sequence[Sensor]) -> list[
 
 
 def checked_part(part: Part, sensor: Sensor) -> tuple[int, int, int, int]:
-    """A part of the image of a sensor as integers; raises ValueError if it is none, or not inside."""
+    """Checks a window of a sensor's image, and converts it to integers."""
     part = part.tolist() if isinstance(part, (Tensor, np.ndarray)) else part
     if not isinstance(part, Sequence) or isinstance(part, str) or len(part) != 4:
         raise ValueError(f"window must be (x, y, width, height), four integers, got {part!r}")

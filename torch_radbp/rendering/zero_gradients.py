@@ -1,4 +1,4 @@
-"""Notices parameters that are to be optimised and that no image depends on.
+"""Detects parameters that require a gradient but do not affect any image.
 
 A backward pass that reaches a rendering is watched from there to its end, with hooks that are gone afterwards: a hook on the
 image sees whether the loss asks for anything, and hooks on parameters see their gradients, summed over all of the pass. Once
@@ -42,14 +42,14 @@ class ZeroGradientWarning(UserWarning):
 
 
 class UsedImage(NamedTuple):
-    """An image of a backward pass, of which the loss uses something."""
+    """An image in a backward pass that the loss uses."""
 
-    sensor: str | None  # its name, if all of its image is there and the loss uses all that is not black
-    share: float  # of all images of the scene
+    sensor: str | None  # its name, if the loss uses its whole image, black pixels aside
+    share: float  # fraction of all images of the scene
 
 
 class Pass:
-    """A backward pass that is under way."""
+    """The state of a backward pass that is being observed."""
 
     def __init__(self):
         self.looks: dict[str, list[UsedImage]] = {}  # of each parameter, at the images that may depend on it
@@ -58,26 +58,26 @@ class Pass:
 
 
 class Unseen:
-    """The looks by which a parameter has had no gradient."""
+    """The images in which a parameter has had no gradient so far."""
 
     def __init__(self):
         self.sensors: set[str] = set()
         self.rounds = 0.0  # over all sensors
 
     def add(self, looks: list[UsedImage]) -> None:
-        """Counts the looks of a backward pass."""
+        """Counts the images of a backward pass."""
         self.sensors |= {look.sensor for look in looks if look.sensor is not None}
         self.rounds += sum(look.share for look in looks)
 
     def suffices(self, sensors: Collection[str]) -> bool:
-        """True after a round over all sensors that may see it, or after many looks that may have been at parts of it."""
+        """True after a round over all sensors that may see it, or after many images that may have been partial."""
         # Processes that share the views of a scene see their own ones only.
         alone = not (torch.distributed.is_available() and torch.distributed.is_initialized())
         return self.sensors.issuperset(sensors) or (alone and self.rounds > ROUNDS - 0.5 * RAYS)
 
 
 class GradientWatch:
-    """Warns once, of a renderer whose backward passes give parameters a gradient of exactly 0."""
+    """Warns once if the backward passes of a renderer give parameters a gradient of exactly 0."""
 
     def __init__(self):
         self.told = False
@@ -89,7 +89,7 @@ class GradientWatch:
         return GradientWatch, ()
 
     def watched(self, images: Tensor, call: RenderCall) -> Tensor:
-        """The images of a call, (B, 3, H, W), or radiance along rays, (N, 3); the same tensor, with a hook if need be."""
+        """Adds a hook to images (B, 3, H, W), or radiance along rays (N, 3), if needed; returns the same tensor."""
         if images.requires_grad and not self.told and not call.parameters.keys() <= self.seen:
             sensors = call.module.named_sensors
             looks = [look_of(view, sensors) for view in call.views]
@@ -100,7 +100,7 @@ class GradientWatch:
     @public_call
     def begin(self, parameters: Mapping[str, Tensor], looks: list[UsedImage], sensors: list[str], shown: Tensor,
               adjoint: Tensor | None) -> None:
-        """Begins to watch a backward pass that has come to images.
+        """Starts to observe a backward pass that has reached images.
 
         Args:
             parameters: by name, all that derivatives are wanted of.
@@ -129,12 +129,12 @@ class GradientWatch:
     @staticmethod
     @public_call
     def note(now: Pass, name: str, gradient: Tensor | None) -> None:
-        """Is told of the gradient of a parameter, summed over a backward pass."""
+        """Receives the gradient of a parameter, summed over a backward pass."""
         now.found[name] = gradient is not None and (gradient.layout != torch.strided or gradient.detach().ne(0).any())
 
     @public_call
     def conclude(self, number: int, sensors: list[str]) -> None:
-        """Ends to watch a backward pass; warns if it shows that parameters have no gradient."""
+        """Ends the observation of a backward pass; warns if it shows that parameters have no gradient."""
         now = self.passes.pop(number)
         for hook in now.hooks:
             hook.remove()
@@ -156,12 +156,12 @@ class GradientWatch:
 
 
 def which_see(parameter: str, sensors: list[str]) -> list[str]:
-    """The sensors that a parameter may be seen by: its own is the only one to see what a camera's parameter does."""
+    """The sensors whose images a parameter may affect: a camera's parameter only its own."""
     return [sensor for sensor in sensors if parameter.startswith(f"{sensor}.")] or sensors
 
 
 def look_of(view: View, sensors: Mapping[str, Sensor]) -> UsedImage:
-    """The look at an image of which a loss uses everything; `sensors`: all of the scene."""
+    """The record of an image of which a loss uses everything; `sensors`: all of the scene."""
     name = next((name for name, sensor in sensors.items() if sensor is view.sensor), None)
     if name is None:
         return UsedImage(None, RAYS)
@@ -171,5 +171,5 @@ def look_of(view: View, sensors: Mapping[str, Sensor]) -> UsedImage:
 
 
 def whole_name(parameter: str) -> str:
-    """The name of what a parameter is a part of, as the scene has it: of a network, what is parametrised, or its own."""
+    """The scene's name for what a parameter is part of: a network, a parametrised tensor, or itself."""
     return re.sub(r"parametrizations\.(\w+)\..*", r"\1", parameter).partition(".module.")[0]

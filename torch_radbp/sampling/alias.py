@@ -1,4 +1,4 @@
-"""Discrete distributions sampled in constant time without a branch."""
+"""Discrete distributions sampled in constant time without a branch: the alias method."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ class AliasTable(NamedTuple):
     """A discrete distribution over E entries."""
 
     pmf: Tensor  # (E,) probability of each entry
-    threshold: Tensor  # (E,) the drawn entry is kept with this probability, else replaced by `other`
+    threshold: Tensor  # (E,) the drawn entry is kept with this probability, else replaced by its alias, `other`
     other: Tensor  # (E,) int32
     count: Tensor  # () int64, E
 
     def sample(self, bits: Tensor, split: Tensor) -> Tensor:
-        """Entries drawn from the distribution, (N,) int32.
+        """Samples entries of the distribution, (N,) int32.
 
         A single number would not suffice: once 32 bits have picked one of a million entries, the rest of them is too
         coarse to decide between that entry and its other.

@@ -11,16 +11,16 @@ from torch_radbp.sampling.running_sum import running_sum
 
 
 class GridSample(NamedTuple):
-    """A cell per lane, and a place in it."""
+    """A sampled cell of a grid per lane, and the position within it."""
 
     row: Tensor  # (N,) int64
     column: Tensor  # (N,) int64
-    down: Tensor  # (N,) uniform in [0, 1]: the remainder of the number that picked the row
+    down: Tensor  # (N,) uniform in [0, 1]: rescaled from the number that picked the row
     across: Tensor  # (N,) likewise for the column
 
 
 class GridDistribution(NamedTuple):
-    """Weights of R x C cells, by which first a row is picked, then a cell of it. Float64 whatever the scene's dtype.
+    """A distribution over R x C cells: a row is sampled first, then a cell of it. Float64 whatever the scene's dtype.
 
     One running sum over all cells, row by row, serves both searches.
     """
@@ -30,7 +30,7 @@ class GridDistribution(NamedTuple):
     size: tuple[Tensor, Tensor]  # () int64 each, R and C
 
     def sample(self, u: Tensor, v: Tensor) -> GridSample:
-        """Cells for uniform float64 numbers `u` (rows) and `v` (columns) in [0, 1), (N,)."""
+        """Samples cells by uniform float64 numbers `u` (rows) and `v` (columns) in [0, 1), (N,)."""
         count, columns = self.size
         u = u * self.rows.index_select(0, torch.zeros_like(u, dtype=torch.int64) + count)
         row = torch.minimum(torch.searchsorted(self.rows, u.contiguous(), right=True) - 1, count - 1)

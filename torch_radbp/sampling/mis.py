@@ -1,4 +1,4 @@
-"""Multiple importance sampling."""
+"""Multiple importance sampling: the power heuristic."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from torch import Tensor
 
 
 def power_heuristic(pdf: Tensor, other: Tensor) -> Tensor:
-    """The weight of a sample drawn with density `pdf` > 0 where the other technique has density `other`.
+    """The MIS weight of a sample drawn with density `pdf` > 0 where the other technique has density `other`.
 
     An infinite `pdf` (of ideal specular scattering) gives weight 1.
 

@@ -1,4 +1,4 @@
-"""Running sums of weights, the tables that binary searches look into."""
+"""Prefix sums of weights, the tables that binary searches look into."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from torch import Tensor
 
 
 def sums_in_any_order(device: torch.device) -> bool:
-    """True if a device's running sums by torch differ in their last bits from time to time; torch may be told to refuse."""
+    """True if torch's prefix sums on a device are not deterministic; torch may be told to refuse these."""
     return device.type != "cpu"
 
 
 def running_sum(weights: Tensor, dim: int = 0, out: Tensor | None = None) -> Tensor:
-    """Running sums along a dimension, the same each time under `torch.use_deterministic_algorithms`.
+    """Prefix sums along a dimension, deterministic under `torch.use_deterministic_algorithms`.
 
     Args:
         weights: non-negative, of any shape.

@@ -46,29 +46,29 @@ class SampleKey(NamedTuple):
     """The key of all random numbers of a call and sensor; () int32 each."""
 
     seed: Tensor  # from `seed_key`
-    shared: Tensor  # -1: the lanes of a group are points of one sequence; 0: they are independent
+    shared: Tensor  # -1: the lanes of a group share one low-discrepancy sequence; 0: they are independent
 
 
 class FilmOrder(NamedTuple):
-    """In which order the pixels of a film take points of one sequence; () int32 each, from `film_order`."""
+    """The order in which pixels of a film take points of one low-discrepancy sequence; () int32 each."""
 
     width: Tensor  # columns by which pixels are numbered
-    bits: Tensor  # of the number of a sample in its pixel
-    side: Tensor  # base-2 logarithm of the side of a square, in pixels, in which no point comes twice
-    inner: Tensor  # bits of the number of a pixel in its block, whose pixels are far from each other in the sequence
+    bits: Tensor  # bits of the index of a sample in its pixel
+    side: Tensor  # log2 of the side of a square, in pixels, in which no point is used twice
+    inner: Tensor  # bits of the index of a pixel in its block, whose pixels are far apart in the sequence
 
 
 class LaneKey(NamedTuple):
     """The key of all random numbers of a lane; (N,) int32 each."""
 
-    shift: Tensor  # the same for all lanes of a group, or another for each
+    shift: Tensor  # random shift: the same for all lanes of a group, or another for each
     point: Tensor  # bit-reversed index in the sequence: the first coordinate as a fraction of 2^32
 
 
 class BounceKey(NamedTuple):
     """The key of the random numbers of a lane at one bounce; (N,) int32 each."""
 
-    shift: Tensor
+    shift: Tensor  # random shift
     first: Tensor  # coordinates of the point
     second: Tensor
 
@@ -93,7 +93,7 @@ def seed_key(seed: int, sensor: int) -> int:
 
 
 def hash_of(x: int) -> int:
-    """`hash32` of a number, whose bits beyond the lowest 32 do not count; without sign."""
+    """`hash32` of a Python number, of which the lowest 32 bits count; unsigned."""
     x &= 0xFFFFFFFF
     x = (x ^ x >> 16) * SCRAMBLERS[0] & 0xFFFFFFFF
     x = (x ^ x >> 15) * SCRAMBLERS[1] & 0xFFFFFFFF
@@ -108,7 +108,7 @@ def sample_key(seed: int, sensor: int, low_discrepancy: bool, device: torch.devi
 
 @functools.lru_cache(maxsize=64)
 def film_order(width: int, samples: int, device: torch.device, block: int = 1) -> FilmOrder:
-    """The order of a film.
+    """The order in which the pixels of a film take points of a low-discrepancy sequence.
 
     Args:
         width: columns by which pixels are numbered.
@@ -125,7 +125,7 @@ def film_order(width: int, samples: int, device: torch.device, block: int = 1) -
 
 
 def film_lane_key(order: FilmOrder, pixel: Tensor, sample: Tensor, key: SampleKey) -> LaneKey:
-    """The key of each lane's random numbers.
+    """The random number keys of lanes, from pixel and sample indices.
 
     Blocks of pixels follow each other along a curve of Morton, so that those of every aligned square of 2^k x 2^k blocks
     take points that follow each other.
@@ -146,14 +146,14 @@ def film_lane_key(order: FilmOrder, pixel: Tensor, sample: Tensor, key: SampleKe
 
 
 def spread_bits(x: Tensor) -> Tensor:
-    """The 16 lowest bits of int32 values, a zero before each."""
+    """Spreads the 16 lowest bits of int32 values, with a zero before each, as for Morton codes."""
     for distance, mask in SPREAD:
         x = (x | x << distance) & mask
     return x
 
 
 def lane_key(key: SampleKey, group: Tensor, number: Tensor) -> LaneKey:
-    """The key of each lane's random numbers.
+    """The random number keys of lanes, from the index of a point in a group's sequence.
 
     Args:
         key: of the call.
@@ -165,14 +165,14 @@ def lane_key(key: SampleKey, group: Tensor, number: Tensor) -> LaneKey:
 
 
 def reversed_bits(x: Tensor) -> Tensor:
-    """The 32 bits of int32 values in the opposite order."""
+    """Reverses the 32 bits of int32 values."""
     for distance, mask in HALVES:
         x = ((x >> distance) & mask) | ((x & mask) << distance)
     return x
 
 
 def reordered(point: Tensor, order: Tensor) -> Tensor:
-    """Points of a sequence in another order: any 2^k successive points from a multiple of 2^k on remain distinct.
+    """Scrambles the order of a sequence's points; any 2^k successive points from a multiple of 2^k on remain distinct.
 
     Each bit is flipped depending on all less significant bits, which belong to greater indices.
 
@@ -187,14 +187,14 @@ def reordered(point: Tensor, order: Tensor) -> Tensor:
 
 
 def second_coordinate(first: Tensor) -> Tensor:
-    """The second coordinate of points of the Sobol' sequence: bits times Pascal's triangle modulo 2; fractions of 2^32."""
+    """The second coordinate of points of the Sobol' sequence, by Pascal's triangle modulo 2; fractions of 2^32."""
     for distance, mask in HALVES:
         first = first ^ ((first & mask) << distance)
     return first
 
 
 def depth_counter(depth: int, device: torch.device) -> Tensor:
-    """The address of the random numbers that bounce `depth` draws, () int32."""
+    """The counter of the random numbers at bounce `depth`, () int32."""
     return hash32(torch.tensor(depth + 1, dtype=torch.int32, device=device) ^ 0x3C6EF35F)
 
 
@@ -202,7 +202,7 @@ CAMERA_COUNTER = int(depth_counter(-1, torch.device("cpu")))  # the address of t
 
 
 def bounce_key(key: LaneKey, counter: Tensor | int) -> BounceKey:
-    """The key of each lane's random numbers at one bounce.
+    """The random number keys of lanes at one bounce.
 
     Args:
         key: from `lane_key`.

@@ -1,4 +1,4 @@
-"""What a surface is made of, as far as it is fixed when the functions of a bounce are compiled."""
+"""The appearance of a surface: its kind of BSDF and kinds of textures, for which the functions of a bounce are compiled."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch_radbp.texture.reader import OutsideReader, Reader
 
 
 class Appearance(NamedTuple):
-    """A kind of BSDF, and how each of the values that it takes is read.
+    """The kind of BSDF of a surface, and how each of its parameters is read from textures.
 
     Lanes queue by it: the functions of a bounce are made for one appearance, and run on the lanes that meet it.
     """
@@ -19,20 +19,20 @@ class Appearance(NamedTuple):
 
     @property
     def needs_uv(self) -> bool:
-        """True if a value depends on the surface coordinates."""
+        """True if a parameter depends on the surface coordinates u and v."""
         return any(reader.needs_uv for reader in self.readers)
 
     @property
     def needs_edges(self) -> bool:
-        """True if a value depends on how something changes along the surface."""
+        """True if a parameter depends on how a texture changes along the surface, as bump maps do."""
         return any(reader.needs_edges for reader in self.readers)
 
     @property
     def needs_footprint(self) -> bool:
-        """True if a value depends on how much of the surface a sample sees."""
+        """True if a parameter depends on the footprint of a sample, as filtered textures do."""
         return any(reader.needs_footprint for reader in self.readers)
 
     @property
     def outside(self) -> tuple[OutsideReader, ...]:
-        """The readers of those values that are given to the functions of a bounce."""
+        """The readers of textures that are evaluated outside of compiled code, such as neural networks."""
         return tuple(reader for reader in self.readers if reader.outside)

@@ -1,4 +1,4 @@
-"""Attributes of meshes that textures read: which mesh must have which, with what values."""
+"""The mesh attributes that textures read: which mesh must have which, with what range of values."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from torch_radbp.texture.bitmap import reader_of
 
 
 def attributes_read(owner: Plugin) -> Iterator[tuple[str, Domain, Texture]]:
-    """The attributes that the textures of a material or an emitter read, with the domain of the values and the texture."""
+    """The mesh attributes that a material's or emitter's textures read, with the domain of their values and the texture."""
     for domain, texture in textures_of(owner):
         for leaf in _leaves(texture):
             yield from ((attribute, domain, leaf) for attribute in reader_of(leaf).attributes)
 
 
 def textures_of(owner: Plugin) -> Iterator[tuple[Domain, Texture]]:
-    """The textures of a material or an emitter, those of the materials in it included, with the domains of their values."""
+    """The textures of a material (nested ones included) or an emitter, with the domains of their values."""
     for part in with_nested(owner):
         for name, domain in part.domains().items():
             texture = getattr(part, name, None)
@@ -32,7 +32,7 @@ def textures_of(owner: Plugin) -> Iterator[tuple[Domain, Texture]]:
 
 
 def with_nested(owner: Plugin) -> Iterator[Plugin]:
-    """A material or an emitter, and the materials in it."""
+    """A material or an emitter, and the materials nested in it."""
     yield owner
     for child in (*owner._modules.values(), *owner.shared.values()):
         if isinstance(child, Plugin) and not isinstance(child, Texture):
@@ -40,7 +40,7 @@ def with_nested(owner: Plugin) -> Iterator[Plugin]:
 
 
 def _leaves(texture: Texture) -> Iterator[Texture]:
-    """The texture, or those that its values are taken from."""
+    """The texture, or the textures that it is composed of."""
     for part in texture.parts():
         yield from _leaves(part)
     if not texture.parts():
@@ -48,7 +48,7 @@ def _leaves(texture: Texture) -> Iterator[Texture]:
 
 
 def check_attributes(scene: Scene, cache: PackCache, leeway: float = LEEWAY) -> None:
-    """Checks the attributes that textures read; `leeway` as of `Domain.check_range`.
+    """Checks the mesh attributes that textures read; `leeway`: how far values may be out of range, see `Domain.check_range`.
 
     Raises:
         ValueError: if a shape lacks one, or one has values that the texture must not have there.
@@ -64,20 +64,20 @@ def check_attributes(scene: Scene, cache: PackCache, leeway: float = LEEWAY) -> 
 
 
 def extremes(values: Tensor) -> tuple[float, float]:
-    """The least and the greatest value."""
+    """The least and the greatest value of a tensor."""
     return tuple(torch.stack(values.aminmax()).tolist())
 
 
 def attribute(scene: Scene, shape: Shape, name: str) -> Tensor:
-    """The attribute of a shape, attached.
+    """An attribute of a shape's mesh, attached.
 
     Raises:
         ValueError: if it has none of that name.
     """
-    known = getattr(shape, "attribute_names", ())
-    if name not in known:
+    names = getattr(shape, "attribute_names", ())
+    if name not in names:
         raise ValueError(f"the shape {scene.name_of(shape)!r} has no attribute {name!r}, which a mesh_attribute of its "
-                         f"material or emitter reads; {nearest(name, known)}. Add it, shape.add_attribute({name!r}, values)")
+                         f"material or emitter reads; {nearest(name, names)}. Add it, shape.add_attribute({name!r}, values)")
     return getattr(shape, name)
 
 

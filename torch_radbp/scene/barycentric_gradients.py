@@ -1,4 +1,4 @@
-"""How heights above a surface turn its normal.
+"""The gradients of barycentric coordinates along a surface, by which bump maps turn its normal.
 
 A height that lifts a surface along its shading normal n_s, and rises by r_k along the edge e_k of a triangle, has the
 gradient along the surface
@@ -22,7 +22,7 @@ LEAST_COSINE = 1e-6  # between a shading normal and that of the triangle
 
 
 def barycentric_gradients(frame: ShadingFrame, shading: Vec3, n: Vec3, e1: Vec3, e2: Vec3) -> tuple[Vec3, Vec3]:
-    """The gradients of the second and of the third barycentric coordinate, attached; zero where the triangle is degenerate.
+    """The gradients of the barycentric coordinates of the second and third vertex; attached; zero on degenerate triangles.
 
     Args:
         frame: the shading frame, with a tangent along u.
@@ -35,7 +35,7 @@ def barycentric_gradients(frame: ShadingFrame, shading: Vec3, n: Vec3, e1: Vec3,
         `shading`: where the z of a gradient is greater than 1, the lifted surface faces the other side of the triangle.
     """
     volume, cosine = dot(cross(e1, e2), shading), dot(n, shading)
-    known = (volume.abs() > TINY) & (cosine.abs() > LEAST_COSINE)
-    scale, upright = (known.to(one.dtype) / torch.where(known, one, 1.0) for one in (volume, cosine))
-    found = (cross(e2, shading) * scale, cross(shading, e1) * scale)
-    return tuple(Vec3(dot(world, frame.s), dot(world, frame.t), dot(world, n) * upright) for world in found)
+    is_regular = (volume.abs() > TINY) & (cosine.abs() > LEAST_COSINE)
+    scale, upright = (is_regular.to(one.dtype) / torch.where(is_regular, one, 1.0) for one in (volume, cosine))
+    gradients = (cross(e2, shading) * scale, cross(shading, e1) * scale)
+    return tuple(Vec3(dot(world, frame.s), dot(world, frame.t), dot(world, n) * upright) for world in gradients)

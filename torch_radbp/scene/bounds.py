@@ -1,4 +1,4 @@
-"""The ranges of a scene's parameters, and how values are brought back into them."""
+"""The ranges of a scene's parameters, and the clamping of values to these."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MARGIN = 1e-3  # how far values stay from an end that is not in their range, as 
 
 
 def clamp(scene: Scene, names: str | Iterable[str] | None = None) -> None:
-    """Brings parameters into their ranges, in place; see `Scene.clamp_`."""
+    """Clamps parameters to their ranges, in place; see `Scene.clamp_`."""
     held = held_values(scene)
     chosen = held if names is None else [names] if isinstance(names, str) else list(names)
     for name in chosen:
@@ -30,7 +30,7 @@ def clamp(scene: Scene, names: str | Iterable[str] | None = None) -> None:
 
 
 def bring_inside(name: str, held: Held, named: bool = True) -> None:
-    """Brings one value into its range; that of a reflectance ends at 1 if it requires a gradient or was named."""
+    """Clamps one value to its range; a reflectance is clamped to 1 only if it requires a gradient or was named."""
     low, high = range_of(held.domains, reflectances=True)
     # A texture that computes its values does so from parameters, which have ranges of their own; buffers are not optimised.
     if low == -math.inf and high == math.inf or held.attribute is None or held.attribute in held.owner._buffers:
@@ -49,7 +49,7 @@ def bring_inside(name: str, held: Held, named: bool = True) -> None:
 
 
 def requires_gradient(held: Held) -> bool:
-    """True if a value, or something that its parametrisation computes it from, requires a gradient."""
+    """True if a value, or a tensor that its parametrisation computes it from, requires a gradient."""
     owner, attribute = held.owner, held.attribute
     if parametrize.is_parametrized(owner, attribute):
         return any(parameter.requires_grad for parameter in owner.parametrizations[attribute].parameters())
@@ -57,7 +57,7 @@ def requires_gradient(held: Held) -> bool:
 
 
 def assign(name: str, held: Held, inside: Tensor) -> None:
-    """Gives a parametrisation the value that is to come out of it."""
+    """Assigns to a parametrised tensor such that its parametrisation yields the value `inside`."""
     owner, attribute = held.owner, held.attribute
     if not parametrize.is_parametrized(owner, attribute):
         raise RuntimeError(f"parameter {name!r} is computed from other tensors and out of its range: clamp these")
@@ -69,7 +69,7 @@ def assign(name: str, held: Held, inside: Tensor) -> None:
 
 
 def range_of(domains: Collection[Domain], reflectances: bool) -> tuple[float, float]:
-    """The ends of the range of a value that must be in all of some domains; `reflectances`: theirs ends at 1."""
+    """The intersection of some domains as least and greatest value; `reflectances`: those of reflectances end at 1."""
     low, high = -math.inf, math.inf
     for domain in domains:
         greatest = min(domain.high, 1.0) if domain.is_reflectance and reflectances else domain.high
@@ -80,6 +80,6 @@ def range_of(domains: Collection[Domain], reflectances: bool) -> tuple[float, fl
 
 
 def held_by(scene: Scene, optimizer: torch.optim.Optimizer) -> dict[str, Held]:
-    """The values of a scene, by name, that follow what an optimizer holds."""
+    """The values of a scene, by name, that depend on the parameters of an optimizer."""
     moved = {id(parameter) for group in optimizer.param_groups for parameter in group["params"]}
     return {name: held for name, held in held_values(scene).items() if not moved.isdisjoint(held.reach)}

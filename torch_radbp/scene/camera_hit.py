@@ -30,7 +30,7 @@ def camera_hit(caster, scene: SceneTensors, ray: Ray, clipping: Camera | None, h
 
 
 def behind_emitters(caster, scene: SceneTensors, ray: Ray, hit):
-    """The closest surface that does not emit light."""
+    """The closest surface that does not emit light, behind any emitters that the ray passes through."""
     while True:
         hidden = ((hit.prim >= 0) & (scene.triangles.emitter[hit.prim.clamp_min(0)] >= 0)).nonzero().squeeze(1)
         if len(hidden) == 0:

@@ -1,4 +1,4 @@
-"""Ray cones: how much of a surface one sample of a pixel stands for, which tells textures how finely to be read.
+"""Ray cones: the footprint of a pixel's sample on surfaces, by which textures choose how finely they are read.
 
 A cone has a width at the origin of its ray, and a spread, by which the width grows per unit of distance. It begins as wide
 as the pixel. Scattering adds the width of the solid angle that the sample stands for: the share 1 / SHARING of 1 / density,
@@ -34,15 +34,15 @@ SMALLEST = 1e-36  # of what a logarithm is taken; its reciprocal is finite in fl
 
 
 class Cone(NamedTuple):
-    """The cone around the ray of each lane, (N,); attached."""
+    """The ray cone of each lane, (N,); attached."""
 
     width: Tensor  # at the origin, world units
     spread: Tensor  # of the width, per unit of distance
 
 
 def camera_cone(camera: Camera, ray: Ray, position: Vec2, aperture: Vec2 | None) -> Cone:
-    """Cones as wide as a pixel: the distances to the rays one pixel to the right and one below; or without width and spread
-    where pixels have no area.
+    """Ray cones as wide as a pixel where they start: by the rays one pixel to the right and below; zero where pixels have no
+    area.
 
     Args:
         camera: of the rays.
@@ -59,7 +59,7 @@ def camera_cone(camera: Camera, ray: Ray, position: Vec2, aperture: Vec2 | None)
 
 
 def cone_beyond(cone: Cone, t: Tensor, density: Tensor) -> Cone:
-    """The cone of the ray that leaves a surface.
+    """The ray cone of a scattered ray: it is wider and spreads more the wider the BSDF scatters.
 
     Args:
         cone: of the ray that met it.
@@ -71,7 +71,7 @@ def cone_beyond(cone: Cone, t: Tensor, density: Tensor) -> Cone:
 
 
 def footprint(cone: Cone, t: Tensor, cosine: Tensor, edges: tuple[Vec3, Vec3], edges_uv: tuple[Vec2, Vec2]) -> Tensor:
-    """The natural logarithm of the width, in surface coordinates, of what a cone meets of a triangle; attached.
+    """The natural logarithm of the width of a cone's footprint on a triangle, in surface coordinates; attached.
 
     Args:
         cone, t: as for `cone_beyond`.

@@ -1,4 +1,4 @@
-"""Copies of the tensors of one rendering, by which the next one finds out what has changed, and what its modules hold."""
+"""Copies of all tensors of a rendering, with which the next one compares its own to see what has changed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from torch_radbp.tensors.differentiated import primal
 
 
 class Copies:
-    """Copies of tensors, detached, and inventories of modules: those of the last rendering where they hold, else new ones.
+    """Detached copies of tensors, and inventories of modules; those of the last rendering are taken where nothing changed.
 
     Args:
         last: of the last rendering.
@@ -36,62 +36,62 @@ class Copies:
         self.moved: set[int] = set() if around is None else around.moved  # as of `Inventory.reach`, what is not as it was
 
     def close(self) -> Copies:
-        """Lets go of what only the last rendering needed."""
+        """Drops what only the comparison with the last rendering needed."""
         self.last_copies, self.last_places, self.last_inventories, self.unchanged = {}, {}, {}, None
         self.seen, self.fixed, self.moved = {}, set(), set()
         self.inventories = {root: inventory for root, inventory in self.inventories.items() if inventory.lasts}
         return self
 
     def inventory(self, root: nn.Module) -> Inventory:
-        """What a module holds in this rendering: the inventory of the last one if that holds."""
-        found = self.inventories.get(id(root))
-        if found is None:
+        """The `Inventory` of a module; that of the last rendering if it still holds."""
+        inventory = self.inventories.get(id(root))
+        if inventory is None:
             last = self.last_inventories.get(id(root))
-            found = last if last is not None and last.holds(root) else Inventory(root)
-            self.inventories[id(root)] = found
-            self.moved |= found.live | found.restless
-            self.freeze(found)
-        return found
+            inventory = last if last is not None and last.holds(root) else Inventory(root)
+            self.inventories[id(root)] = inventory
+            self.moved |= inventory.live | inventory.restless
+            self.freeze(inventory)
+        return inventory
 
     def freeze(self, inventory: Inventory) -> None:
-        """Copies the tensors of an inventory that are not differentiated; those that have not changed are compared only."""
+        """Copies the tensors of an inventory that are not differentiated, or keeps the copies where values are unchanged."""
         left = [(place, tensor) for place, tensor in inventory.settled if id(tensor) not in self.seen]
         if self.is_as_it_was(inventory.root) and all(tensor.is_cpu and place in self.last_copies for place, tensor in left):
             copies = [self.last_copies[place] for place, _ in left]
             equal = same_bits_each([tensor for _, tensor in left], copies)
-            for (place, tensor), copy, same in zip(left, copies, equal):
-                if same:
+            for (place, tensor), copy, unchanged in zip(left, copies, equal):
+                if unchanged:
                     self.copies[place], self.seen[id(tensor)] = copy, (tensor, copy)
                     self.fixed.add(id(copy))
-            left = [each for each, same in zip(left, equal) if not same]
+            left = [each for each, unchanged in zip(left, equal) if not unchanged]
         for place, tensor in left:
             if self.frozen(place, tensor) is not self.last_copies.get(place):
                 self.moved.add(id(tensor))
 
     def is_as_it_was(self, root: nn.Module) -> bool:
-        """True if a module holds what it held in the last rendering, but for the numbers in tensors."""
+        """True if a module holds the same objects as in the last rendering, whatever the values of tensors are."""
         return self.last_inventories.get(id(root)) is self.inventory(root)
 
     def structure(self, make: Callable, root: nn.Module, *arguments: Hashable):
-        """`make(root, *arguments)`, or what that gave before if the module holds the very objects that it held then.
+        """`make(root, *arguments)`, cached for as long as the module holds the very same objects.
 
         Args:
             make: a function whose result depends on neither the numbers in tensors nor anything else that changes.
             root: any module.
             arguments: any others.
         """
-        known, key = self.inventory(root).results, (make, *arguments)
-        if key not in known:
-            known[key] = make(root, *arguments)
-        return known[key]
+        results, key = self.inventory(root).results, (make, *arguments)
+        if key not in results:
+            results[key] = make(root, *arguments)
+        return results[key]
 
     def facts(self, root: nn.Module) -> dict[Hashable, Any]:
-        """A place for what follows from the attributes that a module has in this rendering; lasts until one changes."""
-        found = self.inventories.get(id(root))
-        return {} if found is None else found.results
+        """A dict for what is derived from a module's attributes; it is emptied when an attribute changes."""
+        inventory = self.inventories.get(id(root))
+        return {} if inventory is None else inventory.results
 
     def frozen(self, place: Hashable, tensor: Tensor) -> Tensor:
-        """A detached copy of a tensor; the same object as last time if not a bit has changed.
+        """A detached copy of a tensor; the same object as in the last rendering if not a bit has changed.
 
         Args:
             place: tells which tensor of the last rendering to compare with.
@@ -110,7 +110,7 @@ class Copies:
         return self.seen[id(tensor)][1]
 
     def known_unchanged(self, place: Hashable, tensor: Tensor) -> bool:
-        """True if all tensors of the last rendering have been compared together, and this one has not changed.
+        """True if a tensor is unchanged since the last rendering, by one comparison of all tensors of a device.
 
         To ask a device for one answer takes as long as to ask it for many; on the CPU each is compared when its turn comes.
         """
@@ -123,10 +123,10 @@ class Copies:
 
 
 def _unchanged(places: dict[Hashable, weakref.ref[Tensor]], copies: dict[Hashable, Tensor]) -> set[tuple[Hashable, int]]:
-    """The places, with the ids of tensors that are still there with the bits of their copies; all are compared at once."""
-    there = [(place, tensor, copies[place]) for place, found in places.items() if (tensor := found()) is not None]
+    """Compares tensors of the last rendering with their copies, all at once; places and ids of those that are unchanged."""
+    there = [(place, tensor, copies[place]) for place, reference in places.items() if (tensor := reference()) is not None]
     there = [each for each in there if comparable(*each[1:])]
     if not there:
         return set()
-    same = torch.stack([(bits_of(tensor) == bits_of(copy)).all() for _, tensor, copy in there]).tolist()
-    return {(place, id(tensor)) for (place, tensor, _), equal in zip(there, same) if equal}
+    equal_bits = torch.stack([(bits_of(tensor) == bits_of(copy)).all() for _, tensor, copy in there]).tolist()
+    return {(place, id(tensor)) for (place, tensor, _), equal in zip(there, equal_bits) if equal}

@@ -1,4 +1,4 @@
-"""The triangles of a scene as tables. What is detached in them is made again only where vertices or faces have changed."""
+"""The tables of a scene's triangles. Detached columns are computed again only where vertices or faces have changed."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ class PlacedShape(NamedTuple):
     """A shape as triangles in world space, or in the frame of its group."""
 
     surface: Triangles  # attached
-    vertices: Tensor  # (V, 3) of the surface, detached; the same object as in the last rendering while the values are
+    vertices: Tensor  # (V, 3) of the surface, detached; the same object as in the last rendering if unchanged
     faces: Tensor  # (F, 3) likewise
-    ball: Ball | None  # likewise
+    ball: Ball | None  # the tessellated sphere that the shape is, likewise
 
 
 class TriangleNumbering(NamedTuple):
-    """How the triangles of a shape are counted."""
+    """How the triangles of a shape are numbered in AOVs."""
 
     counted: bool  # if not, they are one primitive, of number 0
     shape: int  # the number of the shape in the scene; 0: it belongs to a group
 
 
 class Columns(NamedTuple):
-    """What a scene needs to know about its triangles beside their positions."""
+    """Which optional columns the triangle tables of a scene have, and what each shape belongs to."""
 
     normals: bool  # of vertices
     uv: bool
@@ -57,7 +57,7 @@ class Columns(NamedTuple):
 
 
 def placed_shape(cache: PackCache, shape: Surface, instanced: bool, dtype: torch.dtype) -> PlacedShape:
-    """A shape as it is now; if instances show it, in the frame of its group, and as triangles only."""
+    """The triangles of a shape as it is now; if instances show it, in the frame of its group."""
     surface = cache(without_flat_normals, cache(oriented, cache.twin(id(shape), shape), connections(cache, shape)))
     place = id(shape)
     return PlacedShape(surface, cache.frozen((place, "vertices"), surface.vertices.to(dtype)),
@@ -66,12 +66,12 @@ def placed_shape(cache: PackCache, shape: Surface, instanced: bool, dtype: torch
 
 
 def frozen_ball(cache: PackCache, place: Hashable, ball: Ball | None) -> Ball | None:
-    """The ball that a shape is, detached; `place` tells which of the last rendering to compare with."""
+    """A detached copy of a shape's `Ball`; `place`: the key by which it is compared with that of the last rendering."""
     return None if ball is None else cache(Ball, cache.frozen((place, "ball"), ball.placement), ball.turned)
 
 
 def connections(cache: PackCache, shape: Surface) -> tuple[NamedTuple, ...]:
-    """What a shape's triangles are to be told, see `Surface.connections`; found anew only if its values have changed."""
+    """The connections of a shape's triangles, see `Surface.connections`; computed again only if its values have changed."""
     recipe = shape.connections()
     if recipe is None:
         return ()
@@ -80,13 +80,13 @@ def connections(cache: PackCache, shape: Surface) -> tuple[NamedTuple, ...]:
                          for number, value in enumerate(arguments))),)
 
 
-def oriented(shape: Surface, found: tuple[NamedTuple, ...]) -> Triangles:
-    """The triangles of a shape in world space; `found`: its connections, if it has any."""
-    return shape.oriented(*found)
+def oriented(shape: Surface, connections_of_shape: tuple[NamedTuple, ...]) -> Triangles:
+    """The triangles of a shape in world space, oriented by its connections, if it has any."""
+    return shape.oriented(*connections_of_shape)
 
 
 def without_flat_normals(surface: Triangles) -> Triangles:
-    """The surface without vertex normals if they equal those of its faces, and no derivative can tell them apart."""
+    """Drops vertex normals that equal the face normals and carry no derivative."""
     if surface.normals is None or differentiated(surface.normals) or differentiated(surface.vertices):
         return surface
     some = surface.faces[::max(1, len(surface.faces) // FEW)]
@@ -95,14 +95,14 @@ def without_flat_normals(surface: Triangles) -> Triangles:
 
 
 def flat_normals(surface: Triangles, faces: Tensor) -> bool:
-    """True if the vertex normals of some faces of a surface, (F, 3), equal the normals of these faces."""
+    """True if vertex normals equal the normals of some faces of a surface, (F, 3)."""
     normals, _ = normals_and_clearances(surface.vertices, faces)
     return bool((surface.normals[faces] - normals.stack()[:, None]).abs().max() < FLAT)
 
 
 def triangle_table(cache: PackCache, shapes: Sequence[PlacedShape], columns: Columns, dtype: torch.dtype,
                    device: torch.device, instances: InstanceTable | None = None) -> TriangleTable:
-    """The triangles of all shapes, in order."""
+    """Builds the `TriangleTable` of all shapes, in order."""
     counts = tuple(len(shape.faces) for shape in shapes)
     surfaces = tuple(shape.surface for shape in shapes)
     vertices = cache(vertex_table, surfaces, columns.normals, columns.uv or columns.tangents, columns.attributes, dtype,
@@ -115,7 +115,6 @@ def triangle_table(cache: PackCache, shapes: Sequence[PlacedShape], columns: Col
                          dtype, device)
     smooth = tuple(shape.surface.normals is not None for shape in shapes)
     smooth = None if all(smooth) or not columns.normals else cache(of_each, smooth, counts, torch.bool, device)
-    plain = tuple(wanted and shape.surface.normals is None for wanted, shape in zip(columns.plain, shapes))
     along = cache(_tangents, vertices, corners) if columns.tangents else None
     if not columns.uv:
         vertices = cache(VertexTable, vertices.p, vertices.n, None, vertices.attributes)
@@ -124,12 +123,12 @@ def triangle_table(cache: PackCache, shapes: Sequence[PlacedShape], columns: Col
                          attributes=cache(face_table, surfaces, counts, columns.face_attributes, dtype, device),
                          numbers=None if columns.numbers is None else cache(_numbers, columns.numbers, counts, device),
                          instances=instances,
-                         plain=cache(of_each, plain, counts, torch.bool, device) if any(plain) else None)
+                         plain=cache(of_each, columns.plain, counts, torch.bool, device) if any(columns.plain) else None)
 
 
 def shown_instances(cache: PackCache, groups: Sequence[Sequence[Instance]], shapes: Sequence[PlacedShape], normals: bool,
                     numbers: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> InstanceTable | None:
-    """The instances of a scene, attached to their poses; None if it has none.
+    """Builds the `InstanceTable` of a scene, attached to the instances' poses; None if it has none.
 
     Args:
         cache: what is known from the last rendering.
@@ -150,13 +149,13 @@ def shown_instances(cache: PackCache, groups: Sequence[Sequence[Instance]], shap
 
 
 def _stacked(poses: tuple[Tensor, ...], dtype: torch.dtype) -> Tensor:
-    """(I, 4, 4) poses in one tensor."""
+    """Stacks poses to one tensor, (I, 4, 4)."""
     return torch.stack(poses).to(dtype)
 
 
 def casting_of(poses: Tensor, counts: tuple[int, ...], members: tuple[int, ...], vertices: tuple[Tensor, ...],
                faces: tuple[Tensor, ...]) -> Instances:
-    """What ray casters need to know of instances.
+    """The record of instances that ray casters are built from.
 
     Args:
         poses: (I, 4, 4) detached.
@@ -165,14 +164,14 @@ def casting_of(poses: Tensor, counts: tuple[int, ...], members: tuple[int, ...],
         vertices: (V, 3) of all shapes, those of groups last.
         faces: (F, 3) likewise.
     """
-    own, device = len(vertices) - sum(members), poses.device
+    outside_groups, device = len(vertices) - sum(members), poses.device
 
     def firsts(sizes: list[int]) -> Tensor:
-        in_groups = iter(sizes[own:])
+        in_groups = iter(sizes[outside_groups:])
         sums = [sum(itertools.islice(in_groups, count)) for count in members]
-        return torch.tensor(list(itertools.accumulate(sums, initial=sum(sizes[:own]))), device=device)
+        return torch.tensor(list(itertools.accumulate(sums, initial=sum(sizes[:outside_groups]))), device=device)
 
-    to_world, in_groups = poses[:, :3].contiguous(), iter(vertices[own:])
+    to_world, in_groups = poses[:, :3].contiguous(), iter(vertices[outside_groups:])
     points = [torch.cat(list(itertools.islice(in_groups, count))) for count in members]
     return Instances(to_world, firsts(list(map(len, vertices))), firsts(list(map(len, faces))),
                      torch.tensor(list(itertools.accumulate(counts, initial=0)), device=device),
@@ -180,7 +179,7 @@ def casting_of(poses: Tensor, counts: tuple[int, ...], members: tuple[int, ...],
 
 
 def balls_among(balls: Sequence[Ball | None], counts: Sequence[int], device: torch.device) -> Balls | None:
-    """The balls among the triangles of all shapes; None if there are none.
+    """Joins the tessellated spheres of all shapes, with the numbers of their triangles; None if there are none.
 
     Args:
         balls: of each shape, detached.
@@ -188,18 +187,18 @@ def balls_among(balls: Sequence[Ball | None], counts: Sequence[int], device: tor
         device: of the result.
     """
     firsts = list(itertools.accumulate(counts, initial=0))
-    found = [(first, ball) for first, ball in zip(firsts, balls) if ball is not None]
-    if not found:
+    numbered = [(first, ball) for first, ball in zip(firsts, balls) if ball is not None]
+    if not numbered:
         return None
-    first = [first + number * TRIANGLES for first, ball in found for number in range(len(ball.turned))]
-    turned = [own for _, ball in found for own in ball.turned]
+    first = [first + number * TRIANGLES for first, ball in numbered for number in range(len(ball.turned))]
+    turned = [is_turned for _, ball in numbered for is_turned in ball.turned]
     return Balls(torch.tensor(first, dtype=torch.int32, device=device), torch.tensor(turned, device=device),
-                 torch.cat([ball.placement for _, ball in found]).to(device, torch.float64))
+                 torch.cat([ball.placement for _, ball in numbered]).to(device, torch.float64))
 
 
 def vertex_table(surfaces: Sequence[Triangles], normals: bool, uv: bool, attributes: tuple[str, ...], dtype: torch.dtype,
                  device: torch.device) -> VertexTable:
-    """The vertices of all surfaces; if wanted with normals, uv and attributes, which are zero where a surface has none."""
+    """Joins the vertices of all surfaces; normals, uv and attributes on request, zero where a surface has none."""
     none = torch.zeros(0, 3, dtype=dtype, device=device)
 
     def column(parts: list[Tensor | None], width: int) -> Tensor:
@@ -216,7 +215,7 @@ def vertex_table(surfaces: Sequence[Triangles], normals: bool, uv: bool, attribu
 
 def face_table(surfaces: Sequence[Triangles], counts: Sequence[int], attributes: tuple[str, ...], dtype: torch.dtype,
                device: torch.device) -> tuple[Vec3, ...]:
-    """Attributes of the triangles of all surfaces, of which there are `counts`; zero where a surface has none. Attached."""
+    """Joins the face attributes of all surfaces; zero where a surface has none. Attached."""
     def column(name: str) -> Tensor:
         parts = [torch.zeros(count, 3, dtype=dtype, device=device) if part is None else part.to(dtype)
                  for count, part in zip(counts, channels(surfaces, name))]
@@ -226,15 +225,15 @@ def face_table(surfaces: Sequence[Triangles], counts: Sequence[int], attributes:
 
 
 def channels(surfaces: Sequence[Triangles], name: str) -> list[Tensor | None]:
-    """An attribute of each surface in three channels; None where there is none of that name."""
-    found = [dict(surface.attributes).get(name) for surface in surfaces]
-    return [None if values is None else values.expand(-1, 3) for values in found]
+    """An attribute of each surface, in three channels; None where a surface has none of that name."""
+    columns = [dict(surface.attributes).get(name) for surface in surfaces]
+    return [None if values is None else values.expand(-1, 3) for values in columns]
 
 
 def triangle_rows(faces: Sequence[Tensor], vertices: Sequence[int], material: Sequence[int], emitting: Sequence[bool],
                   device: torch.device) -> tuple[tuple[Tensor, Tensor, Tensor], Tensor, Tensor]:
-    """The corners of all triangles as rows of the concatenated vertices, their materials, and their numbers among those that
-    belong to an emitter; (T,) int32 each.
+    """For each triangle its corners as rows of the joined vertices, its material, and its number among emitting triangles;
+    (T,) int32.
 
     Args:
         faces: (F, 3) of each shape.
@@ -245,18 +244,18 @@ def triangle_rows(faces: Sequence[Tensor], vertices: Sequence[int], material: Se
     """
     firsts, counts = itertools.accumulate(vertices, initial=0), tuple(map(len, faces))
     none = torch.zeros(0, 3, dtype=torch.int32, device=device)
-    rows = torch.cat([none, *(own.to(torch.int32) + first for own, first in zip(faces, firsts))])
+    rows = torch.cat([none, *(faces_of_shape.to(torch.int32) + first for faces_of_shape, first in zip(faces, firsts))])
     materials = of_each(material, counts, torch.int32, device)
     return interleaved((rows.unbind(1), materials, emitter_rows(emitting, counts, device)))
 
 
 def of_each(values: Sequence[int | bool], counts: Sequence[int], dtype: torch.dtype, device: torch.device) -> Tensor:
-    """The value of the shape that each triangle belongs to, (T,)."""
+    """Repeats one value per shape for each of its triangles, (T,)."""
     return torch.tensor(values, dtype=dtype, device=device).repeat_interleave(torch.tensor(counts, device=device))
 
 
 def emitter_rows(emitting: Sequence[bool], counts: Sequence[int], device: torch.device) -> Tensor:
-    """The number of each triangle among those that belong to an emitter, (T,) int32; -1: it belongs to none."""
+    """The number of each triangle among those that emit light, (T,) int32; -1: it emits none."""
     if not any(emitting):
         return torch.full((sum(counts),), -1, dtype=torch.int32, device=device)
     emitting = of_each(emitting, counts, torch.bool, device)
@@ -264,14 +263,14 @@ def emitter_rows(emitting: Sequence[bool], counts: Sequence[int], device: torch.
 
 
 def _numbers(shapes: Sequence[TriangleNumbering], counts: Sequence[int], device: torch.device) -> tuple[Tensor, Tensor]:
-    """The number of each triangle in its shape, and that of the shape, (T,) int32 each; `counts` are of triangles."""
+    """The number of each triangle in its shape, and the number of that shape, (T,) int32 each, for AOVs."""
     none = torch.zeros(0, dtype=torch.int32)
-    own = [torch.arange(count, dtype=torch.int32) * shape.counted for shape, count in zip(shapes, counts)]
-    return torch.cat([none, *own]).to(device), of_each([shape.shape for shape in shapes], counts, torch.int32, device)
+    numbers = [torch.arange(count, dtype=torch.int32) * shape.counted for shape, count in zip(shapes, counts)]
+    return torch.cat([none, *numbers]).to(device), of_each([shape.shape for shape in shapes], counts, torch.int32, device)
 
 
 def normals_and_clearances(vertices: Tensor, faces: Tensor) -> tuple[Vec3, Tensor]:
-    """The unit normals of triangles, and the distances off them at which rays start; (F,) each.
+    """The unit normals of triangles, and the distances off them at which rays start to avoid self-intersection; (F,) each.
 
     Args:
         vertices: (V, 3) positions, detached.
@@ -288,19 +287,19 @@ def normals_and_clearances(vertices: Tensor, faces: Tensor) -> tuple[Vec3, Tenso
 
 
 def _concatenated(parts: Sequence[tuple[Vec3, Tensor]], dtype: torch.dtype, device: torch.device) -> tuple[Vec3, Tensor]:
-    """The normals and clearances of all shapes, (T,) each, from those of each."""
+    """Joins the normals and clearances of all shapes, (T,) each."""
     none = torch.zeros(0, dtype=dtype, device=device)
-    *n, clearances = (torch.cat([none, *column]) for column in zip((none,) * 4, *((*n, own) for n, own in parts)))
+    *n, clearances = (torch.cat([none, *column]) for column in zip((none,) * 4, *((*n, offset) for n, offset in parts)))
     return interleaved((Vec3(*n), clearances))
 
 
 def _tangents(vertices: VertexTable, corners: tuple[Tensor, Tensor, Tensor]) -> Vec3:
-    """The unit directions in the triangles along which u grows, attached."""
+    """The unit tangents of triangles along which u grows, attached."""
     return growth_of_u(*edges(*at_corners(vertices.p, corners))[1:], *at_corners(vertices.uv, corners))
 
 
 def growth_of_u(e1: Vec3, e2: Vec3, uv0: Vec2, uv1: Vec2, uv2: Vec2) -> Vec3:
-    """The unit direction in a triangle along which u grows and v is constant; 0 where it is undefined. Attached.
+    """The unit tangent of triangles along which u grows and v is constant; 0 where it is undefined. Attached.
 
     Args:
         e1, e2: (T,) edges from the first vertex.
@@ -309,5 +308,5 @@ def growth_of_u(e1: Vec3, e2: Vec3, uv0: Vec2, uv1: Vec2, uv2: Vec2) -> Vec3:
     d1, d2 = Vec2(uv1.x - uv0.x, uv1.y - uv0.y), Vec2(uv2.x - uv0.x, uv2.y - uv0.y)
     sign = torch.sign(d1.x * d2.y - d1.y * d2.x).detach()
     tangent = scaled(e1 * (sign * d2.y) - e2 * (sign * d1.y))
-    known = max_component(tangent.detach().map(torch.abs)) > 0
-    return masked(known, normalize(where(known, tangent, Vec3.full(sign, 1.0))))
+    is_defined = max_component(tangent.detach().map(torch.abs)) > 0
+    return masked(is_defined, normalize(where(is_defined, tangent, Vec3.full(sign, 1.0))))

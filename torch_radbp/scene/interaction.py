@@ -1,4 +1,4 @@
-"""The point where a ray meets a surface, with all that is known about it."""
+"""The surface interaction: the point where a ray meets a surface, with normals, frame and texture coordinates."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class SurfaceInteraction(NamedTuple):
     valid: Tensor  # bool: the ray meets a surface at all
     prim: Tensor  # int32 triangle, 0 where invalid
     material: Tensor | None  # int32 row of the material table; None where nothing is scattered
-    emitter: Tensor | None  # int32 element of the light table, -1: emits nothing; None: no triangle does
+    emitter: Tensor | None  # int32 element of the light table, -1: emits nothing; None: no triangle of the scene emits
     p: Vec3  # world position
     n: Vec3  # unit geometric normal
     frame: ShadingFrame  # shading frame; its normal is turned to the viewer's side of a two-sided material
@@ -60,13 +60,13 @@ class SurfaceInteraction(NamedTuple):
     clearance: Tensor  # distance off the surface at which rays start; detached
 
     def offset(self, d: Vec3) -> Vec3:
-        """The origin of a ray that leaves in direction `d`: off the surface, on the side that it leaves to."""
+        """The origin of a ray that leaves in direction `d`: moved off the surface to avoid self-intersection."""
         return self.p + self.n * torch.copysign(self.clearance, dot(self.n, d))
 
 
 def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | None = None, here: Corners | None = None,
                         front: Tensor | None = None, cone: Cone | None = None) -> SurfaceInteraction:
-    """Interpolates the triangle that was hit.
+    """Computes the surface interaction from the triangle that a ray has hit.
 
     Args:
         scene: the part that these lanes read; of a whole scene only what does not depend on the material is found.
@@ -99,7 +99,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     cosine = dot(n, ray.d)
     shading = shading_normal(scene, hit, n)
     shading_cosine = dot(shading, ray.d)
-    own = shading_cosine < 0
+    in_front = shading_cosine < 0
     emitter = lookup(triangles.emitter, prim) if layout.lit_surfaces else None
     uv, uv_corners = None, None
     if layout.radiance_bitmaps or (scatterer is not None and scatterer.needs_uv):
@@ -115,10 +115,10 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
         material = lookup(triangles.material, prim)
         if front is not None:
             differs = lookup(scene.materials.differs, material)
-            own = (front & differs) | (own & ~differs)
+            in_front = (front & differs) | (in_front & ~differs)
         along = shown_direction(scene, hit, lookup(triangles.along, prim)) if scatterer.kind.oriented else None
         if layout.back_sides:
-            material = material + (~own).to(material.dtype) * scene.materials.count
+            material = material + (~in_front).to(material.dtype) * scene.materials.count
             side = 1.0 - 2.0 * lookup(scene.materials.turned, material).to(cosine.dtype)
             shading, shading_cosine = shading * side, shading_cosine * side
     frame = ShadingFrame(shading, along, side)
@@ -131,12 +131,12 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
         come, change = torch.where(valid, t, 0.0), along_edges(uv_corners)
         point = point._replace(footprint=footprint(cone, come, cosine, (e1, e2), change))
     wi = LocalVec3(frame, ray.d, backwards=True, z=-shading_cosine)
-    return SurfaceInteraction(valid, prim, material, emitter, p, n, frame, own, wi, point, t, cosine,
+    return SurfaceInteraction(valid, prim, material, emitter, p, n, frame, in_front, wi, point, t, cosine,
                               clearance_at(scene, hit, corners))
 
 
 def shading_normal(scene: SceneTensors, hit, n: Vec3) -> Vec3:
-    """The unit normal by which a surface is shaded, attached to the vertex normals; `n` where it has none."""
+    """The unit shading normal, interpolated from vertex normals and attached to these; `n` where there are none."""
     triangles = scene.triangles
     if not scene.layout.shading_normals:
         return n
@@ -146,12 +146,12 @@ def shading_normal(scene: SceneTensors, hit, n: Vec3) -> Vec3:
 
 
 def is_in_front(scene: SceneTensors, ray: Ray, hit) -> Tensor:
-    """(N,) bool: the rays meet the side of the shading normal."""
+    """(N,) bool: rays that meet the side of the surface to which the shading normal points."""
     return dot(shading_normal(scene, hit, triangle_normal(scene, hit)), ray.d) < 0
 
 
 def triangle_normal(scene: SceneTensors, hit, e1: Vec3 | None = None, e2: Vec3 | None = None) -> Vec3:
-    """The unit geometric normals where triangles were hit, detached; `e1`, `e2`: their edges in the world, if known."""
+    """The unit geometric normals of the triangles hit, detached; `e1`, `e2`: their edges in the world, if available."""
     if scene.triangles.instances is None:
         return lookup(scene.triangles.n, hit.prim.clamp_min(0))
     if e1 is None:
@@ -160,13 +160,13 @@ def triangle_normal(scene: SceneTensors, hit, e1: Vec3 | None = None, e2: Vec3 |
 
 
 def unit_normal_shown(scene: SceneTensors, hit, e1: Vec3, e2: Vec3) -> Vec3:
-    """The unit normals of the triangles that were hit, attached to their edges in the world."""
+    """The unit geometric normals of the triangles that were hit, attached to their edges in the world."""
     n, instances = unit_normal(e1, e2), scene.triangles.instances
     return n if instances is None else n * lookup(instances.side, hit.instance)
 
 
 def clearance_at(scene: SceneTensors, hit, corners: Corners) -> Tensor:
-    """The distances off the triangles that were hit at which rays leave them, detached; see `clearance`."""
+    """The distances off the surface at which rays leave the triangles that were hit, detached; see `clearance`."""
     instances = scene.triangles.instances
     if instances is None:
         return lookup(scene.triangles.clearance, hit.prim.clamp_min(0))
@@ -174,7 +174,7 @@ def clearance_at(scene: SceneTensors, hit, corners: Corners) -> Tensor:
 
 
 def clearance(corners: Corners) -> Tensor:
-    """The distance off triangles at which rays start, so that they do not meet the triangle that they leave; detached.
+    """The distance off triangles at which rays start to avoid self-intersection; detached.
 
     A point interpolated between the corners, and a ray caster's distance to it, are off by some roundings of float32 of
     the largest coordinate S of the corners: in tilted grids of triangles of very different sizes, seen from near and far,
@@ -192,28 +192,28 @@ def clearance(corners: Corners) -> Tensor:
 
 @stage("scene")
 def corner_rows(scene: SceneTensors, hit) -> tuple[Tensor, Tensor, Tensor]:
-    """The vertices of the triangles that were hit, (N,) int32 rows of the vertex table."""
+    """The vertices of the triangles that were hit, three (N,) int32 rows of the vertex table."""
     return tuple(lookup(corner, hit.prim.clamp_min(0)) for corner in scene.triangles.corners)
 
 
 def at_corners(table: Vec2 | Vec3, rows: tuple[Tensor, Tensor, Tensor]) -> tuple[Vec2 | Vec3, ...]:
-    """The entries of a table at the three vertices of triangles."""
+    """Gathers the entries of a vertex table at the three vertices of triangles."""
     return tuple(lookup(table, row) for row in rows)
 
 
 def edges(p0: Vec3, p1: Vec3, p2: Vec3) -> tuple[Vec3, Vec3, Vec3]:
-    """The first vertices of triangles, and the edges from there to the second and the third."""
+    """The first vertices of triangles, and the edge vectors from there to the second and the third."""
     return p0, p1 - p0, p2 - p0
 
 
 def along_edges(corners: tuple[Vec2 | Vec3, ...]) -> tuple[Vec2 | Vec3, Vec2 | Vec3]:
-    """What entries of vertices change by from the first to the second, and to the third."""
+    """The differences of a vertex attribute along the two edges from the first vertex."""
     first, *others = corners
     return tuple(type(first)(*(end - begin for end, begin in zip(other, first))) for other in others)
 
 
 def where_the_ray_goes(ray: Ray, p0: Vec3, e1: Vec3, e2: Vec3, hit, slides: Tensor):
-    """The hit, with barycentric coordinates attached to ray and triangle where it slides."""
+    """The hit with barycentric coordinates attached to ray and triangle, where the point slides over the surface."""
     volume, of_u, of_v = crossing(ray, p0, e1, e2)
     slides = slides & (volume.abs() > TINY)  # else it is seen edge-on
     volume = torch.where(slides, volume, 1.0)

@@ -1,4 +1,4 @@
-"""What the modules of a scene hold, in flat lists that are compared at once with what they hold at the next rendering.
+"""The tensors and modules of a scene, in flat lists that are quickly compared with those of the next rendering.
 
 A scene has hundreds of attributes, of which a step of an optimisation changes the numbers in a few tensors. What follows
 from the others (which materials there are, how textures are laid out) is found again only if one of them is another object,
@@ -26,7 +26,7 @@ KIND = operator.attrgetter("shape", "dtype", "device", "layout", "requires_grad"
 
 
 class Inventory:
-    """The attributes of a module and of all that it holds, as one rendering found them.
+    """The attributes of a module and of all modules in it, at one rendering.
 
     Of a scene, sensors are left out: each is a root of its own, so that what a rendering costs does not depend on how many
     there are that it does not show.
@@ -42,11 +42,11 @@ class Inventory:
         dicts = self.dicts()
         self.sizes, self.names = list(map(len, dicts)), list(chain.from_iterable(dicts))
         self.values = list(chain.from_iterable(map(dict.values, dicts)))
-        found = {id(tensor): (place, tensor) for module in self.modules for place, tensor in tensors_of(module)}
-        self.tensors = [tensor for _, tensor in found.values()]
+        tensors = {id(tensor): (place, tensor) for module in self.modules for place, tensor in tensors_of(module)}
+        self.tensors = [tensor for _, tensor in tensors.values()]
         self.kinds = list(map(KIND, self.tensors))
         self.live = frozenset(id(tensor) for tensor in self.tensors if differentiated(tensor))
-        self.settled = [(place, tensor) for place, tensor in found.values()
+        self.settled = [(place, tensor) for place, tensor in tensors.values()
                         if id(tensor) not in self.live and tensor.layout == torch.strided]
         self.restless = frozenset(id(module) for module in self.modules if is_restless(module))
         self.settled_reach = self.restless.union(id(tensor) for _, tensor in self.settled)  # of all, as of `reach`
@@ -55,11 +55,11 @@ class Inventory:
         self.results: dict[tuple, Any] = {}  # of functions of the root, by these and their other arguments
 
     def dicts(self) -> list[dict[str, Any]]:
-        """All dicts in which the modules have attributes now."""
+        """The attribute dicts of all modules in it, as they are now."""
         return [*map(vars, self.modules), *self.inner]
 
     def holds(self, root: nn.Module) -> bool:
-        """True if it is the inventory of a module as it is now, but for the numbers in tensors."""
+        """True if a module and all modules in it still have the same attributes, whatever the values of tensors are."""
         dicts = self.dicts()
         return (root is self.root and not inside_dual_level()
                 and list(map(len, dicts)) == self.sizes and list(chain.from_iterable(dicts)) == self.names
@@ -67,15 +67,14 @@ class Inventory:
                 and list(map(KIND, self.tensors)) == self.kinds)
 
     def reach(self, modules: tuple[nn.Module, ...]) -> frozenset[int]:
-        """The ids of what may change in some modules, and in those that they hold, while the inventory holds: of tensors,
-        and of restless modules."""
+        """The ids of what may change within modules while the inventory holds: of tensors, and of restless modules."""
         if modules not in self.reaches:
             self.reaches[modules] = reach_of(modules)
         return self.reaches[modules]
 
 
 def reach_of(modules: Iterable[nn.Module]) -> frozenset[int]:
-    """See `Inventory.reach`."""
+    """The ids of tensors and restless modules within modules, for `Inventory.reach`."""
     within = list(_held_by(modules, of_shapes=False))
     tensors = {id(tensor) for module in within for _, tensor in tensors_of(module)}
     return frozenset(tensors).union(id(module) for module in within if is_restless(module))
@@ -89,7 +88,7 @@ def is_restless(module: nn.Module) -> bool:
 
 def _held_by(modules: Iterable[nn.Module], left_out: Collection[nn.Module] = (), of_shapes: bool = True
              ) -> Iterator[nn.Module]:
-    """Some modules and all that they hold: registered, shared with others, or in tuples.
+    """Iterates over modules and all that is in them: registered, shared with others, or in tuples.
 
     Args:
         modules: to begin with.
@@ -112,7 +111,7 @@ def _held_by(modules: Iterable[nn.Module], left_out: Collection[nn.Module] = (),
 
 
 def modules_among(values: tuple) -> Iterator[nn.Module]:
-    """The modules in nested tuples."""
+    """The modules within nested tuples."""
     for value in values:
         if isinstance(value, tuple):
             yield from modules_among(value)
@@ -121,7 +120,7 @@ def modules_among(values: tuple) -> Iterator[nn.Module]:
 
 
 def tensors_of(module: nn.Module) -> Iterator[tuple[Hashable, Tensor]]:
-    """The tensors that a module has itself, with a place for each."""
+    """The tensors that belong to a module itself, each with a key."""
     for attributes in dicts_of(module):
         for name, value in attributes.items():
             if isinstance(value, Tensor):

@@ -1,4 +1,4 @@
-"""Light emitted by surfaces and surround, and how next-event estimation samples it: the loop over the kinds of light."""
+"""Emitted radiance, and light sampling for next-event estimation, over all kinds of lights of a scene."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ FAR = 1e10  # the distance of the surround
 
 
 class LightSample(NamedTuple):
-    """A point on a light per lane, as seen from a reference point; attached to both."""
+    """A sampled point on a light per lane, as seen from a reference point; attached to both."""
 
-    d: Vec3  # unit direction towards it; fixed for the surround
+    d: Vec3  # unit direction towards it; fixed for the environment
     radiance: Vec3  # that it sends back (for a light without extent: intensity / distance^2, or irradiance)
     pdf: Tensor  # density over solid angle; probability for a light without extent; 0: cannot be used
-    weighing: Tensor  # used instead of `pdf` in the weights of multiple importance sampling
+    weighing: Tensor  # density for the weights of multiple importance sampling, in place of `pdf`
     findable: Tensor | float  # 1: BSDF sampling can find it too; 0: it cannot (a delta light)
     target: Vec3  # the point, world space
     distant: Tensor | None  # bool: it is a direction rather than a point; None: it never is
 
 
 def vantage(si: SurfaceInteraction) -> Vantage:
-    """The place from which lights are picked, detached: the choice of a light is discrete."""
+    """The position and normal that light selection depends on, detached: the choice of a light is discrete."""
     return Vantage(si.p.map(settled), si.frame.n.map(settled))
 
 
 class Case(NamedTuple):
-    """One kind of light among those of a scene."""
+    """One kind of light among those of a scene, and the lanes that have it."""
 
     number: int  # in `Layout.lights`
     kind: LightKind
@@ -49,7 +49,7 @@ class Case(NamedTuple):
 
 
 def _cases(scene: SceneTensors, element: Tensor, kinds: dict[int, LightKind]) -> list[Case]:
-    """The kinds that elements of the light table may be of, by their number."""
+    """The kinds of light that elements of the light table may have."""
     if len(kinds) == 1:
         return [Case(*item, None) for item in kinds.items()]
     which = lookup(scene.lights.kind, element)
@@ -57,19 +57,19 @@ def _cases(scene: SceneTensors, element: Tensor, kinds: dict[int, LightKind]) ->
 
 
 def visible_cases(scene: SceneTensors, element: Tensor) -> list[Case]:
-    """The kinds of light on surfaces that are seen, of elements that are triangles."""
+    """The kinds of light that triangles in the light table may have which are visible emitters."""
     return [case for case in _cases(scene, element, scene.layout.surface_lights) if not case.kind.delta]
 
 
 def _rows_of(scene: SceneTensors, element: Tensor, case: Case) -> Tensor:
-    """The rows of elements in the table of a kind; 0 for elements of another kind."""
+    """The rows of elements in the table of one kind of light; 0 for elements of another kind."""
     if case.mask is None:
         return element  # those of one kind come in the order of its table
     return torch.where(case.mask, lookup(scene.lights.row, element), 0)
 
 
 def emitted(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, texture_values: tuple[TextureValue, ...] = ()) -> Vec3:
-    """Radiance that leaves the surface, or the surround, towards the ray's origin; attached to texels, pose and `ray.d`.
+    """The radiance that surface or environment emits towards the ray's origin; attached to texels, pose and `ray.d`.
 
     Args:
         scene, ray, si: what the ray meets.
@@ -82,7 +82,7 @@ def emitted(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, texture_value
 
 
 def emitted_by_surface(scene: SceneTensors, si: SurfaceInteraction, texture_values: tuple[TextureValue, ...] = ()) -> Vec3:
-    """Radiance that leaves the surfaces that rays have met, towards the rays' origins; 0 where they met none. Attached.
+    """The radiance that the surfaces hit by rays emit towards the rays' origins; 0 for rays that miss. Attached.
 
     Args as for `emitted`.
     """
@@ -98,7 +98,7 @@ def emitted_by_surface(scene: SceneTensors, si: SurfaceInteraction, texture_valu
 
 def texture_of_light(scene: SceneTensors, element: Tensor, p: Vec3, point: TexturePoint,
                      texture_values: tuple[TextureValue, ...]) -> Vec3:
-    """The textures of elements of the light table at points; attached.
+    """The emission textures of elements of the light table, evaluated at points; attached.
 
     Args:
         scene, element: the elements.
@@ -107,13 +107,13 @@ def texture_of_light(scene: SceneTensors, element: Tensor, p: Vec3, point: Textu
         texture_values: for each of `Layout.lit` its values there.
     """
     value = scene.layout.radiance.read(scene.radiance, lookup(scene.lights.radiance, element), point)
-    for reader, rows, own in zip(scene.layout.lit, scene.lights.outside, texture_values):
-        value = where(lookup(rows, element) >= 0, own.at(reader.place(p, point.uv)), value)
+    for reader, rows, outside_value in zip(scene.layout.lit, scene.lights.outside, texture_values):
+        value = where(lookup(rows, element) >= 0, outside_value.at(reader.place(p, point.uv)), value)
     return value
 
 
 def emission_places(scene: SceneTensors, si: SurfaceInteraction) -> tuple[Place, ...]:
-    """Where the textures of emitters that rays have met are needed, for each of `Layout.lit`; attached as `si` is."""
+    """The points at which emitters' textures are evaluated where rays hit emitters; attached as `si` is."""
     def row(rows: Tensor) -> Tensor:
         if si.emitter is None:
             return torch.full_like(si.prim, -1)
@@ -124,7 +124,7 @@ def emission_places(scene: SceneTensors, si: SurfaceInteraction) -> tuple[Place,
 
 
 def emitted_by_surround(scene: SceneTensors, ray: Ray) -> Vec3:
-    """Radiance that the surround sends along rays that meet nothing, back to their origins; attached to `ray.d` as well."""
+    """The radiance of the environment along rays that hit nothing; attached to `ray.d` as well."""
     if scene.layout.surround is None:
         return Vec3.full(ray.d.x, 0.0)
     number, kind = scene.layout.surround
@@ -133,7 +133,7 @@ def emitted_by_surround(scene: SceneTensors, ray: Ray) -> Vec3:
 
 def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal: SceneTensors | None = None,
                 picked: LightPick | None = None) -> Tensor:
-    """Density over solid angle with which next-event estimation at the ray's origin would have found this point.
+    """The solid-angle density with which next-event estimation at the ray's origin would have sampled the point hit.
 
     For weights only: of the surround it is `SurroundKind.weighing`.
 
@@ -152,7 +152,7 @@ def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal:
 
 def pdf_of_surface(scene: SceneTensors, si: SurfaceInteraction, proposal: SceneTensors,
                    picked: LightPick | None = None) -> Tensor:
-    """`emitted_pdf` of rays that meet a surface."""
+    """`emitted_pdf` for rays that hit a surface."""
     pdf = torch.zeros_like(si.t)
     if not scene.layout.visible_surfaces:
         return pdf
@@ -167,7 +167,7 @@ def pdf_of_surface(scene: SceneTensors, si: SurfaceInteraction, proposal: SceneT
 
 
 def pdf_of_surround(proposal: SceneTensors, ray: Ray) -> Tensor:
-    """`emitted_pdf` of rays that meet nothing."""
+    """`emitted_pdf` for rays that leave the scene."""
     if proposal.layout.surround is None:
         return torch.zeros_like(ray.d.x)
     number, kind = proposal.layout.surround
@@ -175,21 +175,21 @@ def pdf_of_surround(proposal: SceneTensors, ray: Ray) -> Tensor:
 
 
 class Aims(NamedTuple):
-    """Samples of the lights that were picked, (N,)."""
+    """Points sampled on lights by each kind of light, (N,)."""
 
     element: Tensor  # int32
     cases: list[Case]
     of_case: list[Aim]
-    p: Vec3  # the points, world space; of what has none, where the light is wanted
+    p: Vec3  # the points, world space; for lights without position the reference point
 
     def __call__(self, name: str):
-        """A part of the `Aim` of each lane's kind of light; None: no kind has it."""
+        """One field of the `Aim` of each lane's kind of light; None: no kind has it."""
         return _chosen(self.cases, [getattr(aim, name) for aim in self.of_case])
 
 
 def light_aims(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, numbers: LightNumbers,
                picked: LightPick | None = None) -> Aims:
-    """Picks light elements, and points on them. Args as for `sample_light`."""
+    """Selects lights, and points on them. Args as for `sample_light`."""
     lights = proposal.lights
     if picked is None:
         element = lights.choice.sample(numbers.choice, unit(numbers.split, reference.x.dtype))
@@ -198,15 +198,15 @@ def light_aims(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, num
         element, pmf = picked.element, picked.pmf
 
     # Let each kind of light that there is decide where to look.
-    found = _cases(scene, element, dict(enumerate(scene.layout.lights)))
+    cases = _cases(scene, element, dict(enumerate(scene.layout.lights)))
     aims = [case.kind.aim(scene.lights.tables[case.number], lights.tables[case.number], reference,
-                          Pick(_rows_of(scene, element, case), pmf, numbers.u, numbers.v)) for case in found]
-    target = _chosen(found, [aim.target for aim in aims])
-    return Aims(element, found, aims, reference if target is None else target)
+                          Pick(_rows_of(scene, element, case), pmf, numbers.u, numbers.v)) for case in cases]
+    target = _chosen(cases, [aim.target for aim in aims])
+    return Aims(element, cases, aims, reference if target is None else target)
 
 
 def sample_places(scene: SceneTensors, aims: Aims) -> tuple[Place, ...]:
-    """Where the textures of the emitters are needed that samples were taken of, for each of `Layout.lit`; attached."""
+    """The points at which emitters' textures are evaluated for light samples; attached."""
     uv = aims("uv") if scene.layout.radiance_bitmaps else None
     return tuple(Place(lookup(rows, aims.element), reader.place(aims.p, uv))
                  for reader, rows in zip(scene.layout.lit, scene.lights.outside))
@@ -214,7 +214,7 @@ def sample_places(scene: SceneTensors, aims: Aims) -> tuple[Place, ...]:
 
 def sample_light(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, numbers: LightNumbers,
                  picked: LightPick | None = None, texture_values: tuple[TextureValue, ...] = ()) -> LightSample:
-    """Picks a light element, and a point on it.
+    """Selects a light and samples a point on it, as seen from a reference point.
 
     Element and point, or direction, are decided by `proposal`; the point then moves with `scene`.
 
@@ -227,21 +227,21 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, n
         texture_values: the values of emitters' textures that are read outside, at the `sample_places`.
     """
     samples = light_aims(scene, proposal, reference, numbers, picked)
-    element, found, aims, target = samples
+    element, cases, aims, target = samples
     d, pdf = samples("d"), samples("pdf")
     weighing = pdf
     if any(aim.weighing is not None for aim in aims):
-        weighing = _chosen(found, [aim.pdf if aim.weighing is None else aim.weighing for aim in aims])
+        weighing = _chosen(cases, [aim.pdf if aim.weighing is None else aim.weighing for aim in aims])
 
     # Look up what is sent from there.
-    delta, distant = (among(found, [getattr(case.kind, name) for case in found], element) for name in ("delta", "distant"))
+    delta, distant = (among(cases, [getattr(case.kind, name) for case in cases], element) for name in ("delta", "distant"))
     findable = 1.0 if delta is None else (~delta).to(pdf.dtype)
     return LightSample(d, sent(scene, samples, texture_values), pdf, weighing, findable, target, distant)
 
 
 def sent(scene: SceneTensors, samples: Aims, texture_values: tuple[TextureValue, ...]) -> Vec3:
-    """The radiance of light samples: a texture times its factor, or what the kind has computed."""
-    element, found, aims, p = samples
+    """The radiance of light samples: a texture times its factor, or what the kind of light has computed."""
+    element, cases, aims, p = samples
     computed = samples("radiance")
     if all(aim.radiance is not None for aim in aims):
         return computed
@@ -249,21 +249,21 @@ def sent(scene: SceneTensors, samples: Aims, texture_values: tuple[TextureValue,
     point = TexturePoint(uv, dict(zip(scene.layout.radiance.attributes, samples("attributes") or ())))
     radiance = texture_of_light(scene, element, p, point, texture_values)
     if any(aim.strength is not None for aim in aims):
-        radiance = radiance * _chosen(found, [strength(aim) for aim in aims])
+        radiance = radiance * _chosen(cases, [strength(aim) for aim in aims])
     if computed is None:
         return radiance
-    return where(among(found, [aim.radiance is not None for aim in aims], element), computed, radiance)
+    return where(among(cases, [aim.radiance is not None for aim in aims], element), computed, radiance)
 
 
 def strength(aim: Aim) -> Tensor | None:
-    """The factor of a light's texture; None where no texture is read."""
+    """The factor by which a light multiplies its texture; None for lights that read none."""
     return torch.ones_like(aim.pdf) if aim.strength is None and aim.radiance is None else aim.strength
 
 
-def _chosen(found: list[Case], values: list):
-    """For each lane, the value of its kind of light; None counts as anything, and is the result if there is no other."""
+def _chosen(cases: list[Case], values: list):
+    """Merges values computed per kind of light by each lane's kind; None (any value will do) only if all are None."""
     result = None
-    for case, value in zip(found, values):
+    for case, value in zip(cases, values):
         if result is None:
             result = value
         elif value is not None:
@@ -272,7 +272,7 @@ def _chosen(found: list[Case], values: list):
 
 
 def selected(mask: Tensor, a, b):
-    """`torch.where` of tensors or records of them."""
+    """`torch.where` for tensors or records of tensors."""
     if isinstance(a, tuple):
         parts = [selected(mask, *parts) for parts in zip(a, b)]
         return type(a)(*parts) if hasattr(a, "_fields") else tuple(parts)
@@ -280,20 +280,20 @@ def selected(mask: Tensor, a, b):
 
 
 def _in_lanes_of(case: Case, condition: Tensor) -> Tensor:
-    """The condition, (N,) bool, in the lanes of a kind only."""
+    """A condition, (N,) bool, restricted to the lanes of one kind of light."""
     return condition if case.mask is None else case.mask & condition
 
 
-def among(found: list[Case], wanted: list[bool], element: Tensor) -> Tensor | None:
-    """True in the lanes of those kinds that are wanted, (N,) bool; None if none is."""
+def among(cases: list[Case], wanted: list[bool], element: Tensor) -> Tensor | None:
+    """True in the lanes whose kind of light is wanted, (N,) bool; None if no kind is."""
     if all(wanted):
         return torch.ones_like(element, dtype=torch.bool)
-    masks = [case.mask for case, want in zip(found, wanted) if want]
+    masks = [case.mask for case, want in zip(cases, wanted) if want]
     return functools.reduce(torch.logical_or, masks) if masks else None
 
 
 def shadow_ray(start: Vec3, light: LightSample) -> tuple[Ray, Tensor]:
-    """The ray that checks a connection, and how far; 0 where the sample cannot be used. Detached if `start` is.
+    """The shadow ray to a light sample, and its length; 0 where the sample cannot be used. Detached if `start` is.
 
     It aims from where it starts, off the surface: with the direction taken from the surface point, a lamp shadows itself.
     """

@@ -1,4 +1,4 @@
-"""How next-event estimation picks a light where a scene has many: by a tree, with regard to the place to be illuminated.
+"""Light selection in scenes with many lights: by a tree, given the point to be illuminated.
 
 An emitter is picked first, then one of its elements (triangles) by area. Emitters without a place of their own, or whose
 light does not fall with distance (the surround, directional light, beams), stand beside the tree, and all that is in the
@@ -40,44 +40,44 @@ ALMOST_ONE = 1.0 - 2.0**-33
 
 
 class Beside(NamedTuple):
-    """The emitters beside the tree."""
+    """The emitters that are not in the tree, and the probabilities of selecting them."""
 
-    share: Tensor  # () float64, probability of picking one of them
+    share: Tensor  # () float64, probability of selecting one of them rather than the tree
     cumulative: Tensor  # (B,) float64
-    pmf: Tensor  # (B,) among them
+    pmf: Tensor  # (B,) of each among them
     emitter: Tensor  # (B,) int32
 
 
 class TreeChoice(NamedTuple):
-    """The distribution of E elements, which depends on the place to be illuminated; in the stead of an `AliasTable`."""
+    """The distribution of E light elements, given the point to be illuminated; used in place of an `AliasTable`."""
 
     pmf: Tensor  # (E,) probability of each element among those of its emitter
     cumulative: Tensor  # (E,) float64, number of the emitter plus the probability of its elements up to and with this one
     last: Tensor  # () int64, E - 1
-    leaf: Tensor  # (E,) int32, of its emitter
+    leaf: Tensor  # (E,) int32, leaf of the element's emitter
     tree: LightTree
     beside: Beside | None
 
 
 class LightPick(NamedTuple):
-    """The decisions about lights at a bounce; (N,), detached."""
+    """The light selected at a bounce, and the probabilities of selection; (N,), detached."""
 
-    element: Tensor  # int32, that next-event estimation takes
-    pmf: Tensor  # with which probability
-    chance: Tensor  # of the emitter that the path has met, to be picked from the vertex before; 0: it has met none
+    element: Tensor  # int32, the element selected by next-event estimation
+    pmf: Tensor  # the probability of its selection
+    chance: Tensor  # the probability of selecting the emitter hit by the path, at the vertex before; 0: it has hit none
 
 
 class LightNumbers(NamedTuple):
     """The random numbers of a light sample, (N,) int32 random bits each."""
 
-    choice: Tensor  # picks an element
-    split: Tensor  # decides between it and its other, or which element of an emitter it is
-    u: Tensor  # picks a point on it
+    choice: Tensor  # selects an element
+    split: Tensor  # decides between the element and its alias, or which element of an emitter it is
+    u: Tensor  # the point on it
     v: Tensor
 
 
 def drawn_element(choice: TreeChoice, seen: Vantage, numbers: LightNumbers) -> tuple[Tensor, Tensor]:
-    """Elements drawn from the distribution, (N,) int32, and their probabilities."""
+    """Samples elements from the distribution, (N,) int32, with their probabilities."""
     u, beside = fine_unit(numbers.choice), choice.beside
     if beside is None:
         leaf, chance = drawn_leaf(choice.tree, seen, u)
@@ -95,7 +95,7 @@ def drawn_element(choice: TreeChoice, seen: Vantage, numbers: LightNumbers) -> t
 
 
 def chance_of_emitter(choice: TreeChoice, seen: Vantage, element: Tensor) -> Tensor:
-    """The probability with which `drawn_element` takes one of the elements of an emitter in the tree, (N,).
+    """The probability of selecting an emitter in the tree by `drawn_element`, (N,).
 
     Args:
         element: (N,) int32, any of them.
@@ -106,7 +106,7 @@ def chance_of_emitter(choice: TreeChoice, seen: Vantage, element: Tensor) -> Ten
 
 def tree_choice(bounds: list[LightBounds | None], repeats: Tensor, sampling_weight: Tensor, within: Tensor,
                 elements: list[Tensor]) -> TreeChoice:
-    """The distribution of the elements of a scene.
+    """Builds the distribution of a scene's light elements.
 
     Args:
         bounds: of the lights of each kind, float64.
@@ -116,11 +116,10 @@ def tree_choice(bounds: list[LightBounds | None], repeats: Tensor, sampling_weig
         elements: of each kind, int64.
     """
     owner = torch.arange(len(repeats), device=repeats.device).repeat_interleave(repeats)
-    picked = [(each, own) for each, own in zip(bounds, elements) if each is not None]
-    grouped = bounds_of_groups(_concatenated([each for each, _ in picked]), owner[torch.cat([own for _, own in picked])],
-                               len(repeats))
+    in_tree = owner[torch.cat([element for each, element in zip(bounds, elements) if each is not None])]
+    grouped = bounds_of_groups(_concatenated([each for each in bounds if each is not None]), in_tree, len(repeats))
     local = torch.zeros_like(sampling_weight, dtype=torch.bool)
-    local[owner[torch.cat([own for _, own in picked])]] = True
+    local[in_tree] = True
     intensity = grouped.intensity[local]
     floor = LEAST_INTENSITY * intensity.mean()
     intensity = torch.where(floor > 0, torch.maximum(intensity, floor), 1.0) * sampling_weight[local]
@@ -136,7 +135,7 @@ def tree_choice(bounds: list[LightBounds | None], repeats: Tensor, sampling_weig
 
 
 def within_emitters(weights: Tensor, owner: Tensor, repeats: Tensor) -> tuple[Tensor, Tensor]:
-    """`TreeChoice.pmf` and `TreeChoice.cumulative` in float64."""
+    """The probability of each element among those of its emitter, and `TreeChoice.cumulative`, in float64."""
     total = weights.new_zeros(len(repeats)).index_add_(0, owner, weights)
     pmf = torch.where(total[owner] > 0, weights / total[owner].clamp_min(1e-300), (1.0 / repeats.double())[owner])
     summed = running_sum(pmf)
@@ -148,7 +147,7 @@ def within_emitters(weights: Tensor, owner: Tensor, repeats: Tensor) -> tuple[Te
 
 
 def beside_tree(sampling_weight: Tensor, local: Tensor, like: Tensor) -> Beside | None:
-    """The emitters that are not in the tree; None: all are."""
+    """The distribution of the emitters that are not in the tree; None: all are."""
     weights = sampling_weight[~local]
     if not bool(weights.any()):
         return None
@@ -162,13 +161,13 @@ def beside_tree(sampling_weight: Tensor, local: Tensor, like: Tensor) -> Beside 
 
 
 def _concatenated(parts: list[LightBounds]) -> LightBounds:
-    """The bounds of several kinds of light, one after the other."""
+    """Joins the bounds of several kinds of light."""
     columns = [torch.cat(column) for column in zip(*(leaves_of(part) for part in parts))]
     return with_leaves(parts[0], columns)
 
 
 class EmitterTextures(NamedTuple):
-    """The textures of emitters."""
+    """The textures of all emitters of a scene, and how to read them."""
 
     reader: TableReader
     bank: Any
@@ -178,7 +177,7 @@ class EmitterTextures(NamedTuple):
 
 def bounds_of_kind(kind: LightKind, table: Table, textures: EmitterTextures, texture: Tensor,
                    outside: tuple[Tensor, ...]) -> LightBounds:
-    """The bounds of the lights of one kind, float64, detached.
+    """The bounds (position, direction, power) of the lights of one kind, float64, detached.
 
     Args:
         table: of the kind.
@@ -193,7 +192,7 @@ def bounds_of_kind(kind: LightKind, table: Table, textures: EmitterTextures, tex
 
 def mean_luminance(kind: LightKind, table: Table, textures: EmitterTextures, texture: Tensor,
                    outside: tuple[Tensor, ...]) -> Tensor:
-    """The luminance of the texture of each light, float64: the mean over some points of it."""
+    """The luminance of each light's texture, float64: the mean over some points of it."""
     places, reader = [(i + 0.5) / GRID for i in range(GRID)], textures.reader
     points = [(u, v) for u in places for v in places if not kind.on_surface or u + v < 1.0]
     if not reader.needs_uv and not reader.attributes and not outside:
@@ -212,7 +211,7 @@ def mean_luminance(kind: LightKind, table: Table, textures: EmitterTextures, tex
 
 
 def point_on(table: Table, row: Tensor, u: float, v: float, reader: TableReader) -> tuple[Vec3, TexturePoint]:
-    """The point at which the textures of lights are read, at the same coordinates on each, and where it is.
+    """Where the textures of lights are evaluated at the same u and v on each, in the world and as texture points.
 
     Of lights that are not on surfaces the place is 0.
     """

@@ -1,4 +1,4 @@
-"""The emitters of a scene as tables: the elements that next-event estimation picks from, and the tables of their kinds."""
+"""The emitters of a scene as tables: the elements for light selection, and one table for each kind of light."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ SMALLEST_SHARE = 1e-12  # of a lamp's area: smaller triangles are never picked
 
 
 def kinds_of(emitters: Sequence[Light]) -> tuple[LightKind, ...]:
-    """The kinds of some emitters; the same kinds in the same order in every scene, so that it has the same functions."""
+    """The distinct kinds of some emitters, in one fixed order, so that scenes with the same kinds share compiled code."""
     return tuple(sorted({emitter.kind() for emitter in emitters}, key=repr))
 
 
 class Emission(NamedTuple):
-    """What next-event estimation knows about an emitter."""
+    """What next-event estimation needs to know about an emitter."""
 
     kind: LightKind
     type: str
     sampling_weight: float
     texture: int  # in the light bank
     outside: tuple[int, ...]  # for each of `Layout.lit`, in its bank; -1: another reads it
-    triangles: int | None  # that it has; None: it is on no surface
+    triangles: int | None  # number of its triangles; None: it is not a surface
 
 
 def light_table(cache: PackCache, triangles: TriangleTable, emissions: tuple[Emission, ...], lamps: tuple[Light, ...],
                 layout: Layout, radiance: Any, lit: tuple[Any, ...], light_choice: str | None) -> LightTable:
-    """The elements that next-event estimation picks from.
+    """Builds the `LightTable`, the elements from which next-event estimation selects.
 
     Args:
         cache: what is known from the last rendering.
@@ -73,20 +73,20 @@ def light_table(cache: PackCache, triangles: TriangleTable, emissions: tuple[Emi
 
 
 def takes_tree(light_choice: str | None, emissions: tuple[Emission, ...]) -> bool:
-    """True if lights are picked by a tree; never where none would be in it."""
+    """True if lights are selected by a tree; never if all would be outside of it."""
     bounded = sum(emission.kind.bounded for emission in emissions)
     return bounded > 0 and (light_choice == "tree" or (light_choice is None and bounded >= MANY))
 
 
 def frozen(cache: PackCache, place: Hashable, record: tuple) -> tuple:
-    """A record with the copies of its tensors that `cache` has."""
+    """A record whose tensors are replaced by detached copies from `cache`."""
     return tuple(type(part)(*frozen(cache, (place, number), part)) if isinstance(part, tuple) else
                  cache.frozen((place, number), part) for number, part in enumerate(record))
 
 
 def bounds_of_lights(kinds: tuple[LightKind, ...], textures: EmitterTextures, tables: tuple[Table, ...], kind: Tensor,
                      texture: Tensor, outside: tuple[Tensor, ...]) -> tuple[LightBounds | None, ...]:
-    """The bounds of the elements of each kind, detached; None: it has none."""
+    """The bounds of all light elements, kind by kind, detached; None for kinds that have none."""
     return tuple(bounds_of_kind(each, tables[number], textures, texture[kind == number],
                                 tuple(rows[kind == number] for rows in outside)) if each.bounded else None
                  for number, each in enumerate(kinds))
@@ -94,7 +94,7 @@ def bounds_of_lights(kinds: tuple[LightKind, ...], textures: EmitterTextures, ta
 
 def choice_by_tree(bounds: tuple[LightBounds | None, ...], emissions: tuple[Emission, ...], kind: Tensor,
                    weights: Tensor) -> TreeChoice:
-    """The distribution of elements by a tree of the emitters that have bounds.
+    """Builds a distribution of light elements by a tree of the emitters that have bounds.
 
     Args:
         bounds: of the elements of each kind.
@@ -110,17 +110,17 @@ def choice_by_tree(bounds: tuple[LightBounds | None, ...], emissions: tuple[Emis
 
 
 def pmf_of_surround_beside(emissions: tuple[Emission, ...], choice: TreeChoice) -> Tensor:
-    """The probability of picking the surround, (), which stands beside the tree; 0 if there is none."""
+    """The probability of selecting the environment beside the tree, (); 0 if there is none."""
     surround = [number for number, emission in enumerate(emissions) if emission.kind.surround]
     if not surround or choice.beside is None:
         return choice.pmf.new_zeros(())
-    own = (choice.beside.emitter == surround[0]).to(choice.pmf)
-    return (own * choice.beside.pmf).sum() * choice.beside.share.to(choice.pmf)
+    is_surround = (choice.beside.emitter == surround[0]).to(choice.pmf)
+    return (is_surround * choice.beside.pmf).sum() * choice.beside.share.to(choice.pmf)
 
 
 def element_columns(kinds: tuple[LightKind, ...], emissions: tuple[Emission, ...],
                     device: torch.device) -> tuple[Tensor, Tensor, Tensor, tuple[Tensor, ...]]:
-    """For each element its kind, its row in the table of the kind, its texture, and `LightTable.outside`; (E,) int32."""
+    """For each light element its kind, its row in that kind's table, its texture, and `LightTable.outside`; (E,) int32."""
     integer = {"dtype": torch.int32, "device": device}
     repeats = torch.tensor([elements(emission) for emission in emissions], device=device)
     kind, texture, *outside = (torch.tensor(values, **integer).repeat_interleave(repeats) for values in (
@@ -128,25 +128,25 @@ def element_columns(kinds: tuple[LightKind, ...], emissions: tuple[Emission, ...
         *zip(*(emission.outside for emission in emissions))))
     row = torch.zeros_like(kind)
     for number in range(len(kinds)):
-        own = (kind == number).nonzero().squeeze(1)
-        row[own] = torch.arange(len(own), **integer)
+        elements_of_kind = (kind == number).nonzero().squeeze(1)
+        row[elements_of_kind] = torch.arange(len(elements_of_kind), **integer)
     return kind, row, texture, tuple(outside)
 
 
 def elements(emission: Emission) -> int:
-    """The number of elements of an emitter."""
+    """The number of light elements of an emitter: its triangles, or one."""
     return 1 if emission.triangles is None else emission.triangles
 
 
 def pmf_of_surround(emissions: tuple[Emission, ...], pmf: Tensor) -> Tensor:
-    """The probability of picking the surround, (); 0 if there is none."""
+    """The probability of selecting the environment, (); 0 if there is none."""
     firsts = itertools.accumulate(map(elements, emissions), initial=0)
     surround = [first for first, emission in zip(firsts, emissions) if emission.kind.surround]
     return pmf[surround[0]] if surround else pmf.new_zeros(())
 
 
 def emitting_triangles(triangles: TriangleTable, layout: Layout) -> tuple[EmittingTriangles, Tensor]:
-    """The triangles that belong to an emitter, and their areas (S,); attached, but for the inverse areas, which are unset.
+    """The triangles that emit light, with unset inverse areas, and their areas (S,); attached.
 
     Args:
         triangles: of the scene, attached.
@@ -169,27 +169,27 @@ def emitting_triangles(triangles: TriangleTable, layout: Layout) -> tuple[Emitti
 
 
 def with_inverse_areas(surfaces: EmittingTriangles, area: Tensor, weights: Tensor) -> EmittingTriangles:
-    """The emitting triangles with 1 / `area` (S,), attached, by the weights of all elements (E,)."""
+    """The emitting triangles with inverse areas set, attached, where selection weights (E,) are positive."""
     # A degenerate triangle is never picked, and must not make gradients infinite.
     picked = weights[:len(area)] > 0
     return surfaces._replace(inverse_area=torch.where(picked, 1.0 / torch.where(picked, area, 1.0), 0.0))
 
 
 def lamp_table(kind: LightKind, lamps: tuple[Light, ...], like: Tensor) -> Table:
-    """The table of the lamps of one kind, attached."""
+    """The rows of one kind of light (point, spot, ...) as a table, attached."""
     return kind.table(lamps, like)
 
 
 def surface_table(kind: SurfaceKind, surfaces: EmittingTriangles, kinds: Tensor, number: int) -> EmittingTriangles:
-    """The emitting triangles of one kind, `number` in the column `kinds` of all elements."""
-    own = (kinds == number).nonzero().squeeze(1)
-    table = surfaces if len(own) == len(surfaces.inverse_area) else part(surfaces, own)
+    """The emitting triangles of one kind of light, `number` in the column `kinds` of all elements."""
+    elements_of_kind = (kinds == number).nonzero().squeeze(1)
+    table = surfaces if len(elements_of_kind) == len(surfaces.inverse_area) else part(surfaces, elements_of_kind)
     kind.check(table)
     return table
 
 
 def part(record, index: Tensor):
-    """The rows `index` of every tensor of a record, plain tuples included."""
+    """Indexes every tensor of a record (and of tuples in it) by `index`."""
     if isinstance(record, tuple):
         parts = [part(each, index) for each in record]
         return type(record)(*parts) if hasattr(record, "_fields") else tuple(parts)
@@ -197,7 +197,7 @@ def part(record, index: Tensor):
 
 
 def weights_of(emissions: tuple[Emission, ...], area: Tensor) -> Tensor:
-    """The weights with which elements are picked, (E,): an emitter's weight, spread over its triangles by area.
+    """The unnormalised selection weights of elements, (E,): an emitter's weight, spread over its triangles by area.
 
     Args:
         emissions: those on surfaces first.
@@ -212,8 +212,8 @@ def weights_of(emissions: tuple[Emission, ...], area: Tensor) -> Tensor:
                              f"{emission.sampling_weight}")
     counts = [emission.triangles for emission in emissions if emission.triangles is not None]
     weights = []
-    for emission, own in zip(emissions, area.split(counts)):
-        share = own / own.sum()
+    for emission, areas in zip(emissions, area.split(counts)):
+        share = areas / areas.sum()
         # Tiny triangles are never picked: the derivative of 1 / area might overflow.
         weights.append(torch.where(share > SMALLEST_SHARE, share, 0.0) * emission.sampling_weight)
     weights.append(area.new_tensor([emission.sampling_weight for emission in emissions[len(counts):]]))

@@ -1,4 +1,4 @@
-"""A tree of lights, by which next-event estimation picks one with regard to the place that it is to illuminate.
+"""A tree of lights for importance sampling of many lights at a given point.
 
 Each node has bounds of the lights below it. From the root down, one of two children is picked in proportion to an estimate
 of what its lights contribute at that place; so a light is picked in as many steps as the tree has levels. The probability of
@@ -30,7 +30,7 @@ LEAST_COSINE = 0.05  # at the illuminated surface: shading normals, and rounding
 
 
 class Vantage(NamedTuple):
-    """The place from which lights are picked, (N,); detached."""
+    """The point for which a light is selected, (N,); detached."""
 
     p: Vec3  # world position
     n: Vec3  # unit shading normal, of either sign: light may come through the surface
@@ -42,21 +42,21 @@ class LightNodes(NamedTuple):
     middle: Vec3  # of the sphere around the lights
     squared_radius: Tensor
     intensity: Tensor  # times `sampling_weight`
-    axis: Vec3 | None  # None: all lights shine into every direction
-    spread: tuple[Tensor, Tensor] | None  # cosine and sine
-    reach: Tensor | None  # cosine
+    axis: Vec3 | None  # of the cone of directions; None: all lights shine into every direction
+    spread: tuple[Tensor, Tensor] | None  # cosine and sine of that cone's angle
+    reach: Tensor | None  # cosine of the angle beyond the cone up to which they shine
 
 
 class LightTree(NamedTuple):
-    """A tree of lights."""
+    """A complete binary tree of lights."""
 
     depth: int
     nodes: LightNodes
-    emitter: Tensor  # (2^depth,) int32, at each leaf; 0 of an empty one, which is never picked
+    emitter: Tensor  # (2^depth,) int32, at each leaf; 0 for an empty leaf, which is never selected
 
 
 def light_tree(bounds: LightBounds, like: Tensor) -> tuple[LightTree, Tensor]:
-    """The tree of some emitters, and their places among its leaves, (K,) int32.
+    """Builds the tree of some emitters, and returns the leaf of each, (K,) int32, too.
 
     Args:
         bounds: of K > 0 emitters, float64.
@@ -70,7 +70,7 @@ def light_tree(bounds: LightBounds, like: Tensor) -> tuple[LightTree, Tensor]:
 
 
 def halved(places: Tensor) -> tuple[Tensor, int]:
-    """The leaf of each of K places, (K, 3), in a complete tree, int64; and its depth."""
+    """Assigns K places (K, 3) to leaves of a complete tree by halving; the leaves, int64, and the depth."""
     depth = (len(places) - 1).bit_length()
     node = torch.zeros(len(places), dtype=torch.int64, device=places.device)
     for level in range(depth):
@@ -87,7 +87,7 @@ def halved(places: Tensor) -> tuple[Tensor, int]:
 
 
 def joined_levels(levels: list[LightBounds], like: LightBounds) -> LightBounds:
-    """The bounds of all levels, one after the other."""
+    """Joins the bounds of all levels of the tree."""
     def joined(parts: list, of) -> Tensor | Vec3:
         if isinstance(of, Vec3):
             return Vec3(*(joined(list(column), part) for column, part in zip(zip(*parts), of))) if parts else of.map(
@@ -99,7 +99,7 @@ def joined_levels(levels: list[LightBounds], like: LightBounds) -> LightBounds:
 
 
 def nodes_of(bounds: LightBounds, like: Tensor) -> LightNodes:
-    """Bounds in the form in which they are used."""
+    """Converts bounds of lights to the columns that the tree's nodes store."""
     radius = bounds.radius * (1.0 + LEEWAY)
     spread, reach = bounds.spread + LEEWAY, (bounds.reach + LEEWAY).clamp_max(torch.pi)
     oriented = bool((spread + reach < torch.pi).any())
@@ -115,7 +115,7 @@ def nodes_of(bounds: LightBounds, like: Tensor) -> LightNodes:
 
 
 def importance(node: LightNodes, seen: Vantage) -> Tensor:
-    """An estimate of what the lights of a node contribute to the light that a place reflects, (N,).
+    """The importance of a node's lights for a point: an estimate of their contribution to the reflected light, (N,).
 
     It is 0 only where they contribute nothing, up to rounding.
     """
@@ -139,14 +139,14 @@ def importance(node: LightNodes, seen: Vantage) -> Tensor:
 
 
 def less(cosine: Tensor, sine: Tensor, other_cosine: Tensor, other_sine: Tensor) -> tuple[Tensor, Tensor]:
-    """Cosine and sine of max(0, a - b), of angles a and b from 0 to pi."""
+    """Cosine and sine of max(0, a - b), for angles a and b in [0, pi]."""
     positive = cosine < other_cosine
     return (torch.where(positive, cosine * other_cosine + sine * other_sine, 1.0),
             torch.where(positive, sine * other_cosine - cosine * other_sine, 0.0))
 
 
 def _descended(tree: LightTree, seen: Vantage, turn: Callable[[int, Tensor], Tensor]) -> tuple[Tensor, Tensor]:
-    """The leaves that are reached from the root, (N,) int32, and the probability of that way; 0 where no light contributes.
+    """Descends the tree: the leaf reached, (N,) int32, and its probability; 0 where no light contributes.
 
     Args:
         tree: detached.
@@ -166,7 +166,7 @@ def _descended(tree: LightTree, seen: Vantage, turn: Callable[[int, Tensor], Ten
 
 
 def drawn_leaf(tree: LightTree, seen: Vantage, u: Tensor) -> tuple[Tensor, Tensor]:
-    """A leaf by a random number, and its probability; as `_descended`.
+    """Samples a leaf by a random number, and its probability.
 
     Args:
         u: (N,) uniform in [0, 1), float64 with 32 random bits, of which each level takes what it needs.
@@ -183,5 +183,5 @@ def drawn_leaf(tree: LightTree, seen: Vantage, u: Tensor) -> tuple[Tensor, Tenso
 
 
 def chance_of_leaf(tree: LightTree, seen: Vantage, leaf: Tensor) -> Tensor:
-    """The probability with which `drawn_leaf` finds leaves, (N,) int32."""
+    """The probability with which `drawn_leaf` samples the leaves (N,) int32."""
     return _descended(tree, seen, lambda level, share: ((leaf >> (tree.depth - 1 - level)) & 1) > 0)[1]

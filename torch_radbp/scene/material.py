@@ -1,4 +1,4 @@
-"""Scattering at a surface point: the BSDF there, of the one kind of material that these lanes meet."""
+"""The BSDF at surface points of one kind of material: textures read, evaluated and sampled."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LEAST_DENSITY = 1e-15  # of a direction that can be drawn; the square of its rec
 
 
 class Material(NamedTuple):
-    """The material of each lane: one kind, with the values of its textures."""
+    """The material of each lane: the kind of BSDF, with the values of its textures."""
 
     kind: Kind
     values: Values  # (N,) each
@@ -30,7 +30,7 @@ class Material(NamedTuple):
 
 
 class BSDFSample(NamedTuple):
-    """A direction in which the path continues."""
+    """A direction sampled from a BSDF, in which the path continues."""
 
     wo: Vec3  # unit, local; attached where the direction is followed
     weight: Vec3  # bsdf * |cos| / pdf; attached to the material, the density only if all directions are followed
@@ -38,7 +38,7 @@ class BSDFSample(NamedTuple):
 
 
 def material_at(scene: SceneTensors, si: SurfaceInteraction, texture_values: tuple[TextureValue, ...]) -> Material:
-    """Reads the textures of the material at a surface point, on the side that the ray meets.
+    """Evaluates the material's textures at a surface point, on the side that the ray meets.
 
     Args:
         scene: the part that these lanes read.
@@ -58,13 +58,13 @@ def material_at(scene: SceneTensors, si: SurfaceInteraction, texture_values: tup
 
 
 def material_places(scene: SceneTensors, si: SurfaceInteraction) -> tuple[Place, ...]:
-    """Where the textures of the material are needed that are read outside; arguments as for `material_at`."""
+    """The points at which the material's network textures must be evaluated; arguments as for `material_at`."""
     return tuple(Place(lookup(slot, si.material), reader.place(si.p, si.point.uv))
                  for reader, slot in zip(scene.layout.scatterer.readers, scene.materials.slots) if reader.outside)
 
 
 def evaluate(material: Material, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
-    """bsdf * |cos|, local frame, and the density over solid angle with which `sample` draws `wo`; attached.
+    """bsdf * |cos| and the solid-angle density with which `sample` draws `wo`, in the local frame; attached.
 
     Both are zero for ideal specular materials.
     """
@@ -72,22 +72,22 @@ def evaluate(material: Material, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
 
 
 def followed(kind: Kind, sampling: str) -> bool:
-    """True if directions that `sample` draws for this kind of material carry derivatives: all, or those of delta lobes."""
+    """True if directions sampled from this kind of material carry derivatives: all, or those of delta lobes."""
     return sampling == "attached" or (sampling == "hybrid" and (kind.delta or kind.follows))
 
 
 def sampling_at(kind: Kind, sampling: str) -> str:
-    """How a kind of material is sampled: where hybrid sampling follows the smooth lobes, too, that is "attached"."""
+    """The sampling mode of a kind of material: "attached" where "hybrid" differentiates its smooth lobes, too."""
     return "attached" if sampling == "hybrid" and kind.follows else sampling
 
 
 def turning_values(kind: Kind, sampling: str) -> tuple[int, ...]:
-    """The numbers of those values that turn directions which carry derivatives."""
+    """The numbers of a kind's parameters on which differentiated directions depend."""
     return kind.steering if sampling == "attached" else kind.bending if sampling == "hybrid" else ()
 
 
 def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor, sampling: str) -> BSDFSample:
-    """Draws a direction by the material. The choice of a lobe never carries a derivative.
+    """Samples a direction from the BSDF. The choice of a lobe never carries a derivative.
 
     Args:
         choice, u, v: (N,) uniform numbers, the first for the lobe (None: `kind` is not `discrete`).
@@ -120,7 +120,7 @@ def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Te
 
 
 def relative_chance(material: Material, wi: Vec3, wo: Vec3, lobe: LobeChoice) -> Tensor | float:
-    """One, with the derivative of 1 / `Kind.chance_by_direction` relative to its value."""
+    """A factor of value 1 with the relative derivative of 1 / `Kind.chance_by_direction`."""
     chance = material.kind.chance_by_direction(values_for_choice(material.values), wi, wo, lobe)
     if chance is None:
         return 1.0
@@ -129,6 +129,6 @@ def relative_chance(material: Material, wi: Vec3, wo: Vec3, lobe: LobeChoice) ->
 
 
 def specular(material: Material, wi: Vec3, wo: Vec3, lobe: LobeChoice) -> BSDFSample:
-    """The sample `wo` of a delta lobe."""
+    """The `BSDFSample` for the direction `wo` of a delta lobe."""
     weight = material.kind.specular(material.values, wi, lobe) * (1.0 / lobe.probability.clamp_min(LEAST_DENSITY))
     return BSDFSample(wo, weight, torch.full_like(wo.z, torch.inf))

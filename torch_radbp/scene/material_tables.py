@@ -1,4 +1,4 @@
-"""The materials of a scene as tables: which functions evaluate each, and which textures these read."""
+"""The materials of a scene as tables: the appearance of each, and its textures."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from torch_radbp.texture.reader import Reader
 
 
 class MaterialTextures(NamedTuple):
-    """The textures of materials that one reader reads."""
+    """The material textures of one kind, which are stored in one table."""
 
     reader: Reader
     textures: tuple[Texture, ...]  # in the order of its bank
-    reach: frozenset[int]  # what their values depend on, as `Inventory.reach`
-    settled: frozenset[int]  # the same without what is differentiated
+    reach: frozenset[int]  # ids of the tensors that their values depend on, see `Inventory.reach`
+    settled: frozenset[int]  # the same without tensors that are differentiated
 
 
 class Materials(NamedTuple):
@@ -38,61 +38,62 @@ class Materials(NamedTuple):
     table: MaterialTable
     appearances: tuple[Appearance, ...]
     textures: tuple[MaterialTextures, ...]
-    bending: bool  # parameters with derivatives steer directions that hybrid sampling follows
-    bends_ideally: bool  # by ideal mirrors and glass
-    ideal_by_attributes: bool  # attributes of meshes steer such directions
+    bending: bool  # differentiated parameters steer directions that hybrid sampling differentiates
+    bends_ideally: bool  # so do those of ideal mirrors and glass
+    ideal_by_attributes: bool  # mesh attributes steer such directions
     still: tuple[tuple[bool, ...], ...]  # see `Layout.still`
-    back_sides: bool  # whether a material looks the same from behind as from the front, seen from there
+    back_sides: bool  # a material looks different from behind
     described: tuple[tuple[BSDF, Kind], ...]  # the materials, one for each side, and how they scatter
 
     @property
     def readers(self) -> tuple[Reader, ...]:
-        return tuple(own.reader for own in self.textures)
+        return tuple(group.reader for group in self.textures)
 
 
 def material_tables(cache: PackCache, scene: Scene, bsdfs: tuple[BSDF, ...], dtype: torch.dtype,
                     device: torch.device) -> Materials:
-    """The rows of the materials of a scene, their appearances, and which textures they have."""
+    """Builds the material tables of a scene."""
     two_sided = tuple(isinstance(bsdf, TwoSided) for bsdf in bsdfs)
     sides = one_sided(bsdfs)
     described = {id(bsdf): (bsdf.kind(), bsdf.textures()) for bsdf in sides}
     for bsdf in {id(bsdf): bsdf for bsdf in sides}.values():
         check_contract(bsdf, *described[id(bsdf)], dtype, device)
     kinds, textures = zip(*(described[id(bsdf)] for bsdf in sides)) if sides else ((), ())
-    looks = [Appearance(kind, tuple(map(reader_of, own))) for kind, own in zip(kinds, textures)]
+    looks = [Appearance(kind, tuple(map(reader_of, each))) for kind, each in zip(kinds, textures)]
     appearances = tuple(dict.fromkeys(looks))
     readers = tuple(dict.fromkeys(reader for look in appearances for reader in look.readers))
     of_reader: dict[Reader, dict[int, Texture]] = {reader: {} for reader in readers}
-    for look, own in zip(looks, textures):
-        for reader, texture in zip(look.readers, own):
+    for look, textures_of_look in zip(looks, textures):
+        for reader, texture in zip(look.readers, textures_of_look):
             of_reader[reader].setdefault(id(texture), texture)
-    row = {reader: {key: number for number, key in enumerate(found)} for reader, found in of_reader.items()}
-    slots = [[row[reader][id(texture)] for reader, texture in zip(look.readers, own)] for look, own in zip(looks, textures)]
+    row = {reader: {key: number for number, key in enumerate(by_id)} for reader, by_id in of_reader.items()}
+    slots = [[row[reader][id(texture)] for reader, texture in zip(look.readers, each)]
+             for look, each in zip(looks, textures)]
     columns = [[appearances.index(look) for look in looks],
-               *([own[k] if k < len(own) else 0 for own in slots] for k in range(max(map(len, slots), default=0)))]
+               *([each[k] if k < len(each) else 0 for each in slots] for k in range(max(map(len, slots), default=0)))]
     differs = tuple(front != back for front, back in zip(looks, looks[len(bsdfs):]))
     appearance, *values = (cache(_column, tuple(each), torch.int32, device) for each in columns)
     table = MaterialTable(appearance, tuple(values), cache(_column, (False,) * len(bsdfs) + two_sided, torch.bool, device),
                           cache(_column, differs, torch.bool, device) if any(differs) else None,
                           cache(_column, len(bsdfs), torch.int32, device))
     inventory = cache.inventory(scene)
-    own = {reader: tuple(found.values()) for reader, found in of_reader.items()}
+    by_reader = {reader: tuple(by_id.values()) for reader, by_id in of_reader.items()}
     read = tuple(MaterialTextures(reader, textures, inventory.reach(textures),
                                   inventory.reach(textures) & inventory.settled_reach)
-                 for reader, textures in own.items())
-    bending, ideally = (any(differentiated(source) for kind, own in zip(kinds, textures) if kind.delta or not ideal
-                            for slot in kind.bending for source in own[slot].sources()) for ideal in (False, True))
+                 for reader, textures in by_reader.items())
+    bending, ideally = (any(differentiated(source) for kind, each in zip(kinds, textures) if kind.delta or not ideal
+                            for slot in kind.bending for source in each[slot].sources()) for ideal in (False, True))
     by_attributes = any(look.readers[slot].attributes for look in appearances if look.kind.delta
                         for slot in look.kind.bending)
-    moves = [[is_differentiated(texture) for texture in own] for own in textures]
-    still = tuple(tuple(not any(column) for column in zip(*(own for own, look in zip(moves, looks) if look == appearance)))
+    moves = [[is_differentiated(texture) for texture in each] for each in textures]
+    still = tuple(tuple(not any(column) for column in zip(*(each for each, look in zip(moves, looks) if look == appearance)))
                   for appearance in appearances)
     return Materials(table, appearances, read, bending, ideally, by_attributes, still, any(two_sided),
                      tuple((bsdf, described[id(bsdf)][0]) for bsdf in {id(bsdf): bsdf for bsdf in sides}.values()))
 
 
 def is_differentiated(texture: Texture) -> bool:
-    """True if a parameter that the values of a texture come from has a derivative; what moves them over surfaces is one."""
+    """True if a texture's values depend on a differentiated parameter; one that moves them over the surface counts, too."""
     if any(map(differentiated, texture.sources())):
         return True
     texture = texture.texture if isinstance(texture, NumberOf) else texture
@@ -101,18 +102,18 @@ def is_differentiated(texture: Texture) -> bool:
 
 
 def _column(values: tuple[int | bool, ...] | int, kind: torch.dtype, device: torch.device) -> Tensor:
-    """A column of a table, or a number."""
+    """A column of a table, or a 0-d tensor of one number."""
     return torch.tensor(values, dtype=kind, device=device)
 
 
 def one_sided(bsdfs: Iterable[BSDF]) -> list[BSDF]:
-    """All materials as seen from the side of the normal, then all from behind."""
+    """All materials as seen from the front (the normal's side), then all as seen from the back."""
     sides = [bsdf.sides() if isinstance(bsdf, TwoSided) else (bsdf, bsdf) for bsdf in bsdfs]
     return [front for front, _ in sides] + [back for _, back in sides]
 
 
 def is_plain(bsdf: BSDF) -> bool:
-    """True if a material scatters light smoothly, and equally in all of its places or by textures that do not jump."""
+    """True if a material has no delta lobes and its textures, if any, have no discontinuities."""
     kinds = [side.kind() for side in one_sided([bsdf])]
     return all(kind.smooth and not (kind.delta or kind.follows or kind.straight or kind.turns_normals)
                for kind in kinds) and not any(texture.jumps() for _, texture in textures_of(bsdf))

@@ -1,4 +1,4 @@
-"""The attributes of modules: compared with those of the last rendering, and put together to copies of modules.
+"""The attributes of modules: comparing them with those of the last rendering, and copying modules from them.
 
 See `scene.pack_cache`, which keeps such copies.
 """
@@ -29,12 +29,12 @@ Attributes = tuple[tuple[list[str], list[Any]], ...]  # names and values of each
 
 @cache
 def frozen_dataclass(kind: type) -> bool:
-    """True if the attributes of the instances of a class do not change."""
+    """True if a class is a frozen dataclass, so that its instances do not change."""
     return dataclasses.is_dataclass(kind) and kind.__dataclass_params__.frozen
 
 
 def is_constant(value, beside: tuple[type, ...] = ()) -> bool:
-    """True if a value consists of plain values and numbers, or of instances of the classes `beside`."""
+    """True if a value is immutable: plain values and numbers, or instances of the classes `beside`."""
     if isinstance(value, tuple) or frozen_dataclass(type(value)):
         return all(is_constant(part, beside) for part in (value if isinstance(value, tuple) else vars(value).values()))
     return isinstance(value, (*PLAIN, float, *beside))
@@ -48,58 +48,58 @@ def modules_in(root: nn.Module, prefix: str = "", without: Collection[nn.Module]
         prefix: its name.
         without: a set of modules that are left out with all that is in them.
     """
-    found, met, left = [], set(), [(prefix, root)]
+    named, met, left = [], set(), [(prefix, root)]
     while left:
         prefix, module = left.pop()
         if module in met:
             continue
         met.add(module)
-        found.append((prefix, module))
+        named.append((prefix, module))
         dot = prefix and prefix + "."
         left += [(dot + name, child) for name, child in reversed(module._modules.items())
                  if child is not None and child not in without]
-    return found
+    return named
 
 
 def dicts_of(module: nn.Module) -> tuple[dict[str, Any], ...]:
-    """The dicts in which a module has its attributes, parameters, buffers and modules."""
+    """The dicts that hold a module's attributes, parameters, buffers and submodules."""
     shared = module.shared if isinstance(module, Plugin) else {}
     return vars(module), module._parameters, module._buffers, module._modules, shared
 
 
 def attributes_of(module: nn.Module) -> Attributes:
-    """The attributes of a module, as `has_attributes` compares them."""
+    """The attributes of a module, in the form that `has_attributes` compares."""
     return tuple((list(each), list(each.values())) for each in dicts_of(module))
 
 
 def has_attributes(module: nn.Module, attributes: Attributes) -> bool:
-    """True if the attributes of a module are these very objects."""
+    """True if the attributes of a module are the very same objects."""
     return all(list(now) == names and all(map(operator.is_, now.values(), values))
                for now, (names, values) in zip(dicts_of(module), attributes))
 
 
 def stands_still(module: nn.Module) -> bool:
-    """True if nothing but tensors and other modules can change while the attributes of a module are the same objects."""
+    """True if a module can change only by its tensors and submodules while its attributes are the same objects."""
     return all(is_constant(value, beside=(Tensor, nn.Module)) for name, value in vars(module).items()
                if name not in OF_EVERY_MODULE and name != "shared")
 
 
 def parametrized_names(module: nn.Module) -> tuple[str, ...]:
-    """The names of the tensors of a module that parametrisations compute."""
+    """The names of a module's tensors that are parametrised (`torch.nn.utils.parametrize`)."""
     return tuple(module.parametrizations) if parametrize.is_parametrized(module) else ()
 
 
 def children_of(module: nn.Module) -> list[tuple[str, nn.Module | None]]:
-    """The modules in a module that its tables may depend on."""
-    found = {**module._modules, **(module.shared if isinstance(module, Plugin) else {})}
+    """The submodules of a module on which its tables may depend."""
+    children = {**module._modules, **(module.shared if isinstance(module, Plugin) else {})}
     if parametrize.is_parametrized(module):
-        del found["parametrizations"]
+        del children["parametrizations"]
     of_no_matter = (BSDF, Emitter) if isinstance(module, Shape) else ()
-    return [(name, child) for name, child in found.items() if not isinstance(child, of_no_matter)]
+    return [(name, child) for name, child in children.items() if not isinstance(child, of_no_matter)]
 
 
 def assembled(cls: type, others: tuple, parameters: tuple, buffers: tuple, children: tuple):
-    """An object of a class from (name, value) pairs, without a call of its constructor."""
+    """Makes an object of a class from (name, value) pairs, without calling its constructor."""
     made = cls.__new__(cls)
     if issubclass(cls, nn.Module):
         nn.Module.__init__(made)
@@ -111,5 +111,5 @@ def assembled(cls: type, others: tuple, parameters: tuple, buffers: tuple, child
 
 
 def holder(name: str, value) -> SimpleNamespace:
-    """An object that has one attribute."""
+    """A plain object with one attribute, which stands for a module."""
     return SimpleNamespace(**{name: value})

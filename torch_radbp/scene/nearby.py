@@ -46,35 +46,35 @@ Corners = tuple[Vec3, Vec3, Vec3]
 
 
 class Slide(NamedTuple):
-    """How much points of triangles slide, (N,); detached."""
+    """How much vertices slide over their triangles when the previous vertex moves, (N,); detached."""
 
-    share: Tensor  # m; 0: glued
+    share: Tensor  # m, the share of sliding; 0: glued to the triangle
     by_u: Tensor  # how that changes with the barycentric coordinate of the second vertex
     by_v: Tensor  # and of the third
 
 
 class Nearby(NamedTuple):
-    """Points of triangles as they are seen from other points, (N,); detached."""
+    """Points of triangles seen from a nearby vertex x, (N,); detached."""
 
     corners: Corners  # of the triangle, world
     u: Tensor  # barycentric coordinates: of the second vertex
     v: Tensor  # of the third
     d: Vec3  # unit, from x to the point
     distance: Tensor
-    plain: Tensor  # bool: the triangle is
+    plain: Tensor  # bool: the triangle's material is plain, see `TriangleTable.plain`
 
 
 class Floor(NamedTuple):
-    """The surfaces of x, (N,); detached."""
+    """The surfaces at the vertices x, (N,); detached."""
 
     p: Vec3  # x
     n: Vec3  # unit normal
-    plain: Tensor  # bool: the triangle is, so that light along its plane does not count
+    plain: Tensor  # bool: its material is plain, so that light along its plane does not count
     clearance: Tensor  # by which points in its plane may seem to lie off it
 
 
 def heights_of(corners: Corners) -> tuple[Tensor, Tensor, Tensor]:
-    """The heights of triangles over the edges opposite each of their vertices, (N,) each; detached."""
+    """The three altitudes of triangles, (N,) each; detached."""
     p0, p1, p2 = (corner.detach() for corner in corners)
     e1, e2 = p1 - p0, p2 - p0
     n, across = cross(e1, e2), e2 - e1
@@ -83,7 +83,7 @@ def heights_of(corners: Corners) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def slides_from(corners: Corners, distance: Tensor, plain: Tensor) -> Tensor:
-    """True where points of triangles may slide that are seen from this distance; (N,) bool. Args as of `Nearby`."""
+    """(N,) bool: points of triangles so close, at this distance, that they may slide. Args as of `Nearby`."""
     return plain & (distance < REACH * least(heights_of(corners)))
 
 
@@ -92,7 +92,7 @@ def least(heights: tuple[Tensor, Tensor, Tensor]) -> Tensor:
 
 
 def slide_at(near: Nearby, floor: Floor) -> Slide:
-    """How much points slide that are seen from near x."""
+    """How much points near x slide over their triangles when x moves."""
     p0, p1, p2 = corners = tuple(corner.detach() for corner in near.corners)
     e1, e2, heights = p1 - p0, p2 - p0, heights_of(corners)
     n, gap = cross(e1, e2), floor.p - p0
@@ -116,7 +116,7 @@ def slide_at(near: Nearby, floor: Floor) -> Slide:
         of_foot = of_foot.clamp_min(TINY)
         nearest = torch.where(counts, torch.minimum(nearest, of_foot * height), nearest)
         first = counts & (here < share * of_foot)
-        share, by_u, by_v = (torch.where(first, own / of_foot, other)
-                             for own, other in ((here, share), (u, by_u), (v, by_v)))
+        share, by_u, by_v = (torch.where(first, at_foot / of_foot, other)
+                             for at_foot, other in ((here, share), (u, by_u), (v, by_v)))
     size = torch.where(slides & (share > 0.0), nearest / (nearest + above).clamp_min(TINY), 0.0)
     return Slide(size * share, size * by_u, size * by_v)

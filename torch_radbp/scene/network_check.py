@@ -1,4 +1,4 @@
-"""Whether the gradients of a module in the place of a texture would be right: found out by running it at a few places.
+"""Checks that modules used as textures will get right gradients, by running them at a few points.
 
 A module is run with copies of its parameters, bounce by bounce, and again in the backward pass. That is right if all that it
 computes with is among its registered parameters, if it gives the same values each time, and if each row of what it gives
@@ -34,7 +34,7 @@ REENTRANT = "CheckpointFunctionBackward"  # the node of torch.utils.checkpoint(u
 
 def check_networks(cache: PackCache, readers: Sequence[Reader], banks: Sequence[Any], dtype: torch.dtype,
                    device: torch.device) -> None:
-    """Checks the modules that are read, each when its attributes have changed.
+    """Checks the modules that textures run, each when its attributes have changed.
 
     Args:
         cache: what is known from the last rendering.
@@ -57,7 +57,7 @@ def check_networks(cache: PackCache, readers: Sequence[Reader], banks: Sequence[
 
 @dataclass(frozen=True)
 class NetworkCheck:
-    """The check of one module; it comes out the same until an attribute of the module is replaced.
+    """The check of one module; valid until an attribute of the module is replaced.
 
     Args:
         module: from places to values.
@@ -68,8 +68,8 @@ class NetworkCheck:
     """
 
     module: nn.Module
-    texture: str
-    coordinates: int
+    texture: str  # the name in the scene of the texture that runs it
+    coordinates: int  # number of coordinates of a point
     dtype: torch.dtype
     device: torch.device
     trained: tuple[bool, ...] | None
@@ -82,11 +82,11 @@ class NetworkCheck:
 
     @property
     def name(self) -> str:
-        """The texture, in words."""
+        """The name of the texture, as error messages show it."""
         return f"the texture {self.texture!r}"
 
     def check_mode(self) -> None:
-        """Checks what the parts of the module say of themselves."""
+        """Checks that parts of the module are not in a mode whose results depend on chance or on the batch."""
         for path, part in self.module.named_modules(prefix="module"):
             about = f"{self.name}: its {path}, {type(part).__name__},"
             if part._compiled_call_impl is not None:
@@ -100,7 +100,7 @@ class NetworkCheck:
                                  f"chunk and the bounce; {EVAL if part.training else 'let it keep running statistics'}")
 
     def check_results(self) -> None:
-        """Checks what the module returns for some places, and what autograd has recorded of that."""
+        """Checks what the module returns for some points, and the autograd graph of that."""
         places = torch.rand(ROWS, self.coordinates, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
         places = places.to(self.device, self.dtype)
         parameters = [copy_of(parameter) for parameter in self.module.parameters()]
@@ -120,12 +120,12 @@ class NetworkCheck:
         self.check_graph(first, again, parameters)
 
     def run(self, parameters: list[Tensor], places: Tensor):
-        """What the module returns for some places with these parameters, recorded."""
+        """Runs the module at some points with these parameters, recorded by autograd."""
         return ModuleFunction(self.module, Use(self.texture, ())).with_parameters(parameters).run(
             places.clone().requires_grad_())
 
     def check_graph(self, first: Tensor, again: Tensor, copies: list[Tensor]) -> None:
-        """Checks that autograd finds parameters among the copies, and nowhere else.
+        """Checks that the results depend on the copied parameters, and on no other differentiable tensor.
 
         Args:
             first, again: two results at the same places. What is in the graphs of both was there before.
@@ -139,11 +139,11 @@ class NetworkCheck:
         reached = [leaf for leaf in _leaves(nodes) if id(leaf) in lasting]
         strays = [leaf for leaf in reached if id(leaf) not in set(map(id, copies))]
         names = {id(parameter): name for name, parameter in self.module.named_parameters(prefix="module")}
-        own = [names[id(leaf)] for leaf in strays if id(leaf) in names]
-        if own:
-            raise ValueError(f"{self.name}: its module reaches {' and '.join(own)} past its own attributes, by a list, a "
-                             f"closure, a bound method or a compiled function, so that the gradient would be lost: let "
-                             f"forward() read it as self.NAME")
+        named_strays = [names[id(leaf)] for leaf in strays if id(leaf) in names]
+        if named_strays:
+            raise ValueError(f"{self.name}: its module reaches {' and '.join(named_strays)} past its own attributes, by a "
+                             f"list, a closure, a bound method or a compiled function, so that the gradient would be lost: "
+                             f"let forward() read it as self.NAME")
         if strays:
             shape = tuple(strays[0].shape)
             raise ValueError(f"{self.name}: its module computes with a tensor of shape {shape} that requires a gradient "
@@ -156,7 +156,7 @@ class NetworkCheck:
 
 
 def copy_of(parameter: Tensor) -> Tensor:
-    """A leaf with the values of a parameter."""
+    """A leaf tensor with the values of a parameter."""
     return primal(parameter).clone().requires_grad_(parameter.is_floating_point())
 
 
@@ -167,7 +167,7 @@ def close(a: Tensor, b: Tensor) -> bool:
 
 
 def graph(values: Tensor) -> Iterator[torch.autograd.graph.Node]:
-    """The nodes that autograd has recorded behind a tensor, each once."""
+    """The autograd nodes behind a tensor, each once."""
     ahead = [values.grad_fn]
     seen = set()
     while ahead:
@@ -179,5 +179,5 @@ def graph(values: Tensor) -> Iterator[torch.autograd.graph.Node]:
 
 
 def _leaves(nodes: Iterable[torch.autograd.graph.Node]) -> Iterator[Tensor]:
-    """The tensors that nodes collect gradients of."""
+    """The leaf tensors whose gradients autograd nodes accumulate."""
     return (node.variable for node in nodes if hasattr(node, "variable"))

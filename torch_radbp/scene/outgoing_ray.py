@@ -1,4 +1,4 @@
-"""The ray by which a path leaves a vertex, and the derivatives that it carries.
+"""The ray that leaves a vertex after scattering, and the derivatives that it carries.
 
 The next vertex either *slides* or is *glued*. It slides if the direction is that of ideal specular scattering, or carries
 derivatives itself (see `Kind.follows`): then it lies where the attached ray meets the surface. Otherwise it is glued to the
@@ -42,7 +42,7 @@ def outgoing_ray(si: SurfaceInteraction, wo: Vec3) -> Ray:
 
 def attached_outgoing_ray(scene: SceneTensors, material: Material, si: SurfaceInteraction, sample: BSDFSample, following,
                        sampling: str, there: Corners | None = None) -> tuple[Vec3, Ray]:
-    """The weight of a sample and the ray that leaves in its direction, with the derivatives that `sampling` includes.
+    """The weight of a BSDF sample and the scattered ray, with the derivatives that `sampling` includes.
 
     Args:
         scene: attached; gives the geometry of the next vertex.
@@ -78,7 +78,7 @@ def attached_outgoing_ray(scene: SceneTensors, material: Material, si: SurfaceIn
 
 
 def slide_of(scene: SceneTensors, si: SurfaceInteraction, there: Corners, d: Vec3, following) -> Slide | None:
-    """How much the next vertices slide; None: none does. Args as for `attached_outgoing_ray` and `glued_direction`."""
+    """How much next vertices slide over their triangles; None: none does. Args as for the two functions here."""
     plain = scene.triangles.plain
     if plain is None:
         return None
@@ -87,7 +87,7 @@ def slide_of(scene: SceneTensors, si: SurfaceInteraction, there: Corners, d: Vec
 
 
 def glued_direction(there: Corners, o: Vec3, d: Vec3, hit, glued: Tensor, slide: Slide | None = None) -> tuple[Vec3, Tensor]:
-    """The direction from `o` to the point of a triangle that `d` met, and the change of its solid angle, of value 1.
+    """The direction from `o` to a fixed point of the triangle hit, and the change of its solid angle, of value 1.
 
     Args:
         there: the corners of the triangle, attached.
@@ -105,8 +105,8 @@ def glued_direction(there: Corners, o: Vec3, d: Vec3, hit, glued: Tensor, slide:
     moved = attached(d, aim * follow)
     element = dot(cross(e1, e2), aim).abs() / squared
     size = element.detach()
-    known = glued & (size > TINY)  # else the triangle is seen edge-on
-    change = (element - size) / torch.where(known, size, 1.0) * known.to(size.dtype)
+    has_area = glued & (size > TINY)  # else the triangle is seen edge-on
+    change = (element - size) / torch.where(has_area, size, 1.0) * has_area.to(size.dtype)
     if slide is None:
         return moved, 1.0 + change
     fixed = where_the_ray_goes(Ray(o, d), p0, e1, e2, hit, glued)

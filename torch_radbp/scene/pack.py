@@ -1,4 +1,4 @@
-"""`pack`: from the modules of a `Scene` to `SceneTensors`, by ordinary differentiable torch.
+"""`pack`: converts the modules of a `Scene` to `SceneTensors`, by ordinary differentiable torch.
 
 The work is divided into parts, each of which says what it depends on: nothing is done again of which nothing has changed
 since the last rendering (see `PackCache.part`).
@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 import torch
 
-from torch_radbp.emitter.kind import Light
+from torch_radbp.emitter.kind import Light, stacked
+from torch_radbp.medium.kind import Medium, Table
 from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.scene.attributes import any_attribute_differentiated, check_attributes
 from torch_radbp.scene.geometry import Columns, PlacedShape, TriangleNumbering, placed_shape, shown_instances, triangle_table
@@ -32,22 +33,23 @@ PLACED, MATERIALS = "placed", "materials"
 
 
 class Objects(NamedTuple):
-    """What a scene consists of."""
+    """The objects of a scene by category."""
 
     scene: Scene
     bsdfs: tuple[BSDF, ...]
     shapes: tuple[Surface, ...]
     grouped: tuple[bool, ...]  # for each shape, whether instances show it
-    groups: tuple[tuple[Instance, ...], ...]  # the instances of each
+    groups: tuple[tuple[Instance, ...], ...]  # for each group its instances
     emitters: tuple[Light, ...]
     lamps: tuple[Light, ...]  # those that are on no surface
+    media: tuple[Medium, ...]
     dtype: torch.dtype
     device: torch.device
 
 
 def pack(scene: Scene, cache: PackCache | None = None, light_choice: str | None = None, aovs: bool = False,
          seen: Collection[str] | None = None) -> SceneTensors:
-    """The tensors of a scene, attached to its parameters.
+    """Packs a scene to tensors that are attached to its parameters.
 
     Args:
         scene: as it is now.
@@ -79,21 +81,23 @@ def pack(scene: Scene, cache: PackCache | None = None, light_choice: str | None 
     bounding = (bank, lit_banks) if takes_tree(light_choice, emissions) else (None, ())  # what gives lights their bounds
     lights = cache.part("lights", _lights_of, scene, inventory.reach(objects.lamps), objects, triangles, emissions, layout,
                         light_choice, *bounding)
-    textures = tuple(bank_of_textures(cache, number, own, objects) for number, own in enumerate(materials.textures))
+    textures = tuple(bank_of_textures(cache, number, group, objects) for number, group in enumerate(materials.textures))
     check_networks(cache, (*layout.readers, *layout.lit), (*textures, *lit_banks), dtype, device)
-    return SceneTensors(triangles, materials.table, textures, lights, bank, lit_banks, layout)
+    media = cache.part("media", tables_of_media, scene, inventory.reach(objects.media), objects)
+    return SceneTensors(triangles, materials.table, textures, lights, bank, lit_banks, media, layout)
 
 
 def objects_of(scene: Scene) -> Objects:
-    """What a scene consists of."""
+    """Collects the objects of a scene by category."""
     emitters = tuple(scene.emitters)
     return Objects(scene, tuple(scene.bsdfs()), tuple(scene.shapes), tuple(each is not None for each in scene.shown_by),
                    tuple(map(tuple, scene.groups.values())), emitters,
-                   tuple(emitter for emitter in emitters if not emitter.kind().on_surface), scene.dtype, scene.device)
+                   tuple(emitter for emitter in emitters if not emitter.kind().on_surface), tuple(scene.media),
+                   scene.dtype, scene.device)
 
 
 def placed_shapes(cache: PackCache, objects: Objects) -> tuple[PlacedShape, ...]:
-    """The shapes as triangles; raises ValueError if one is too large."""
+    """All shapes as triangles; raises ValueError if one is too large."""
     placed = tuple(placed_shape(cache, shape, grouped, objects.dtype)
                    for shape, grouped in zip(objects.shapes, objects.grouped))
     check_extent(objects.scene, objects.shapes, [cache(largest_vertex_coordinate, shape.vertices) for shape in placed])
@@ -102,7 +106,7 @@ def placed_shapes(cache: PackCache, objects: Objects) -> tuple[PlacedShape, ...]
 
 def layout_of(cache: PackCache, objects: Objects, materials: Materials, radiances: Radiances,
               placed: tuple[PlacedShape, ...]) -> Layout:
-    """The features of a scene."""
+    """The `Layout` of a scene: the features that it uses."""
     named = {name for reader in (*materials.readers, radiances.reader) for name in reader.attributes}
     attributes = tuple(sorted(named))
     attributes_move = any_attribute_differentiated(objects.scene, attributes)
@@ -113,11 +117,12 @@ def layout_of(cache: PackCache, objects: Objects, materials: Materials, radiance
         back_sides=materials.back_sides, appearances=materials.appearances,
         readers=materials.readers, radiance=radiances.reader,
         radiance_bitmaps=radiances.has_bitmaps or any(reader.needs_uv for reader in radiances.lit), attributes=attributes,
-        lights=kinds_of(objects.emitters), lit=radiances.lit, still=materials.still)
+        lights=kinds_of(objects.emitters), media=tuple(medium.kind() for medium in objects.media), lit=radiances.lit,
+        still=materials.still)
 
 
 def _columns_of(cache: PackCache, objects: Objects, layout: Layout, aovs: bool) -> Columns:
-    """What the triangles of a scene have beside their positions; `aovs` as for `pack`."""
+    """The optional columns of the scene's triangle table; `aovs` as for `pack`."""
     row = {id(bsdf): index for index, bsdf in enumerate(objects.bsdfs)}
     return Columns(layout.shading_normals,
                    layout.radiance_bitmaps or aovs or any(look.needs_uv for look in layout.appearances),
@@ -128,7 +133,7 @@ def _columns_of(cache: PackCache, objects: Objects, layout: Layout, aovs: bool) 
 
 
 def triangles_of(cache: PackCache, objects: Objects, placed: tuple[PlacedShape, ...], columns: Columns) -> TriangleTable:
-    """The triangles of a scene, with its instances; raises ValueError if one of these is too far away."""
+    """Builds the triangle table, instances included; raises ValueError if one of these is too far away."""
     groups, dtype, device = objects.groups, objects.dtype, objects.device
     numbers = (0,) * sum(map(len, groups)) if columns.numbers is None else instance_numbers(objects)
     instances = shown_instances(cache, groups, placed, columns.normals, numbers, dtype, device)
@@ -139,64 +144,70 @@ def triangles_of(cache: PackCache, objects: Objects, placed: tuple[PlacedShape, 
 
 def emissions_of(cache: PackCache, objects: Objects, radiances: Radiances,
                  placed: tuple[PlacedShape, ...]) -> tuple[Emission, ...]:
-    """What next-event estimation knows about the emitters, those on surfaces first."""
+    """What next-event estimation needs to know about each emitter, those on surfaces first."""
     def emission(emitter: Light, count: int | None) -> Emission:
         return Emission(emitter.kind(), emitter.type, emitter.sampling_weight, radiances.row[id(emitter)],
                         radiances.lit_rows[id(emitter)], count)
 
-    carriers = [emission(shape.emitter, len(own.faces)) for shape, own in zip(objects.shapes, placed)
+    carriers = [emission(shape.emitter, len(placed_shape.faces)) for shape, placed_shape in zip(objects.shapes, placed)
                 if shape.emitter is not None]
     return (*carriers, *(emission(lamp, None) for lamp in objects.lamps))
 
 
 def _lights_of(cache: PackCache, objects: Objects, triangles: TriangleTable, emissions: tuple[Emission, ...], layout: Layout,
                light_choice: str | None, bank: Any, lit_banks: tuple[Any, ...]) -> LightTable:
-    """The elements for next-event estimation; the banks of radiance if these are picked by a tree."""
+    """Builds the light table; the tables of emitters' textures are needed if lights are selected by a tree."""
     lamps = tuple(cache.twin(number, lamp) for number, lamp in enumerate(objects.lamps))
     return light_table(cache, triangles, emissions, lamps, layout, bank, lit_banks, light_choice)
 
 
-def bank_of_textures(cache: PackCache, number: int, own: MaterialTextures, objects: Objects) -> Any:
+def tables_of_media(cache: PackCache, objects: Objects) -> tuple[Table, ...]:
+    """The tables of the media, attached."""
+    like = torch.empty(0, dtype=objects.dtype, device=objects.device)
+    return tuple(stacked([cache.twin(number, medium).row()], like) for number, medium in enumerate(objects.media))
+
+
+def bank_of_textures(cache: PackCache, number: int, group: MaterialTextures, objects: Objects) -> Any:
     """The bank, of this number, of those textures of materials that one reader reads; attached."""
     scene, dtype, device = objects.scene, objects.dtype, objects.device
-    if own.reader.outside:  # a module that is read outside is taken as it is: only it knows what its values depend on
-        return own.reader.bank(list(own.textures), dtype, device)
-    twins = cache.part(("twins", number), twins_of, scene, own.settled, own.textures)
-    return cache.part(("bank", number), bank_of_twins, scene, own.reach, own.reader, twins, dtype, device)
+    if group.reader.outside:  # a module that is read outside is taken as it is: only it knows what its values depend on
+        return group.reader.bank(list(group.textures), dtype, device)
+    twins = cache.part(("twins", number), twins_of, scene, group.settled, group.textures)
+    return cache.part(("bank", number), bank_of_twins, scene, group.reach, group.reader, twins, dtype, device)
 
 
 def twins_of(cache: PackCache, textures: tuple[Texture, ...]) -> tuple[Texture, ...]:
-    """The twins of some textures; see `PackCache.twin`."""
+    """Copies of textures that change only with their values; see `PackCache.twin`."""
     return tuple(cache.twin(number, texture) for number, texture in enumerate(textures))
 
 
 def bank_of_twins(cache: PackCache, reader: Reader, twins: tuple[Texture, ...], dtype: torch.dtype,
                   device: torch.device) -> Any:
-    """The bank of some twins, attached."""
+    """Builds the table of copied textures of one kind, attached."""
     return cache(bank_of, reader, twins, dtype, device)
 
 
 def plain_shapes(objects: Objects) -> tuple[bool, ...]:
-    """For each shape, whether the light that it sends back jumps at borders of shadows alone; see `scene.nearby`."""
+    """For each shape, whether its reflected light is discontinuous only at shadow borders; see `scene.nearby`."""
     if any(emitter.picture_jumps() or emitter.picture_ends() for emitter in objects.emitters):
         return (False,) * len(objects.shapes)
-    known = {id(bsdf): is_plain(bsdf) for bsdf in objects.bsdfs}
-    return tuple(shape.emitter is None and known[id(shape.bsdf)] for shape in objects.shapes)
+    plain = {id(bsdf): is_plain(bsdf) for bsdf in objects.bsdfs}
+    return tuple(shape.emitter is None and plain[id(shape.bsdf)] for shape in objects.shapes)
 
 
 def _numbers_of(objects: Objects) -> tuple[TriangleNumbering, ...]:
-    """How the triangles of each shape of a scene are counted."""
+    """How the triangles of each shape are numbered in AOVs."""
     number = numbers_in(objects.scene)
     return tuple(TriangleNumbering(not shape.whole, number.get(id(shape), 0)) for shape in objects.shapes)
 
 
 def instance_numbers(objects: Objects) -> tuple[int, ...]:
-    """The number of each instance of a scene, group by group."""
+    """The AOV number of each instance, group by group."""
     number = numbers_in(objects.scene)
     return tuple(number[id(instance)] for instances in objects.groups for instance in instances)
 
 
 def numbers_in(scene: Scene) -> dict[int, int]:
-    """The numbers of shapes and instances by their ids: from 1 on, in the order of the scene."""
+    """The AOV numbers of shapes and instances by their ids: from 1 on, in the order of the scene."""
     places = [id(child) for child in scene.children() if isinstance(child, (Surface, Instance))]
     return {place: count for count, place in enumerate(places, 1)}

@@ -1,4 +1,4 @@
-"""What one rendering leaves for the next, so that packing costs what has changed.
+"""The cache that one rendering leaves for the next, so that packing a scene costs only what has changed.
 
 A scene is packed anew for every rendering, because its parameters may have changed by an optimiser's step,
 `torch.func.functional_call`, `torch.nn.utils.parametrize`, `load_state_dict`, or a write through `.data` or numpy. The last
@@ -39,15 +39,15 @@ from torch_radbp.tensors.differentiated import differentiated
 
 
 class Result(NamedTuple):
-    """What a function gave."""
+    """The cached result of a function call."""
 
-    key: tuple  # the function and what stands for the arguments
+    key: tuple  # the function and tokens of the arguments
     arguments: tuple  # held, so that their ids are not given away
     value: Any
 
 
 class Twin(NamedTuple):
-    """A copy of a module, and what it is a copy of."""
+    """A copy of a module, with the originals that it was made from."""
 
     attributes: Attributes
     tensors: tuple[tuple[Hashable, Tensor, Tensor], ...]  # the place, the original and the copy of each
@@ -56,17 +56,17 @@ class Twin(NamedTuple):
 
 
 class CachedPart(NamedTuple):
-    """What a function made of modules and of other parts, with a cache of its own."""
+    """A cached part of the packed scene, with the modules and parts that it was made from."""
 
     inventory: Inventory  # of the modules
     arguments: tuple
     value: Any
-    cache: PackCache  # for the next time that it is made
+    cache: PackCache  # for the next time that it is computed
     fixed: frozenset[int]  # ids of the objects in it
 
 
 class PackCache(Copies):
-    """Copies of tensors and what was made of them: found unchanged since the last rendering, or new.
+    """A cache of tensors and of results computed from them, valid while the scene's values are unchanged.
 
     One rendering fills one of these, and takes from that of the last rendering what is still right. What it does not ask
     for is forgotten.
@@ -94,13 +94,13 @@ class PackCache(Copies):
         return PackCache, ()
 
     def close(self) -> PackCache:
-        """Lets go of what only the last rendering needed."""
+        """Drops what only the comparison with the last rendering needed."""
         super().close()
         self.last_results, self.last_parts, self.last_twins, self.last_constants = {}, {}, {}, {}
         return self
 
     def __call__(self, make: Callable, *arguments):
-        """`make(*arguments)`; or what that gave before, if all arguments are plain values or objects from here.
+        """`make(*arguments)`, cached if all arguments are plain values or objects from this cache.
 
         Args:
             make: a function of a module, whose result depends on nothing but the arguments.
@@ -110,7 +110,7 @@ class PackCache(Copies):
         return make(*arguments) if result is None else result.value
 
     def result(self, make: Callable, arguments: tuple) -> Result | None:
-        """What `make(*arguments)` gives now and gave before; None if arguments may change without notice."""
+        """The result of `make(*arguments)`, cached or computed; None if arguments may change without notice."""
         tokens = self.tokens(arguments)
         if tokens is None:
             return None
@@ -128,8 +128,8 @@ class PackCache(Copies):
         self.fix(result.value)
 
     def part(self, place: Hashable, make: Callable, root: nn.Module, reach: frozenset[int], *arguments):
-        """`make(cache, *arguments)`, or what that gave before: if the arguments are the same objects as in the last
-        rendering, and so is all that they hold, down to the last bit of each tensor, of which none is differentiated.
+        """`make(cache, *arguments)`, or the result of the last rendering if the arguments and every bit of their tensors are
+        unchanged, and no tensor is differentiated.
 
         Args:
             place: tells which part of the last rendering to compare with.
@@ -139,23 +139,23 @@ class PackCache(Copies):
                 its numbers.
             arguments: modules, results of `structure`, parts, plain values.
         """
-        inventory, known = self.inventory(root), self.parts.get(place) or self.last_parts.get(place)
-        if known is None or known.inventory is not inventory or not reach.isdisjoint(self.moved) or not all(
-                map(operator.is_, known.arguments, arguments)):
-            own = PackCache(None if known is None else known.cache, around=self)
-            value = make(own, *arguments)
-            fixed = frozenset(own.fixed - self.fixed)
-            known = CachedPart(inventory, arguments, value, own.close(), fixed)
-        self.parts[place] = known
-        self.fixed |= known.fixed
-        return known.value
+        inventory, cached = self.inventory(root), self.parts.get(place) or self.last_parts.get(place)
+        if cached is None or cached.inventory is not inventory or not reach.isdisjoint(self.moved) or not all(
+                map(operator.is_, cached.arguments, arguments)):
+            own_cache = PackCache(None if cached is None else cached.cache, around=self)
+            value = make(own_cache, *arguments)
+            fixed = frozenset(own_cache.fixed - self.fixed)
+            cached = CachedPart(inventory, arguments, value, own_cache.close(), fixed)
+        self.parts[place] = cached
+        self.fixed |= cached.fixed
+        return cached.value
 
     def made(self, place: Hashable) -> Any:
-        """A part as this rendering has it."""
+        """A part of the packed scene as this rendering has computed it."""
         return self.parts[place].value
 
     def twin(self, place: Hashable, thing):
-        """A copy of a module, or of another object, as it is now; the same one as last time if nothing in it has changed.
+        """A copy of a module, or another object, as it is now; that of the last rendering if nothing in it has changed.
 
         It has frozen tensors where those of the original are not differentiated, and the values of parametrisations instead
         of these. Modules in it are twins, too. That of a shape lacks material and emitter, which say nothing of its
@@ -174,32 +174,32 @@ class PackCache(Copies):
             return last.made.value
         others = [(name, value) for name, value in vars(thing).items() if name not in OF_EVERY_MODULE and name != "shared"]
         parameters = [(name, getattr(thing, name)) for name in (*thing._parameters, *parametrized_names(thing))]
-        own = others, parameters, list(thing._buffers.items()), children_of(thing)
-        parts = tuple(self.attributes_in_twin(place, part) for part in own)
+        attributes = others, parameters, list(thing._buffers.items()), children_of(thing)
+        parts = tuple(self.attributes_in_twin(place, part) for part in attributes)
         made = self.result(assembled, (parametrize.type_before_parametrizations(thing), *parts))
         if made is None:
             return assembled(parametrize.type_before_parametrizations(thing), *parts)
-        parts = [((place, name), value, found) for of_thing, of_twin in zip(own, parts)
-                 for (name, value), (_, found) in zip(of_thing, of_twin)]
+        parts = [((place, name), value, in_copy) for of_thing, of_twin in zip(attributes, parts)
+                 for (name, value), (_, in_copy) in zip(of_thing, of_twin)]
         tensors, children = (tuple(part for part in parts if isinstance(part[1], kind)) for kind in (Tensor, nn.Module))
-        followed = all(found is value or isinstance(value, (Tensor, nn.Module)) for _, value, found in parts)
+        followed = all(in_copy is value or isinstance(value, (Tensor, nn.Module)) for _, value, in_copy in parts)
         if followed and not parametrized_names(thing):
             self.twins[place] = Twin(attributes_of(thing), tensors, children, made)
         return made.value
 
     def still_holds(self, twin: Twin, thing: nn.Module) -> bool:
-        """True if a twin of the last rendering is a twin of a module as it is now."""
+        """True if a copy from the last rendering still equals its module."""
         return (type(thing) is twin.made.arguments[0] and has_attributes(thing, twin.attributes)
                 and all(not differentiated(tensor) and self.frozen(place, tensor) is copy
                         for place, tensor, copy in twin.tensors)
                 and all(self.twin(place, child) is copy for place, child, copy in twin.children))
 
     def attributes_in_twin(self, place: Hashable, named: Iterable[tuple[str, Any]]) -> tuple[tuple[str, Any], ...]:
-        """What the attributes of a twin are, from those of the original."""
+        """The attributes of a module's copy, from those of the original."""
         return tuple((name, self.in_twin((place, name), value)) for name, value in named)
 
     def in_twin(self, place: Hashable, value):
-        """What stands in a twin for an attribute."""
+        """The counterpart of an attribute's value in a copy: a frozen tensor, a copied module, or the value itself."""
         if type(value) in OFTEN:
             return value
         if isinstance(value, Tensor):
@@ -212,8 +212,8 @@ class PackCache(Copies):
         return value
 
     def tokens(self, values: Iterable | None) -> tuple | None:
-        """What stands for some values in a key, or None if one may change without notice, or there are none."""
-        found = []
+        """Hashable tokens for values in a cache key; None if one may change without notice, or there are no values."""
+        tokens = []
         if values is None:
             return None
         for value in values:
@@ -230,24 +230,24 @@ class PackCache(Copies):
                 token = self.tokens(value if isinstance(value, tuple) else None)
             if token is None:
                 return None
-            found.append((kind, token))
-        return tuple(found)
+            tokens.append((kind, token))
+        return tuple(tokens)
 
     def constant(self, value) -> tuple | None:
-        """What stands for a frozen dataclass in a key; None if it may change without notice."""
-        known = self.constants.get(id(value)) or self.last_constants.get(id(value))
-        if known is None:
+        """A hashable token for a frozen dataclass; None if it may change without notice."""
+        cached = self.constants.get(id(value)) or self.last_constants.get(id(value))
+        if cached is None:
             tokens = self.tokens(vars(value).values())
             if tokens is None:
                 return None
-            known = value, tokens
+            cached = value, tokens
             if not is_constant(value):
-                return known[1]
-        self.constants[id(value)] = known
-        return known[1]
+                return cached[1]
+        self.constants[id(value)] = cached
+        return cached[1]
 
     def fix(self, result) -> None:
-        """Notes that a result and its parts will not change."""
+        """Marks a result and its parts as unchanging."""
         if isinstance(result, tuple):
             for part in result:
                 self.fix(part)

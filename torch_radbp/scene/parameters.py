@@ -1,4 +1,4 @@
-"""The current parameters of a scene by name, and the check that each is in its domain.
+"""The parameters of a scene by name, and the check that the values of each are in its domain.
 
 Parameters change between renderings. So all are compared with those of the last one (see `scene.pack_cache`), and what has
 changed is checked: first the shapes, then the extremes.
@@ -32,90 +32,90 @@ OUTSIDE = ("; keep it inside, with scene.clamp_() after each step, rb.optim.boun
 
 
 class Held(NamedTuple):
-    """A parameter or a table, as the renderer sees it, and all domains in which its values must be."""
+    """A parameter or texture table with all domains in which its values must be."""
 
     owner: nn.Module
     attribute: str | None  # None: the values of a texture
     domains: list[Domain]
-    reach: frozenset[int]  # what the value depends on, as `Inventory.reach`
+    reach: frozenset[int]  # ids of the tensors that the value depends on, see `Inventory.reach`
 
     @property
     def value(self) -> Tensor:
-        """The value as it is now."""
+        """The current value of the parameter, or of the texture's table."""
         return self.owner.texels() if self.attribute is None else getattr(self.owner, self.attribute)
 
 
 def held_values(scene: Scene) -> dict[str, Held]:
-    """By name, everything in a scene that has a domain, and every other parameter.
+    """Every parameter of a scene, and everything else in it that has a domain, by name.
 
     The result of a parametrisation has the name of the parameter that it replaces. The values of a texture must be in the
     domains of all attributes for which it is used; a texture that computes them is evaluated.
     """
-    found = held_in(scene)
+    values = held_in(scene)
     for name, view in scene.named_sensors.items():
-        found |= held_in(view, name)
-    return found
+        values |= held_in(view, name)
+    return values
 
 
 def held_in(root: nn.Module, prefix: str = "") -> dict[str, Held]:
-    """The part of `held_values` that a sensor of this name has, or a scene without its sensors."""
+    """The parameters of one sensor, or of a scene without its sensors, by name; a part of `held_values`."""
     named = modules_in(root, prefix, set(root.named_sensors.values()) if isinstance(root, Scene) else ())
     plugins = [(name, module) for name, module in named if isinstance(module, Plugin)]
     names = {id(plugin): name for name, plugin in plugins}
     note_uses(plugins)
-    found: dict[str, Held] = {}
+    values: dict[str, Held] = {}
     for prefix, plugin in plugins:
         for attribute, domain in plugin.domains().items():
             value = getattr(plugin, attribute, None)
             if isinstance(value, Tensor):
-                found[f"{prefix}.{attribute}"] = Held(plugin, attribute, [domain], reach_of_attribute(plugin, value))
+                values[f"{prefix}.{attribute}"] = Held(plugin, attribute, [domain], reach_of_attribute(plugin, value))
     for _, plugin in plugins:
         for attribute, domain in plugin.domains().items():
             texture = getattr(plugin, attribute, None)
             if isinstance(texture, Texture):
-                hold_values(found, names, texture, domain)
-    known = {id(getattr(held.owner, held.attribute)) for held in found.values() if held.attribute is not None}
+                hold_values(values, names, texture, domain)
+    ids = {id(getattr(held.owner, held.attribute)) for held in values.values() if held.attribute is not None}
     for prefix, module in named:
         for attribute, value in module._parameters.items():
-            if value is not None and id(value) not in known and value.numel():
-                known.add(id(value))
+            if value is not None and id(value) not in ids and value.numel():
+                ids.add(id(value))
                 name = f"{prefix}.{attribute}".removeprefix(".")
-                found[name] = Held(module, attribute, [Domain()], frozenset({id(value)}))
-    return found
+                values[name] = Held(module, attribute, [Domain()], frozenset({id(value)}))
+    return values
 
 
 def reach_of_attribute(plugin: Plugin, value: Tensor) -> frozenset[int]:
-    """What an attribute of a plugin with this value depends on: nothing else if it is no computed one."""
+    """The ids of what a plugin's attribute depends on: its tensor alone, unless a parametrisation computes it."""
     held = any(value is tensor for _, tensor in tensors_of(plugin))
     return frozenset({id(value)}) if held else reach_of([plugin])
 
 
-def hold_values(found: dict[str, Held], names: dict[int, str], texture: Texture, domain: Domain) -> None:
-    """Adds a domain to the values of a texture, unless they are checked where they are computed.
+def hold_values(values: dict[str, Held], names: dict[int, str], texture: Texture, domain: Domain) -> None:
+    """Adds a domain for the values of a texture, unless they are checked where they are computed.
 
     Args:
-        found: filled in.
+        values: filled in.
         names: of the plugins, by their ids.
         texture: of an attribute with this domain.
         domain: of the attribute.
     """
     for part in texture.parts():
-        hold_values(found, names, part, domain)
+        hold_values(values, names, part, domain)
     if texture.parts() or not texture.tabulated or reader_of(texture).attributes:
         return
     prefix = names[id(texture)]
     if texture.entries is None:
-        found.setdefault(prefix, Held(texture, None, [], reach_of([texture]))).domains.append(domain)
+        values.setdefault(prefix, Held(texture, None, [], reach_of([texture]))).domains.append(domain)
         return
-    own = f"{prefix}.{texture.entries}"
-    if own not in found:
-        raise AttributeError(f"parameter '{own}' is missing, got {getattr(texture, texture.entries, None)!r}; "
+    parameter = f"{prefix}.{texture.entries}"
+    if parameter not in values:
+        raise AttributeError(f"parameter '{parameter}' is missing, got {getattr(texture, texture.entries, None)!r}; "
                              f"give it a tensor, or load the scene again")
-    found[own].domains.append(domain)
+    values[parameter].domains.append(domain)
 
 
 def note_uses(plugins: list[tuple[str, Plugin]]) -> None:
-    """Tells textures that are no tables by what name and in which domains their values will be checked."""
+    """Tells textures that compute their values by which name and in which domains these will be checked."""
     if all(plugin.tabulated for _, plugin in plugins if isinstance(plugin, Texture)):
         return
     names, uses = {id(plugin): name for name, plugin in plugins}, {}
@@ -131,7 +131,7 @@ def note_uses(plugins: list[tuple[str, Plugin]]) -> None:
 
 
 def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str], leeway: float = LEEWAY) -> None:
-    """Checks the current parameters of a scene. The values of modules are checked where they are computed.
+    """Checks that a scene's parameters are valid. Values computed by modules are checked where they are computed.
 
     Args:
         scene: as it is now.
@@ -144,23 +144,23 @@ def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str], leew
         TypeError: if dtypes or devices are mixed, or the dtype is not supported.
     """
     with torch.no_grad():
-        views, found = scene.named_sensors, {}
+        views, changed = scene.named_sensors, {}
         for root, name in [*((views[name], name) for name in dict.fromkeys(seen)), (scene, "")]:
             held = cache.structure(held_in, root, name)
-            known = cache.is_as_it_was(root)
-            found |= {name: each for name, each in held.items() if not (known and each.reach.isdisjoint(cache.moved))}
-        values = {name: held.value for name, held in found.items()}
-        check_types(scene, found, values)
-        for name, held in found.items():
+            unchanged = cache.is_as_it_was(root)
+            changed |= {name: each for name, each in held.items() if not (unchanged and each.reach.isdisjoint(cache.moved))}
+        values = {name: held.value for name, held in changed.items()}
+        check_types(scene, changed, values)
+        for name, held in changed.items():
             for domain in held.domains:
                 domain.check_shape(f"parameter {name!r}", values[name])
-        for name, held in found.items():
+        for name, held in changed.items():
             value = primal(values[name]) if differentiated(values[name]) else cache.frozen(name, values[name])
             cache(check_values, name, value, tuple(dict.fromkeys(held.domains)), leeway)
 
 
 def check_values(name: str, value: Tensor, domains: tuple[Domain, ...], leeway: float) -> None:
-    """Raises ValueError unless the values of a parameter, detached, are in all of some domains.
+    """Raises ValueError unless the detached values of a parameter are in all of its domains.
 
     Warns of reflectances above 1.
     """
@@ -183,8 +183,8 @@ def check_names(renderer: nn.Module, cache: PackCache) -> None:
         cache: what is known from the last rendering.
     """
     scene = renderer.scene
-    own = modules_in(renderer, without={scene})
-    strays = [name for prefix, module in own for name in strays_of(prefix, module, renderer)]
+    modules = modules_in(renderer, without={scene})
+    strays = [name for prefix, module in modules for name in strays_of(prefix, module, renderer)]
     strays += cache.structure(strays_in, scene)
     strays += [name for prefix, view in scene.named_sensors.items() for name in strays_in(view, prefix)]
     if strays:
@@ -193,14 +193,14 @@ def check_names(renderer: nn.Module, cache: PackCache) -> None:
 
 
 def strays_in(root: nn.Module, prefix: str = "") -> list[str]:
-    """The names in a renderer of tensors that nothing reads, of a sensor of this name or of a scene without its sensors."""
+    """The names of tensors that nothing reads, of one sensor or of a scene without its sensors."""
     without = set(root.named_sensors.values()) if isinstance(root, Scene) else ()
     named = modules_in(root, f"scene.{prefix}".removesuffix("."), without)
     return [name for prefix, module in named for name in strays_of(prefix, module)]
 
 
 def strays_of(prefix: str, module: nn.Module, renderer: nn.Module | None = None) -> list[str]:
-    """The same of one module; of others than plugins, scenes and this renderer nothing is known."""
+    """The names of tensors of one module that nothing reads; only plugins, scenes and the renderer can be judged."""
     attributes = vars(module)
     if not any(map(is_tensor, set(map(type, attributes.values())))):
         return []
@@ -216,15 +216,15 @@ def is_tensor(kind: type) -> bool:
 
 
 def registered() -> set[type[Plugin]]:
-    """The classes of all plugins."""
+    """The classes of all registered plugins."""
     return {plugin for plugins in REGISTRY.values() for plugin in plugins.values()}
 
 
-def check_types(scene: Scene, found: dict[str, Held], values: dict[str, Tensor]) -> None:
+def check_types(scene: Scene, held: dict[str, Held], values: dict[str, Tensor]) -> None:
     """Raises TypeError unless all parameters are float32, or all float64, on one device."""
     first, reference = next(iter(scene.named_parameters()))
     for name, value in values.items():
-        if any(domain.is_index for domain in found[name].domains):
+        if any(domain.is_index for domain in held[name].domains):
             continue
         if value.dtype not in DTYPES:
             raise TypeError(f"parameter {name!r} is {value.dtype}; a scene is rendered in torch.float32 or torch.float64: "

@@ -1,4 +1,4 @@
-"""The part of a scene that lanes of one appearance read.
+"""The part of a scene's tables that lanes of one appearance read.
 
 Functions of a bounce get no more than this, so that one that is compiled serves all scenes with that appearance, whatever
 else they contain.
@@ -16,12 +16,12 @@ from torch_radbp.tensors.record import leaves_of
 
 
 def part_of(scene: SceneTensors, scatterer: Appearance | None) -> SceneTensors:
-    """The tables that matter where light is scattered by `scatterer`; None: where paths end."""
+    """The tables that are read where light is scattered by `scatterer`; None: where paths end."""
     return _reduced(scene, scene.layout, scatterer)._replace(layout=layout_of_part(scene.layout, scatterer))
 
 
 def leaves_of_part(belonging: SceneTensors, layout: Layout, scatterer: Appearance | None) -> list:
-    """What belongs to the leaves of the part of a scene, as `leaves_of` counts them.
+    """Selects from things that belong to a scene's leaves (as gradients) those that belong to the leaves of a part.
 
     Args:
         belonging: the record of the whole scene, with things that belong to its leaves in their places.
@@ -32,7 +32,7 @@ def leaves_of_part(belonging: SceneTensors, layout: Layout, scatterer: Appearanc
 
 
 def _reduced(scene: SceneTensors, layout: Layout, scatterer: Appearance | None) -> SceneTensors:
-    """A record like that of a scene with this layout, without the tables that its part has not."""
+    """A scene record without the tables that its part does not read."""
     triangles = scene.triangles._replace(balls=None, numbers=None, instances=for_lanes(scene.triangles.instances))
     if not (layout.radiance_bitmaps or (scatterer is not None and scatterer.needs_uv)):
         triangles = triangles._replace(vertices=triangles.vertices._replace(uv=None))
@@ -55,18 +55,18 @@ def _reduced(scene: SceneTensors, layout: Layout, scatterer: Appearance | None) 
 
 
 def layout_of_part(layout: Layout, scatterer: Appearance | None) -> Layout:
-    """The features that matter to the part."""
+    """The `Layout` of a part of a scene: the features that its appearance needs."""
     readers = () if scatterer is None else tuple(dict.fromkeys(scatterer.readers))
     return replace(layout, bending=False, bends_ideally=False, appearances=(), readers=readers, scatterer=scatterer,
                    attributes=attributes_of_part(layout, scatterer), still=())
 
 
 def attributes_of_part(layout: Layout, scatterer: Appearance | None) -> tuple[str, ...]:
-    """The attributes of meshes that the part reads, in the scene's order."""
+    """The names of mesh attributes that a part of the scene reads, in the scene's order."""
     readers = (layout.radiance, *(() if scatterer is None else scatterer.readers))
     return tuple(name for name in layout.attributes if any(name in reader.attributes for reader in readers))
 
 
 def _chosen(names: tuple[str, ...], columns: tuple, wanted: tuple[str, ...]) -> tuple:
-    """Those columns whose names are wanted, in their order."""
+    """Selects columns of attributes by name, in their order."""
     return tuple(column for name, column in zip(names, columns) if name in wanted)

@@ -1,4 +1,4 @@
-"""From the frame of a group to the world, where an instance shows what a ray meets.
+"""The transform from the frame of a group to the world, for hits on instances.
 
 A scene without instances has none of this: what its tables hold is in the world already.
 """
@@ -23,19 +23,19 @@ ROUNDINGS = 4
 
 
 class InstanceTable(NamedTuple):
-    """The places where groups are shown, in the order in which hits count them: row 0 is the scene itself."""
+    """The transforms of all instances, in the order in which hits count them: row 0 is the scene itself."""
 
-    linear: Rows  # of the linear part of `to_world`, attached
+    linear: Rows  # rows of the linear part of `to_world`, attached
     origin: Vec3  # (I,) where the group's origin is, attached
-    normal: Rows | None  # of the inverse of the linear part, transposed; attached; None if no vertex has a normal
-    side: Tensor  # (I,) -1 where left and right are exchanged, else 1; detached
+    normal: Rows | None  # rows of its inverse transpose; attached; None if no vertex has a normal
+    side: Tensor  # (I,) -1 for mirrored poses, else 1; detached
     clearance: Tensor  # (I,) least distance off triangles at which rays leave them, detached; 0 in row 0
     number: Tensor  # (I,) int32 of the instance in the scene, 0 in row 0; for AOVs
     casting: Instances | None  # what ray casters need; None in parts of a scene
 
 
 def instance_table(matrices: Tensor, normals: bool, casting: Instances, numbers: tuple[int, ...]) -> InstanceTable:
-    """The table of some instances, attached to their poses.
+    """Builds the table of instances, attached to their poses.
 
     Args:
         matrices: (I, 4, 4) poses in the order of `casting`.
@@ -58,32 +58,32 @@ def instance_table(matrices: Tensor, normals: bool, casting: Instances, numbers:
 
 
 def for_lanes(table: InstanceTable | None) -> InstanceTable | None:
-    """What lanes read of instances."""
+    """The columns of the instance table that lanes read, without those for ray casters."""
     return None if table is None else table._replace(casting=None)
 
 
 def _rows_of(matrices: Tensor) -> Rows:
-    """The rows of (I, 3, 3) matrices."""
+    """The three rows of (I, 3, 3) matrices as vectors."""
     return tuple(Vec3.of(row) for row in matrices.unbind(1))
 
 
 def boxes(vertices: Sequence[Tensor], to_world: Sequence[Tensor]) -> Tensor:
-    """The corners of a box around each instance of some groups, (I, 8, 3).
+    """The corners of a bounding box around each instance, (I, 8, 3).
 
     Args:
         vertices: (V, 3) of each group.
         to_world: (I, 3, 4) of the instances of each.
     """
-    found = []
-    for own, places in zip(vertices, to_world):
-        low, high = own.amin(0).to(places), own.amax(0).to(places)
+    corners_of_groups = []
+    for vertices_of_group, places in zip(vertices, to_world):
+        low, high = vertices_of_group.amin(0).to(places), vertices_of_group.amax(0).to(places)
         corners = torch.cartesian_prod(*torch.stack([low, high], 1))
-        found.append((places[:, None, :, :3] * corners[None, :, None]).sum(-1) + places[:, None, :, 3])
-    return torch.cat(found)
+        corners_of_groups.append((places[:, None, :, :3] * corners[None, :, None]).sum(-1) + places[:, None, :, 3])
+    return torch.cat(corners_of_groups)
 
 
 def points_in_world(scene, hit, points: tuple[Vec3, ...]) -> tuple[Vec3, ...]:
-    """(N,) positions in the frames of the triangles that were hit, in the world; attached to the poses of instances."""
+    """Transforms (N,) positions on the triangles hit to the world; attached to the poses of instances."""
     table = scene.triangles.instances
     if table is None:
         return points
@@ -92,13 +92,13 @@ def points_in_world(scene, hit, points: tuple[Vec3, ...]) -> tuple[Vec3, ...]:
 
 
 def shown_direction(scene, hit, direction: Vec3) -> Vec3:
-    """(N,) directions in the triangles that were hit, unit or zero, in the world; attached to the poses of instances."""
+    """Transforms (N,) directions along the triangles hit, unit or zero, to the world; attached to the poses of instances."""
     table = scene.triangles.instances
     return direction if table is None else normalize(product(lookup(table.linear, hit.instance), direction))
 
 
 def shown_normals(scene, hit, normals: tuple[Vec3, ...]) -> tuple[Vec3, ...]:
-    """(N,) unit normals of vertices of the triangles that were hit, in the world; attached to the poses of instances."""
+    """Transforms (N,) unit vertex normals of the triangles hit to the world; attached to the poses of instances."""
     table = scene.triangles.instances
     if table is None:
         return normals
@@ -107,12 +107,12 @@ def shown_normals(scene, hit, normals: tuple[Vec3, ...]) -> tuple[Vec3, ...]:
 
 
 def product(matrix: Rows, vector: Vec3) -> Vec3:
-    """The product of a matrix, by its rows, and a vector."""
+    """The product of a matrix, given by its rows, and a vector."""
     return Vec3(*(dot(row, vector) for row in matrix))
 
 
 def power_of_two_above(x: Tensor) -> Tensor:
-    """The least power of two that is greater than x > 0, detached; 0 for 0. As `torch.frexp` has it, by the bits."""
+    """The least power of two greater than x > 0, detached; 0 for 0. From the bits, as `torch.frexp`."""
     kind, exponent = (torch.int32, 0x7F800000) if x.dtype == torch.float32 else (torch.int64, 0x7FF << 52)
     return 2.0 * (x.detach().view(kind) & exponent).view(x.dtype)
 

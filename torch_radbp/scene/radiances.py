@@ -1,4 +1,4 @@
-"""The textures of the emitters of a scene: which of them are tables in one bank, and which are read outside."""
+"""The textures of a scene's emitters: which are rows of one table (bank), and which are evaluated outside of it."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from torch_radbp.texture.rgb import RGB
 
 
 class BankBuilder:
-    """Collects textures; each is stored once however often it is used."""
+    """Collects textures for one table, in which each is stored once however often it is used."""
 
     def __init__(self) -> None:
         self.textures: list[Texture] = []
         self.index: dict[int, int] = {}
 
     def add(self, texture: Texture) -> int:
-        """The index of `texture` in the bank."""
+        """The row of `texture` in the table, to which it is added if it is new."""
         if id(texture) not in self.index:
             self.index[id(texture)] = len(self.textures)
             self.textures.append(texture)
@@ -33,7 +33,7 @@ class BankBuilder:
 
     @property
     def reader(self) -> TableReader:
-        """How lanes read all of them: colours among images are images of one texel."""
+        """The reader for all textures of the table: colours among images become images of one texel."""
         reader = reader_for(self.textures or [RGB(value=0.0)])
         kinds = reader.readers if isinstance(reader, MixedReader) else (reader,)
         return BitmapReader() if all(isinstance(kind, (BitmapReader, ColourReader)) for kind in kinds) else reader
@@ -44,52 +44,52 @@ class BankBuilder:
 
 
 class Radiances(NamedTuple):
-    """Where the textures of emitters are."""
+    """Where the texture of each emitter is stored."""
 
     reader: TableReader  # of the bank
     has_bitmaps: bool  # some textures of the bank have coordinates
-    banked: tuple[Light, ...]  # for each texture of the bank an emitter that has it
-    row: dict[int, int]  # in the bank, by the ids of emitters; 0 of those that have none there
+    banked: tuple[Light, ...]  # for each texture of the bank one emitter that uses it
+    row: dict[int, int]  # row in the bank by id of the emitter; 0 for emitters without a texture there
     lit: tuple[OutsideReader, ...]  # see `Layout`
     lit_banked: tuple[tuple[Light, ...], ...]  # as `banked`, for the bank of each
-    lit_rows: dict[int, tuple[int, ...]]  # by the ids of all emitters `Emission.outside`
+    lit_rows: dict[int, tuple[int, ...]]  # `Emission.outside` by id of the emitter
 
     def lit_banks(self, dtype: torch.dtype, device: torch.device) -> tuple[Any, ...]:
-        """The banks of the textures that are read outside, which are taken as they are."""
-        return tuple(reader.bank([emitter.radiated() for emitter in own], dtype, device)
-                     for reader, own in zip(self.lit, self.lit_banked))
+        """The tables of emitters' textures that are evaluated outside of compiled code."""
+        return tuple(reader.bank([emitter.radiated() for emitter in emitters], dtype, device)
+                     for reader, emitters in zip(self.lit, self.lit_banked))
 
 
 def radiances_of(cache: PackCache, emitters: tuple[Light, ...]) -> Radiances:
-    """Where the textures of some emitters are. They have no tensors of tables, so that `cache` has nothing to keep."""
+    """Assigns the textures of emitters to tables; `cache` keeps nothing of this."""
     radiated = [(emitter, texture) for emitter in emitters if (texture := emitter.radiated()) is not None]
     outside = [(emitter, texture) for emitter, texture in radiated if reader_of(texture).outside]
     inside = [(emitter, texture) for emitter, texture in radiated if not reader_of(texture).outside]
     builder = BankBuilder()
     row = {id(emitter): 0 for emitter in emitters} | {id(emitter): builder.add(texture) for emitter, texture in inside}
     readers = tuple(dict.fromkeys(reader_of(texture) for _, texture in outside))
-    own = [[(emitter, texture) for emitter, texture in outside if reader_of(texture) == reader] for reader in readers]
-    rows = [_numbered(each) for each in own]
-    return Radiances(builder.reader, builder.has_bitmaps, firsts(inside), row, readers, tuple(map(firsts, own)),
-                     {id(emitter): tuple(found.get(id(emitter), -1) for found in rows) for emitter in emitters})
+    by_reader = [[(emitter, texture) for emitter, texture in outside if reader_of(texture) == reader] for reader in readers]
+    rows = [_numbered(each) for each in by_reader]
+    return Radiances(builder.reader, builder.has_bitmaps, firsts(inside), row, readers, tuple(map(firsts, by_reader)),
+                     {id(emitter): tuple(numbers.get(id(emitter), -1) for numbers in rows) for emitter in emitters})
 
 
 def _numbered(pairs: Sequence[tuple[Light, Texture]]) -> dict[int, int]:
-    """The numbers of distinct textures by the ids of the emitters that have them."""
+    """Numbers distinct textures, by the ids of the emitters that have them."""
     builder = BankBuilder()
     return {id(emitter): builder.add(texture) for emitter, texture in pairs}
 
 
 def firsts(pairs: Sequence[tuple[Light, Texture]]) -> tuple[Light, ...]:
-    """For each distinct texture the first emitter that has it."""
-    found: dict[int, Light] = {}
+    """One emitter for each distinct texture: the first that has it."""
+    first: dict[int, Light] = {}
     for emitter, texture in pairs:
-        found.setdefault(id(texture), emitter)
-    return tuple(found.values())
+        first.setdefault(id(texture), emitter)
+    return tuple(first.values())
 
 
 def bank_of_radiances(cache: PackCache, radiances: Radiances, dtype: torch.dtype, device: torch.device) -> Any:
-    """The bank of the textures of emitters, attached."""
+    """Builds the table of the emitters' textures, attached."""
     textures = [emitter.radiated() for emitter in radiances.banked] or [RGB(value=0.0)]
     twins = tuple(cache.twin(number, texture) for number, texture in enumerate(textures))
     return cache(bank_of, radiances.reader, twins, dtype, device)

@@ -1,4 +1,4 @@
-"""Whether two tensors have the same bits, at the speed of memory."""
+"""Bitwise comparison of tensors at the speed of memory."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def same_bits(a: Tensor, b: Tensor) -> bool:
 
 
 def same_bits_each(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> list[bool]:
-    """`same_bits` of each tensor and its copy, all on the CPU, which are known to have the same shapes and dtypes."""
+    """`same_bits` for pairs of CPU tensors of equal shapes and dtypes."""
     differ = memory_difference()
     return [not differ(a.data_ptr(), b.data_ptr(), a.nbytes) if a.is_contiguous() and a.nbytes <= PART else same_bits(a, b)
             for a, b in zip(tensors, copies)]
@@ -65,7 +65,7 @@ def same_memory(a: int, b: int, length: int) -> bool:
 
 @cache
 def memory_difference() -> Callable[[int, int, int], int]:
-    """`memcmp` of the C library, which runs without the interpreter lock."""
+    """The C library's `memcmp`, called without the interpreter lock."""
     function = ctypes.CDLL("msvcrt" if os.name == "nt" else None).memcmp
     function.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t]
     return function

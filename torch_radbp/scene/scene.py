@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from torch_radbp.formats.html_table import html_table
 from torch_radbp.integrator.path import Path
+from torch_radbp.medium.kind import Medium
 from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Integrator, Plugin, SceneError, Sensor, nearest, with_article
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
@@ -69,14 +70,14 @@ class Scene(nn.Module):
         super().__setattr__(name, value)
 
     def _replace(self, name: str, plugin: Plugin) -> None:
-        """Puts a plugin into the place of the object `name` wherever others refer to that.
+        """Replaces the object called `name` wherever the scene refers to it.
 
         Raises:
             AttributeError: if there is no such object, and the plugin would have no effect by itself.
             TypeError: if it is of another category.
         """
         old = self._modules.get(name)
-        if old is None and plugin.category in ("shape", "emitter", "sensor"):
+        if old is None and plugin.category in ("shape", "emitter", "sensor", "medium"):
             return
         if old is None:
             raise AttributeError(f"the scene has no object {name!r}, and {with_article(plugin.category)} that no shape has "
@@ -89,7 +90,7 @@ class Scene(nn.Module):
                     owner.shared[attribute] = plugin
 
     def _check_places(self) -> None:
-        """Raises SceneError unless every emitter on a surface is on one."""
+        """Raises SceneError unless every emitter that needs a surface is on one."""
         carriers: dict[int, Surface] = {}
         for shape in self.shapes:
             if shape.emitter is None:
@@ -114,7 +115,7 @@ class Scene(nn.Module):
         self._modules[name] = child
 
     def _name_once(self, parent: Plugin, named: set[int]) -> None:
-        """Keeps a child that several parents share registered only where it was named first."""
+        """Registers a child that several parents share only with the parent under which it was named first."""
         for name, child in list(parent._modules.items()):
             if not isinstance(child, Plugin):
                 continue
@@ -126,68 +127,73 @@ class Scene(nn.Module):
 
     @property
     def integrator(self) -> Integrator:
-        """Defaults of the renderer."""
+        """The integrator, whose settings are the renderer's defaults."""
         return self.integrator_defaults[0]
 
     @property
     def shapes(self) -> list[Surface]:
         """All surfaces: those of the scene, then those of the groups that instances show."""
-        own = [child for child in self._modules.values() if isinstance(child, Surface)]
-        return own + [shape for group in self.groups.values() for shape in group[0].shapegroup.shapes.values()]
+        in_scene = [child for child in self._modules.values() if isinstance(child, Surface)]
+        return in_scene + [shape for group in self.groups.values() for shape in group[0].shapegroup.shapes.values()]
 
     @property
     def groups(self) -> dict[int, list[Instance]]:
-        """The instances of each group that has any, by its id."""
-        found: dict[int, list[Instance]] = {}
+        """The instances of each group, by the group's id."""
+        instances: dict[int, list[Instance]] = {}
         for child in self._modules.values():
             if isinstance(child, Instance):
-                found.setdefault(id(child.shapegroup), []).append(child)
-        return found
+                instances.setdefault(id(child.shapegroup), []).append(child)
+        return instances
 
     @property
     def shown_by(self) -> list[list[Instance] | None]:
-        """For each of `shapes`, the instances that show it; None for those of the scene itself."""
+        """For each of `shapes`, the instances that show it; None for shapes of the scene itself."""
         shown = [group for group in self.groups.values() for _ in group[0].shapegroup.shapes]
         return [None] * (len(self.shapes) - len(shown)) + shown
 
     @property
     def sensors(self) -> list[Sensor]:
-        """All that make an image each, as `named_sensors`."""
+        """All sensors, in the order of `named_sensors`."""
         return list(self.named_sensors.values())
 
     @property
     def named_sensors(self) -> dict[str, Sensor]:
-        """All sensors by name, each one of a batch by itself."""
+        """All sensors by name; each sensor of a batch has its own."""
         return {f"{name}{part}": view for name, child in self._modules.items() if isinstance(child, Sensor)
                 for part, view in child.views().items()}
 
     @property
     def emitters(self) -> list[Emitter]:
         """All emitters: those of the scene, then those of its shapes."""
-        own = [child for child in self._modules.values() if isinstance(child, Emitter) and not child.kind().on_surface]
-        return own + [shape.emitter for shape in self.shapes if shape.emitter is not None]
+        in_scene = [child for child in self._modules.values() if isinstance(child, Emitter) and not child.kind().on_surface]
+        return in_scene + [shape.emitter for shape in self.shapes if shape.emitter is not None]
+
+    @property
+    def media(self) -> list[Medium]:
+        """What light travels through, everywhere between the surfaces."""
+        return [child for child in self._modules.values() if isinstance(child, Medium)]
 
     @property
     def dtype(self) -> torch.dtype:
-        """That of all parameters: float32 or float64."""
+        """The dtype of all parameters: float32 or float64."""
         return self.first_parameter.dtype
 
     @property
     def device(self) -> torch.device:
-        """That of all parameters; the image is made there."""
+        """The device of all parameters, on which images are made."""
         return self.first_parameter.device
 
     @property
     def first_parameter(self) -> Tensor:
-        """The first of all parameters; `next(self.parameters())` takes ten times as long to find it."""
+        """The first parameter, faster than by `next(self.parameters())`."""
         return next(value for module in self.modules() for value in module._parameters.values() if value is not None)
 
     def half(self) -> Scene:
-        """Refused: a scene is rendered in float32 or float64."""
+        """Raises TypeError: a scene is rendered in float32 or float64."""
         raise half_precision(torch.float16)
 
     def bfloat16(self) -> Scene:
-        """Refused: a scene is rendered in float32 or float64."""
+        """Raises TypeError: a scene is rendered in float32 or float64."""
         raise half_precision(torch.bfloat16)
 
     def get_parameter(self, target: str) -> Tensor:
@@ -269,13 +275,13 @@ class Scene(nn.Module):
 
 
 def name_in(root: nn.Module, plugin: nn.Module) -> str:
-    """The full name of a module inside another, or its type if it is no part of that."""
+    """The full name of a module inside another, or its type if it is not part of that."""
     # The objects of the scene first: it may have thousands, and their names be asked for one by one.
     named = itertools.chain(root._modules.items(), root.named_modules())
     return next((name for name, module in named if module is plugin), type(plugin).__name__)
 
 
 def half_precision(dtype: torch.dtype) -> TypeError:
-    """The error about a dtype of fewer bits."""
+    """The error about a half-precision dtype."""
     return TypeError(f"a scene is rendered in torch.float32 or torch.float64, not in {dtype}, which rounds "
                      f"positions to 3 digits; convert the image instead")

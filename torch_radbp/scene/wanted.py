@@ -1,4 +1,4 @@
-"""The parameters of a rendering that derivatives are wanted of."""
+"""The parameters of a rendering that require a gradient."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from torch_radbp.scene.scene import Scene
 
 def wanted_parameters(scene: Scene, seen: Sequence[Sensor], cache: PackCache,
                       beside: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """By name, what requires a gradient: of a scene, of those of its sensors that are rendered, and of what is beside them.
+    """The parameters that require a gradient, by name: of the scene, its rendered sensors, and `beside`.
 
     Raises:
         RuntimeError: if gradients are recorded, and one of these was made in inference mode.
@@ -29,17 +29,17 @@ def wanted_parameters(scene: Scene, seen: Sequence[Sensor], cache: PackCache,
 
 
 def differentiable_in(root: nn.Module, prefix: str = "") -> list[tuple[str, Tensor]]:
-    """The parameters, each once, of a sensor of this name or of a scene without its sensors, that require a gradient."""
-    found: dict[int, tuple[str, Tensor]] = {}
+    """The parameters that require a gradient, each once, of one sensor or of a scene without its sensors."""
+    by_id: dict[int, tuple[str, Tensor]] = {}
     for name, module in modules_in(root, prefix, set(root.named_sensors.values()) if isinstance(root, Scene) else ()):
         for attribute, value in module._parameters.items():
             if value is not None and value.requires_grad:
-                found.setdefault(id(value), (f"{name}.{attribute}".removeprefix("."), value))
-    return list(found.values())
+                by_id.setdefault(id(value), (f"{name}.{attribute}".removeprefix("."), value))
+    return list(by_id.values())
 
 
 def check_recordable(parameters: dict[str, Tensor]) -> None:
-    """Raises RuntimeError naming the first of some parameters that require a gradient and were made in inference mode.
+    """Raises RuntimeError naming the first parameter that requires a gradient but was made in inference mode.
 
     torch records nothing that is done with such a tensor, so that images would have no gradient.
     """

@@ -1,4 +1,4 @@
-"""Sensors: where rays start. Each file is imported, and registers its plugins."""
+"""Sensors: where camera rays start. Importing this imports and registers all of its plugins."""
 
 from torch_radbp.plugin.folder import import_files
 

@@ -1,4 +1,4 @@
-"""Several sensors of one size."""
+"""A batch of sensors of one size."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Batch(Sensor):
 
     @property
     def sensors(self) -> list[Sensor]:
-        """The sensors, as given."""
+        """The sensors of the batch."""
         return [getattr(self, name) for name in self.names]
 
     def views(self) -> dict[str, Sensor]:

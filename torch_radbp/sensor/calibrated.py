@@ -1,4 +1,4 @@
-"""A camera as computer vision calibrates it: intrinsics in pixels, and the distortion of its lens."""
+"""A calibrated camera, as in computer vision: intrinsics in pixels, and lens distortion."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ GRAZING = 0.05  # cosine to the axis below which a view has no pyramid around it
 
 
 class CameraAttributes(TypedDict, total=False):
-    """The attributes of `Calibrated` that no calibration says, by which readers of calibrations take them as keywords."""
+    """Keyword arguments of `Calibrated` that no calibration contains, for readers of calibrations."""
 
     near_clip: float
     far_clip: float
@@ -37,7 +37,7 @@ class CameraAttributes(TypedDict, total=False):
 
 
 class CalibratedLens(NamedTuple):
-    """What the functions of a calibrated camera read; scalars are () tensors."""
+    """The intrinsics, pose and distortion that a calibrated camera computes with; scalars are () tensors."""
 
     axes: Frame  # world directions of x to the right, y down and z ahead; unit length
     origin: Vec3
@@ -53,22 +53,22 @@ class CalibratedLens(NamedTuple):
     distortion: Distortion
 
     def point(self, position: Vec2) -> Vec2:
-        """The points of the image plane at distance 1 at positions on the image."""
+        """Pixel positions on the image as points of the image plane at distance 1."""
         y = (position.y * self.height - 0.5 - self.cy) / self.fy
         return Vec2((position.x * self.width - 0.5 - self.cx - self.skew * y) / self.fx, y)
 
     def position(self, point: Vec2) -> Vec2:
-        """The positions on the image of points of the image plane at distance 1."""
+        """Points of the image plane at distance 1 as positions on the image."""
         return Vec2((self.fx * point.x + self.skew * point.y + self.cx + 0.5) / self.width,
                     (self.fy * point.y + self.cy + 0.5) / self.height)
 
 
 @dataclass(frozen=True)
 class CalibratedKind(ProjectiveKind):
-    """Rays meet in a point, in directions that the distortion decides."""
+    """Calibrated cameras: rays start at one point, in directions that the distortion decides."""
 
     fisheye: bool
-    everywhere: bool  # every pixel has a direction, so that rays have no weights
+    everywhere: bool  # every pixel has a direction, so that rays need no weights
 
     def sample_ray(self, lens: CalibratedLens, position: Vec2, aperture: None) -> tuple[Ray, Tensor | None]:
         local, seen = lens.distortion.direction(lens.point(position))
@@ -81,7 +81,7 @@ class CalibratedKind(ProjectiveKind):
         return lens.position(lens.distortion.distorted(lens.axes.coordinates(p - lens.origin)))
 
     def reach(self, lens: CalibratedLens, p: Vec3) -> Tensor:
-        """How far away world points are, as the clipping planes count: along the axis, or of a fisheye, from the eye."""
+        """The distance of world points for clipping: along the axis, or, for a fisheye, from the eye."""
         offset = p - lens.origin
         return torch.sqrt(dot(offset, offset)) if self.fisheye else dot(offset, lens.axes.n)
 
@@ -104,7 +104,7 @@ class CalibratedKind(ProjectiveKind):
         return torch.cat([origin, origin.new_ones(1)])
 
     def frustum(self, lens: CalibratedLens, x: Tensor, y: Tensor) -> Frustum:
-        """A pyramid around the view, which is curved; all of space around one that reaches far to the side."""
+        """A frustum around the curved view; all of space if the lens sees far to the side."""
         rows, columns = torch.meshgrid(*(torch.linspace(0, 1, GRID, dtype=torch.float64, device=x.device) * (b - a) + a
                                          for a, b in (y, x)), indexing="ij")
         d, seen = lens.distortion.direction(lens.point(Vec2(columns.flatten(), rows.flatten())))
@@ -121,7 +121,7 @@ class CalibratedKind(ProjectiveKind):
                            Plane.through(origin, ahead, -near), Plane.through(origin, -ahead, far)])
 
     def crosses_view(self, lens: CalibratedLens, x: Tensor, y: Tensor, a: Vec3, b: Vec3) -> Tensor:
-        """Whether one of some points of a segment, within the pyramid, is projected into the view."""
+        """True if one of some points on a segment, clipped to the frustum, is projected into the view."""
         enters, leaves = self.frustum(lens, x, y).clipped(a, b)
         crosses = enters < leaves
         points = POINTS if any(bool((start != end).any()) for start, end in zip(a, b)) else 1
@@ -143,7 +143,7 @@ class CalibratedKind(ProjectiveKind):
 
 
 def _around(slopes: Tensor) -> tuple[Tensor, Tensor]:
-    """The bounds of slopes, with a margin for those between."""
+    """The bounds of sampled slopes, with a margin for values between the samples."""
     low, high = slopes.aminmax()
     margin = 0.05 * (high - low)
     return low - margin, high + margin
@@ -269,13 +269,13 @@ class Calibrated(ProjectiveCamera):
         return self.as_perspective()
 
     def beyond_perspective(self) -> list[str]:
-        """What a `perspective` lacks to be this sensor: coefficients, skew, fisheye, pixels that are not square."""
+        """Names what a `perspective` cannot represent of this sensor: distortion, skew, fisheye, non-square pixels."""
         beyond = [name for name in self.optional_parameters if getattr(self, name) is not None and getattr(self, name) != 0]
         beyond += ["skew"] * bool(self.skew != 0) + ["fisheye"] * self.is_fisheye
         return beyond + ["fx other than fy"] * (abs(float(self.fx / self.fy) - 1.0) > SQUARE)
 
     def as_perspective(self) -> Perspective:
-        """A `perspective` with the pose, fx and the principal point of this sensor, without what that lacks."""
+        """A `perspective` with the pose, fx and principal point of this sensor, the rest ignored."""
         width, height = self.film.width, self.film.height
         fx, cx, cy = (float(value) for value in (self.fx, self.cx, self.cy))
         sensor = Perspective(fov=45.0, near_clip=self.near_clip, far_clip=self.far_clip, shutter_open=self.shutter_open,

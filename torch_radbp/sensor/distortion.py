@@ -33,7 +33,7 @@ Lens = TypeVar("Lens", bound=tuple)  # the coefficients of a map of the plane
 
 
 class BrownConrady(NamedTuple):
-    """Radial distortion by a quotient of polynomials, and tangential distortion."""
+    """Brown-Conrady distortion: radial, a quotient of polynomials, and tangential."""
 
     is_fisheye = False  # True: reaches further than a right angle off the axis
     k1: Coefficient = None
@@ -46,11 +46,11 @@ class BrownConrady(NamedTuple):
     p2: Coefficient = None
 
     def distorted(self, d: Vec3) -> Vec2:
-        """Where directions in front of the camera, (N,), meet the image plane."""
+        """Projects directions in front of the camera, (N,), to the image plane."""
         return brown_conrady(self, Vec2(d.x / d.z, d.y / d.z)).value
 
     def direction(self, point: Vec2) -> tuple[Vec3, Tensor | None]:
-        """The directions, z = 1, whose rays meet the image plane at (N,) points; attached to both.
+        """Unprojects (N,) points of the image plane to directions with z = 1; attached to both.
 
         Returns:
             Them, and True where there is one: where none, or only one from beyond the fold of the polynomial, the axis.
@@ -78,7 +78,7 @@ class Linearized(NamedTuple):
 
 
 def brown_conrady(lens: BrownConrady, at: Vec2) -> Linearized:
-    """The distorted points, and how they change with the undistorted ones."""
+    """Distorts points, with the Jacobian."""
     square = at.x * at.x + at.y * at.y
     above, slope_above = _polynomial(square, (lens.k1, lens.k2, lens.k3))
     below, slope_below = _polynomial(square, (lens.k4, lens.k5, lens.k6))
@@ -87,7 +87,7 @@ def brown_conrady(lens: BrownConrady, at: Vec2) -> Linearized:
 
 
 def decentred(at: Vec2, radial: Tensor, slope: Tensor, p1: Coefficient, p2: Coefficient) -> Linearized:
-    """Points scaled by a function of their squared radius, whose derivative is `slope`, with tangential distortion."""
+    """Scales points by a function of their squared radius, whose derivative is `slope`, and adds tangential distortion."""
     x, y = at
     square = x * x + y * y
     value_x, value_y, fixed = x * radial, y * radial, radial.detach()
@@ -115,7 +115,7 @@ def _polynomial(s: Tensor, coefficients: tuple[Coefficient, ...]) -> tuple[Tenso
 
 
 def newton(x: Vec2, there: Linearized, target: Vec2) -> Vec2:
-    """One step of Newton's method towards the solution of f(x) = target; attached to the value of f and to the target."""
+    """One Newton step towards the solution of f(x) = target; attached to the value of f and to the target."""
     a, b = there.value.x - target.x, there.value.y - target.y
     determinant = there.determinant.detach()
     scale = 1.0 / torch.where(determinant.abs() > TINY, determinant, 1.0)
@@ -123,7 +123,7 @@ def newton(x: Vec2, there: Linearized, target: Vec2) -> Vec2:
 
 
 def _inverted(plane_map: Callable[[Lens, Vec2], Linearized], lens: Lens, point: Vec2, start: Vec2) -> tuple[Vec2, Tensor]:
-    """The points, near those to start from, that a map of the plane brings to (N,) points, attached to the lens and to them.
+    """Inverts a map of the plane at (N,) points by Newton's method, attached to the lens and to the points.
 
     Returns:
         Them, and True where there is one: where none, or only one from beyond a fold of the map, any finite point.
@@ -141,7 +141,7 @@ def _inverted(plane_map: Callable[[Lens, Vec2], Linearized], lens: Lens, point: 
 
 
 class KannalaBrandt(NamedTuple):
-    """A fisheye: the distance from the middle of the image is a polynomial of the angle to the axis."""
+    """Kannala-Brandt fisheye: the distance from the image's centre is a polynomial of the angle to the axis."""
 
     is_fisheye = True
     k1: Coefficient = None
@@ -150,14 +150,14 @@ class KannalaBrandt(NamedTuple):
     k4: Coefficient = None
 
     def distorted(self, d: Vec3) -> Vec2:
-        """Where the rays of (N,) directions meet the image plane."""
+        """Projects (N,) directions to the image plane."""
         across = torch.sqrt((d.x * d.x + d.y * d.y).clamp_min(TINY))
         theta = torch.atan2(across, d.z)
         scale = theta * _polynomial(theta * theta, tuple(self))[0] / across
         return Vec2(d.x * scale, d.y * scale)
 
     def direction(self, point: Vec2) -> tuple[Vec3, Tensor]:
-        """The directions, of unit length, whose rays meet the image plane at (N,) points; attached to both.
+        """Unprojects (N,) points of the image plane to unit directions; attached to both.
 
         Returns:
             Them, and True where there is one less than half a circle off the axis: where none, the axis.
@@ -179,14 +179,14 @@ class KannalaBrandt(NamedTuple):
         return Vec3(point.x * across, point.y * across, torch.cos(theta)), seen
 
     def radius_of(self, theta: Tensor) -> tuple[Tensor, Tensor]:
-        """The distance from the middle of the image of rays at an angle to the axis, and its derivative by the angle."""
+        """The distance from the image's centre of rays at an angle to the axis, and its derivative."""
         square = theta * theta
         value, slope = _polynomial(square, tuple(self))
         return theta * value, value + 2.0 * square * slope
 
 
 class ThinPrismFisheye(NamedTuple):
-    """A fisheye whose image plane is distorted further, by tangential distortion and a thin prism."""
+    """A fisheye with tangential and thin-prism distortion of the image plane."""
 
     is_fisheye = True
     k1: Coefficient = None
@@ -199,11 +199,11 @@ class ThinPrismFisheye(NamedTuple):
     sy1: Coefficient = None
 
     def distorted(self, d: Vec3) -> Vec2:
-        """Where the rays of (N,) directions meet the image plane."""
+        """Projects (N,) directions to the image plane."""
         return thin_prism(self, KannalaBrandt().distorted(d)).value
 
     def direction(self, point: Vec2) -> tuple[Vec3, Tensor]:
-        """The directions, of unit length, whose rays meet the image plane at (N,) points; attached to both.
+        """Unprojects (N,) points of the image plane to unit directions; attached to both.
 
         Returns:
             Them, and True where there is one less than half a circle off the axis: where none, the axis.
@@ -219,7 +219,7 @@ class ThinPrismFisheye(NamedTuple):
 
 
 def thin_prism(lens: ThinPrismFisheye, at: Vec2) -> Linearized:
-    """The distorted points, and how they change with those of the equidistant fisheye."""
+    """Distorts points of the equidistant fisheye, with the Jacobian."""
     square = at.x * at.x + at.y * at.y
     radial, slope = _polynomial(square, (lens.k1, lens.k2, lens.k3, lens.k4))
     there = decentred(at, radial, slope.detach(), lens.p1, lens.p2)
@@ -235,20 +235,20 @@ def thin_prism(lens: ThinPrismFisheye, at: Vec2) -> Linearized:
 
 
 class FieldOfView(NamedTuple):
-    """A lens in whose image distances from the middle grow nearly as the angles to the axis, up to a right angle."""
+    """The FOV model: distances from the image's centre grow nearly as the angles to the axis, up to a right angle."""
 
     is_fisheye = False
     omega: Tensor  # () radians, greater than 0 and less than pi: the field of view of an ideal fisheye
 
     def distorted(self, d: Vec3) -> Vec2:
-        """Where directions in front of the camera, (N,), meet the image plane."""
+        """Projects directions in front of the camera, (N,), to the image plane."""
         x, y = d.x / d.z, d.y / d.z
         radius = torch.sqrt((x * x + y * y).clamp_min(TINY))
         scale = torch.atan(radius * (2.0 * torch.tan(0.5 * self.omega))) / (radius * self.omega)
         return Vec2(x * scale, y * scale)
 
     def direction(self, point: Vec2) -> tuple[Vec3, Tensor]:
-        """The directions, z = 1, whose rays meet the image plane at (N,) points; attached to both.
+        """Unprojects (N,) points of the image plane to directions with z = 1; attached to both.
 
         Returns:
             Them, and True where there is one: where none, the axis.

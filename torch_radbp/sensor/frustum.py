@@ -1,4 +1,4 @@
-"""The planes that bound what a camera sees."""
+"""The six planes of a camera's view frustum."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from torch_radbp.tensors.vec import Vec3, dot
 
 
 class Plane(NamedTuple):
-    """The plane n . p + d = 0; () float64 each, of any scale."""
+    """The plane n . p + d = 0; () float64 each, not normalised."""
 
     n: Vec3
     d: Tensor
 
     @staticmethod
     def through(p: Vec3, n: Vec3, shift: Tensor | float = 0.0) -> Plane:
-        """The plane of points whose offset from `p`, () each, along `n` is -shift."""
+        """The plane with normal `n` through `p`, () each, moved by `shift` against the normal."""
         return Plane(n, shift - dot(p, n))
 
     def distance(self, p: Vec3) -> Tensor:
-        """How far (N,) points lie on the side that the normal points to, of any scale."""
+        """The signed distance of (N,) points from the plane, times the length of its normal."""
         return dot(p, self.n) + self.d
 
 
 class Frustum(NamedTuple):
-    """The six planes around a view, whose normals point inwards."""
+    """A view frustum: six planes whose normals point inwards."""
 
     left: Plane
     right: Plane
@@ -38,12 +38,12 @@ class Frustum(NamedTuple):
 
     @staticmethod
     def of(planes: list[Plane]) -> Frustum:
-        """The frustum of six planes, whose numbers lie in one tensor."""
+        """The frustum of six planes, stored in one tensor."""
         numbers = torch.stack([number for n, d in planes for number in (*n, d)]).unbind()
         return Frustum(*(Plane(Vec3(*numbers[k:k + 3]), numbers[k + 3]) for k in range(0, 24, 4)))
 
     def clipped(self, a: Vec3, b: Vec3, dtype: torch.dtype = torch.float64) -> tuple[Tensor, Tensor]:
-        """The shares of segments from a to b, (N,) points, at which they enter and leave; the first is greater if they miss.
+        """Clips segments from a to b, (N,) points: the parameters of entry and exit; entry is greater if they miss.
 
         Divisions, which take most of the time, are in `dtype`.
 
@@ -58,7 +58,7 @@ class Frustum(NamedTuple):
         return enters, leaves
 
     def misses(self, points: tuple[Vec3, ...]) -> Tensor:
-        """True if all of some points, (N,) each, lie beyond one of the planes; (N,) bool."""
+        """True if all of some points, (N,) each, lie outside of one and the same plane; (N,) bool."""
         missed = torch.zeros_like(points[0].x, dtype=torch.bool)
         for plane in self:
             beyond = plane.distance(points[0]) < 0
@@ -69,5 +69,5 @@ class Frustum(NamedTuple):
 
 
 def doubled(record):
-    """A record of numbers in float64, in nested tuples."""
+    """A record with its tensors in float64."""
     return record.double() if isinstance(record, Tensor) else type(record)(*map(doubled, record))

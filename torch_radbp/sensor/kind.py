@@ -1,4 +1,4 @@
-"""The interface between sensors and the tracer.
+"""The interface between sensors and the path tracer.
 
 A sensor has two parts: its `CameraKind`, a hashable value that names the functions, and the tensors that they read: the
 lens, a record of the kind's own, and the film. A `Camera` holds all three; it is what the tracer knows of a sensor.
@@ -30,19 +30,19 @@ RIGID = 1e-3  # how far products of the rows of a pose may be from those of a ro
 
 @dataclass(frozen=True)
 class CameraKind(ABC):
-    """The functions of one kind of camera."""
+    """The functions of one kind of camera: rays, and what is in view."""
 
-    has_aperture: ClassVar[bool] = False  # rays of one position on the image differ
-    has_area: ClassVar[bool] = True  # pixels see all that lies between their rays; False: each has one ray, and no more
+    has_aperture: ClassVar[bool] = False  # rays of one position on the image differ (depth of field)
+    has_area: ClassVar[bool] = True  # a pixel covers an area of the image; False: each has one ray only
 
     def sample_pixel(self, lens: Lens, film: FilmTensors, column: Tensor, row: Tensor, place: Vec2,
                      aperture: Vec2 | None) -> tuple[Ray, Tensor | None]:
-        """Rays through points of pixels; args and result as of `Camera.sample_ray`."""
+        """Samples rays through points of pixels; args and result as of `Camera.sample_ray`."""
         return self.sample_ray(lens, film.position(column, row, place), aperture)
 
     @abstractmethod
     def sample_ray(self, lens: Lens, position: Vec2, aperture: Vec2 | None) -> tuple[Ray, Tensor | None]:
-        """World rays, unit length, that start on the near plane, and what counts of their radiance.
+        """Samples unit world rays that start on the near plane, with the weights of their radiance.
 
         Args:
             lens: of the camera.
@@ -55,15 +55,15 @@ class CameraKind(ABC):
 
     @abstractmethod
     def beyond_far_plane(self, lens: Lens, p: Vec3) -> Tensor:
-        """True where world points lie beyond the far plane and cannot be seen; (N,) bool."""
+        """(N,) bool: world points beyond the far plane, which cannot be seen."""
 
     def lookouts(self, lens: Lens) -> list[Lens]:
-        """Lenses of which each looks from one eye, and all see together what this one does; detached, as `lens` is."""
+        """Lenses with one eye each which together see what this lens sees; detached, as `lens` is."""
         return [lens]
 
     @abstractmethod
     def eye(self, lens: Lens) -> Tensor:
-        """(4,) homogeneous: the point where all rays meet, or with 0 at the end the direction towards it; detached."""
+        """(4,) homogeneous: the point where all rays meet, or, with 0 at the end, the direction towards it; detached."""
 
     @abstractmethod
     def crosses_view(self, lens: Lens, x: Tensor, y: Tensor, a: Vec3, b: Vec3) -> Tensor:
@@ -76,11 +76,11 @@ class CameraKind(ABC):
 
 
 class ProjectiveKind(CameraKind):
-    """The functions of a camera that projects the world onto an image, whose pixels have an area."""
+    """The functions of a camera that projects the world to an image with pixels of some area."""
 
     @abstractmethod
     def project(self, lens: Lens, p: Vec3, aperture: Vec2 | None) -> Vec2:
-        """Where on the image world points are seen, the reverse of `sample_ray`: fractions of its size, attached to both.
+        """Projects world points to the image, the inverse of `sample_ray`: fractions of its size, attached to both.
 
         Args:
             p: (N,) in front of the camera; they may lie outside of the view.
@@ -89,26 +89,26 @@ class ProjectiveKind(CameraKind):
 
     @abstractmethod
     def beyond_planes(self, lens: Lens, p: Vec3) -> tuple[Tensor, Tensor]:
-        """How far beyond the near and the far plane world points lie, attached to both; (N,) each, of any scale.
+        """Signed distances of world points beyond the near and the far plane, attached to both; (N,) each, of any scale.
 
         Polynomials in p, of second degree at most.
         """
 
     @abstractmethod
     def towards(self, lens: Lens, p: Vec3, aperture: Vec2 | None) -> Vec3:
-        """From world points to where they are seen from, of any length; linear in p, attached to both.
+        """Vectors from world points to the point from which they are seen, of any length; linear in p, attached to both.
 
         Args:
             aperture: as of `sample_ray`.
         """
 
     def aperture_radius(self, lens: Lens) -> Tensor | None:
-        """() how far from the eye rays start, detached; None: all meet there."""
+        """() the radius of the aperture, detached; None: a pinhole."""
         return None
 
     @abstractmethod
     def frustum(self, lens: Lens, x: Tensor, y: Tensor) -> Frustum:
-        """What contains all that is in view.
+        """A frustum that contains all that is in view.
 
         Args:
             lens, x, y: as for `crosses_view`.
@@ -120,7 +120,7 @@ class ProjectiveKind(CameraKind):
 
 
 class Camera(NamedTuple):
-    """A sensor as tensors; attached."""
+    """A sensor as tensors, with the functions of its kind; attached."""
 
     kind: CameraKind
     lens: Lens
@@ -132,7 +132,7 @@ class Camera(NamedTuple):
 
     def sample_ray(self, column: Tensor, row: Tensor, place: Vec2,
                    aperture: Vec2 | None = None) -> tuple[Ray, Tensor | None]:
-        """Rays through points of pixels, and what counts of their radiance.
+        """Samples rays through points of pixels, with the weights of their radiance.
 
         Args:
             column, row: (N,) of the pixels; see `FilmTensors.position`.
@@ -145,12 +145,12 @@ class Camera(NamedTuple):
         return self.kind.sample_pixel(self.lens, self.film, column, row, place, aperture)
 
     def beyond_far_plane(self, p: Vec3) -> Tensor:
-        """True where world points lie beyond the far plane and cannot be seen; (N,) bool."""
+        """(N,) bool: world points beyond the far plane, which cannot be seen."""
         return self.kind.beyond_far_plane(self.lens, p)
 
 
 class ProjectiveCamera(Sensor):
-    """A sensor at `to_world` with a near and a far plane.
+    """Base class of cameras at `to_world` with a near and a far plane.
 
     Parameters: `to_world` (4, 4), and those of the subclass.
 
@@ -162,12 +162,12 @@ class ProjectiveCamera(Sensor):
         sampler: the random numbers; an `ldsampler` by default.
     """
 
-    takes_scale: ClassVar[bool] = False  # the length of its axes says how much it sees
-    in_pixels: ClassVar[tuple[str, ...]] = ()  # its parameters that depend on the size of the image
+    takes_scale: ClassVar[bool] = False  # the lengths of its axes set the size of its view
+    in_pixels: ClassVar[tuple[str, ...]] = ()  # its parameters in units of pixels
 
     def place(self, to_world: Matrix4 | None, near_clip: float, far_clip: float, film: Film | None,
               sampler: Sampler | None) -> None:
-        """Stores what all such cameras have.
+        """Stores the attributes that all such cameras have.
 
         Raises:
             ValueError: if the planes are out of order, or `to_world` scales and the camera does not take that.
@@ -184,7 +184,7 @@ class ProjectiveCamera(Sensor):
                              f"{lengths}: leave the scale out, and choose what is seen by the field of view")
 
     def as_written(self, attribute: str) -> Any:
-        """The axes of `to_world` count by their directions unless the camera takes scales, and have length one in files."""
+        """The value of an attribute in files: the axes of `to_world` have length one unless the camera takes scales."""
         if attribute != "to_world" or self.takes_scale or is_rigid(self.to_world):
             return super().as_written(attribute)
         pose = self.to_world.detach().clone()
@@ -199,11 +199,11 @@ class ProjectiveCamera(Sensor):
 
     @property
     def aspect(self) -> float:
-        """Width / height of the whole image."""
+        """The aspect ratio of the whole image, width / height."""
         return self.film.width / self.film.height
 
     def resized(self, width: int, height: int) -> ProjectiveCamera:
-        """A camera that sees the same with another number of pixels.
+        """A camera with the same view and another number of pixels.
 
         Parameters that do not depend on the size, such as the pose, are shared with this camera: who optimises one
         optimises both. The others start from their values now.
@@ -234,18 +234,18 @@ class ProjectiveCamera(Sensor):
         return camera
 
     def rescale(self, x: float, y: float) -> None:
-        """Multiplies the parameters in pixels, in place, by the ratios of the new width and height to the old ones."""
+        """Multiplies the parameters in units of pixels, in place, by the ratios of new to old width and height."""
 
     def kind(self) -> ProjectiveKind:
-        """The functions."""
+        """The functions of this kind of camera."""
         raise TypeError(f"{type(self).__name__} does not define its kind")
 
     def lens(self) -> Lens:
-        """What the functions read, attached."""
+        """The camera's tensors that the functions of its kind read, attached."""
         raise TypeError(f"{type(self).__name__} does not define its lens")
 
     def view(self) -> str:
-        """The field of view in words."""
+        """The field of view in words, for messages."""
         raise TypeError(f"{type(self).__name__} does not describe its view")
 
     def tensors(self) -> Camera:
@@ -260,5 +260,5 @@ def is_rigid(matrix: Tensor) -> bool:
 
 
 def number(value: float) -> Tensor:
-    """() a number in torch's default dtype, which is to become a parameter."""
+    """() a number in torch's default dtype, for a parameter."""
     return torch.tensor(float(value), dtype=torch.get_default_dtype())

@@ -1,4 +1,4 @@
-"""The camera without perspective."""
+"""The orthographic camera."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from torch_radbp.tensors.vec import Frame, Ray, Vec2, Vec3, dot, normalize
 
 
 class OrthographicLens(NamedTuple):
-    """What the functions of a parallel projection read."""
+    """The pose of an orthographic camera as its functions read it."""
 
     x: Vec3  # () each: the columns of `to_world`
     y: Vec3
@@ -28,7 +28,7 @@ class OrthographicLens(NamedTuple):
 
 @dataclass(frozen=True)
 class OrthographicKind(ProjectiveKind):
-    """Rays are parallel, and start on a rectangle."""
+    """Orthographic cameras: parallel rays that start on a rectangle."""
 
     def sample_ray(self, lens: OrthographicLens, position: Vec2, aperture: None) -> tuple[Ray, None]:
         x, y = 1.0 - 2.0 * position.x, (1.0 - 2.0 * position.y) / lens.aspect
@@ -67,7 +67,7 @@ class OrthographicKind(ProjectiveKind):
 
 
 def near_corner(lens: OrthographicLens) -> Vec3:
-    """The middle of the image on the near plane, world space."""
+    """The centre of the image on the near plane, world space."""
     return lens.origin + lens.z * lens.near
 
 

@@ -20,7 +20,7 @@ FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
 
 
 class PinholeLens(NamedTuple):
-    """What the functions of a pinhole read; scalars are () tensors."""
+    """The pose and view of a pinhole camera as its functions read them; scalars are () tensors."""
 
     axes: Frame  # world directions of the camera's x, y, z; unit length
     origin: Vec3
@@ -32,19 +32,19 @@ class PinholeLens(NamedTuple):
     far: Tensor
 
     def slopes(self, position: Vec2) -> Vec2:
-        """x / z and y / z of the local directions in which positions on the image are seen."""
+        """Positions on the image as slopes x / z and y / z of local directions."""
         return Vec2((1.0 - 2.0 * (position.x + self.shift_x)) * self.tan_x,
                     (1.0 - 2.0 * (position.y + self.shift_y)) * self.tan_x / self.aspect)
 
     def position(self, slopes: Vec2) -> Vec2:
-        """The positions on the image at which local directions with these slopes x / z and y / z are seen."""
+        """Slopes x / z and y / z of local directions as positions on the image."""
         scale = 0.5 / self.tan_x
         return Vec2(0.5 - slopes.x * scale - self.shift_x, 0.5 - slopes.y * (scale * self.aspect) - self.shift_y)
 
 
 @dataclass(frozen=True)
 class PinholeKind(ProjectiveKind):
-    """Rays meet in a point."""
+    """Pinhole cameras: all rays meet in a point."""
 
     def sample_ray(self, lens: PinholeLens, position: Vec2, aperture: None) -> tuple[Ray, None]:
         slopes = lens.slopes(position)
@@ -81,7 +81,7 @@ class PinholeKind(ProjectiveKind):
 
 
 class FieldOfViewCamera(ProjectiveCamera):
-    """A camera with a field of view: `x_fov` (), degrees along x, beside `to_world`.
+    """Base class of cameras with a field of view: `x_fov` (), degrees along x, beside `to_world`.
 
     Attributes:
         x_fov: degrees, along x, which follows from `fov` or `focal_length`.
@@ -96,7 +96,7 @@ class FieldOfViewCamera(ProjectiveCamera):
 
     def place_view(self, fov: float | None, focal_length: str | None, fov_axis: str, shutter_open: float,
                    shutter_close: float, **placing: Any) -> None:
-        """Stores what all such cameras have; `placing` as for `place`."""
+        """Stores the attributes of all cameras with a field of view; `placing` as for `place`."""
         fov, fov_axis = field_of_view(fov, focal_length, fov_axis)
         self.place(**placing)
         self.shutter_open, self.shutter_close = shutter_open, shutter_close
@@ -156,7 +156,7 @@ class Perspective(FieldOfViewCamera):
 
 
 def field_of_view(fov: float | None, focal_length: str | None, fov_axis: str) -> tuple[float, str]:
-    """The angle in degrees, and the axis along which it is measured; a 50 mm lens if neither is given.
+    """The field of view in degrees, and the axis along which it is measured; a 50 mm lens if none is given.
 
     Warns of an angle that may have been meant in radians.
 
@@ -178,7 +178,7 @@ def field_of_view(fov: float | None, focal_length: str | None, fov_axis: str) ->
 
 
 def diagonal_fov(focal_length: str) -> float:
-    """Degrees along the diagonal of 35 mm film for a focal length such as "50mm"."""
+    """The field of view in degrees along the diagonal of 35 mm film for a focal length such as "50mm"."""
     text = str(focal_length).strip()
     try:
         millimetres = float(text[:-2] if text.endswith("mm") else text)
@@ -188,7 +188,7 @@ def diagonal_fov(focal_length: str) -> float:
 
 
 def horizontal_fov(fov: float, axis: str, aspect: float) -> float:
-    """Degrees along x for a field of view given along `axis`; aspect = width / height."""
+    """The field of view in degrees along x, from one along `axis`; aspect = width / height."""
     if axis == "smaller":
         axis = "y" if aspect > 1 else "x"
     elif axis == "larger":

@@ -1,4 +1,4 @@
-"""Rays that are given, in the place of a camera: a column of pixels, one for each ray."""
+"""A user's rays in place of a camera: a column of pixels, one for each ray."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ GRAZING = 0.05  # cosine to the middle of all directions from which on they are 
 
 
 class RayLens(NamedTuple):
-    """N rays."""
+    """N rays in the place of a lens."""
 
     o: Vec3  # (N,) world
     d: Vec3  # (N,) unit length
     eye: Vec3  # () one of the origins, detached
 
     def ray(self, number: Tensor) -> Ray:
-        """Those with these numbers, (M,) int32."""
+        """The rays with indices `number`, (M,) int32."""
         return Ray(*lookup((self.o, self.d), number))
 
 
 @dataclass(frozen=True)
 class RayKind(CameraKind):
-    """Each pixel sees along a ray of its own, whatever the place in it."""
+    """A user's rays: each pixel has one ray, whatever the position in the pixel."""
 
     has_area: ClassVar[bool] = False
 
@@ -56,7 +56,7 @@ class RayKind(CameraKind):
         return torch.zeros_like(p.x, dtype=torch.bool)
 
     def lookouts(self, lens: RayLens) -> list[RayLens]:
-        """The same rays with some of their origins as eyes."""
+        """Copies of the lens, each with another ray's origin as its eye, to look for silhouettes from."""
         origins = torch.stack(tuple(lens.o), 1)
         some = origins[::-(-len(origins) // LOOKOUTS)].unique(dim=0)
         return [lens._replace(eye=Vec3(*origin.unbind())) for origin in some]
@@ -66,7 +66,7 @@ class RayKind(CameraKind):
         return torch.cat([place, place.new_ones(1)])
 
     def crosses_view(self, lens: RayLens, x: Tensor, y: Tensor, a: Vec3, b: Vec3) -> Tensor:
-        """Whether a segment meets the cone around all rays, ahead of their origins."""
+        """True if a segment meets the cone around all rays, ahead of their origins."""
         o, d = (part.map(torch.Tensor.double) for part in (lens.o, lens.d))
         axis, middle = normalize(d.map(torch.mean)), o.map(torch.mean)
         cosine = dot(d, axis).min().clamp_max(math.cos(NARROW))
@@ -86,12 +86,12 @@ class RayKind(CameraKind):
         turn = slope * inwards - ahead * dot(along, along)
         nearest = (ahead * inwards - slope * dot(start, start)) / torch.where(turn == 0, 1.0, turn)
         shares = torch.minimum(torch.maximum(nearest, first), last), first, last
-        found = torch.stack([dot(normalize(start + along * share), axis) for share in shares]).amax(0)
-        return (found >= cosine) & ((before >= 0) | (after >= 0))
+        greatest = torch.stack([dot(normalize(start + along * share), axis) for share in shares]).amax(0)
+        return (greatest >= cosine) & ((before >= 0) | (after >= 0))
 
 
 class Rays(Sensor):
-    """Rays that are given.
+    """Rays given by the user, as a sensor with one pixel for each.
 
     Args:
         origins: (N, 3) world.
@@ -113,7 +113,7 @@ class Rays(Sensor):
 
 
 def given_rays(origins: Tensor, directions: Tensor, dtype: torch.dtype, device: torch.device) -> Rays:
-    """Rays from origins, (N, 3) world, in directions, (N, 3) of any length, in a dtype; attached to both.
+    """Checks a user's rays, from origins (N, 3) world, in directions (N, 3) of any length; attached to both.
 
     Raises:
         TypeError: if they are no floating-point tensors.
@@ -122,8 +122,8 @@ def given_rays(origins: Tensor, directions: Tensor, dtype: torch.dtype, device: 
     """
     for name, value in (("origins", origins), ("directions", directions)):
         if not isinstance(value, Tensor) or not value.is_floating_point():
-            found = value.dtype if isinstance(value, Tensor) else type(value).__name__
-            raise TypeError(f"{name} of rays must be a floating-point tensor (N, 3), got {found}")
+            got = value.dtype if isinstance(value, Tensor) else type(value).__name__
+            raise TypeError(f"{name} of rays must be a floating-point tensor (N, 3), got {got}")
         if value.ndim != 2 or value.shape[1] != 3 or not len(value):
             raise ValueError(f"{name} of rays must have shape (N, 3) with N of at least 1, got {tuple(value.shape)}")
         if value.device != device:

@@ -1,4 +1,4 @@
-"""The samplers of sensors."""
+"""The sampler plugins."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class LowDiscrepancy(Sampler):
 
 
 class Jittered(LowDiscrepancy):
-    """The same for scenes that ask for another kind of even distribution: the points are those of `ldsampler`.
+    """Jittered sampling in Mitsuba; here the points of `ldsampler`.
 
     Args:
         sample_count: default number of samples per pixel. Mitsuba rounds it up to what its points can be; here it is kept.
@@ -42,17 +42,17 @@ class Jittered(LowDiscrepancy):
 
 @register("sampler", "stratified")
 class Stratified(Jittered):
-    """Even samples of each pixel: the points of `ldsampler`."""
+    """Stratified sampling in Mitsuba; here the points of `ldsampler`."""
 
 
 @register("sampler", "multijitter")
 class MultiJitter(Jittered):
-    """Even samples of each pixel: the points of `ldsampler`."""
+    """Multi-jittered sampling in Mitsuba; here the points of `ldsampler`."""
 
 
 @register("sampler", "orthogonal")
 class Orthogonal(Jittered):
-    """Even samples of each pixel: the points of `ldsampler`.
+    """Orthogonal-array sampling in Mitsuba; here the points of `ldsampler`.
 
     Args:
         strength: of Mitsuba's points; without effect here.

@@ -1,4 +1,4 @@
-"""The camera with a lens: what is not in focus is blurred."""
+"""The thin-lens camera, with depth of field."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ LENGTH = NUMBER._replace(low=0.0, low_is_in=False)
 
 
 class ThinLensLens(NamedTuple):
-    """What the functions of a thin lens read; scalars are () tensors."""
+    """A thin lens as the camera's functions read it; scalars are () tensors."""
 
     pinhole: PinholeLens  # in the middle of the lens
     radius: Tensor  # of the aperture
     focus: Tensor  # distance of the plane in focus, along the viewing axis
 
     def start(self, aperture: Vec2) -> Vec2:
-        """The places on the lens at which rays start, in its plane."""
+        """The points on the lens, in its plane, at which rays start."""
         return square_to_uniform_disk_concentric(aperture.x, aperture.y) * self.radius
 
 
 @dataclass(frozen=True)
 class ThinLensKind(ProjectiveKind):
-    """Rays of one position on the image start all over a lens and meet in the plane that is in focus."""
+    """Thin-lens cameras: rays of one position on the image start all over the lens and meet in the plane of focus."""
 
     has_aperture: ClassVar[bool] = True
 
@@ -62,14 +62,14 @@ class ThinLensKind(ProjectiveKind):
         return lens.pinhole.axes.to_world(Vec3(start.x, start.y, torch.zeros_like(start.x))) + lens.pinhole.origin - p
 
     def eye(self, lens: ThinLensLens) -> Tensor:
-        """The middle of the lens: silhouettes are those seen from there."""
+        """The middle of the lens: silhouettes are looked for from there."""
         return PinholeKind().eye(lens.pinhole)
 
     def aperture_radius(self, lens: ThinLensLens) -> Tensor:
         return lens.radius.detach()
 
     def frustum(self, lens: ThinLensLens, x: Tensor, y: Tensor) -> Frustum:
-        """What is seen from anywhere on the lens, and a little more: the blur has at most radius (1 + z / focus)."""
+        """A frustum around what is seen from anywhere on the lens: the blur has at most radius (1 + z / focus)."""
         *sides, near, far = PinholeKind().frustum(lens.pinhole, x, y)
         pinhole, radius, focus = doubled(lens)
         n = pinhole.axes.n * (radius / focus)

@@ -49,7 +49,7 @@ class Cylinder(Tessellated):
 
 
 def along_axis(start: Tensor, end: Tensor, radius: float) -> Tensor:
-    """The (4, 4) transform of the unit cylinder to the one between two points, (3,) each, as Mitsuba turns it."""
+    """The (4, 4) transform of the unit cylinder to the one between two points, (3,) each, rotated as in Mitsuba."""
     axis = end - start
     if not axis.any():
         raise ValueError(f"p0 and p1 must differ, got {start.tolist()} twice")

@@ -35,7 +35,7 @@ class Disk(Tessellated):
 
 
 def rings_of_triangles() -> tuple[Tensor, Tensor]:
-    """The tessellation: (V, 2) coordinates float64, (F, 3) faces counter-clockwise in (radius, angle).
+    """Tessellates the disk: (V, 2) coordinates float64, (F, 3) faces counter-clockwise in (radius, angle).
 
     The vertices of every other ring stand half a sector aside, so that in all triangles, but those at the seam, u grows
     towards the middle: brushed materials turn with the angle, and not from one half of a cell to the other.

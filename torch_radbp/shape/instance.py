@@ -1,4 +1,4 @@
-"""A place where the shapes of a group are seen."""
+"""An instance of a group of shapes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Instance(Shape):
 
 
 def instanced(surface: Triangles, to_world: Tensor) -> Triangles:
-    """A surface as an instance shows it, (4, 4) transform; attached to both."""
+    """Transforms a surface by an instance's (4, 4) pose; attached to both."""
     normals = None if surface.normals is None else transform_normals(to_world, surface.normals)
     faces = turned(surface.faces) if mirrors(to_world) else surface.faces
     return surface._replace(vertices=transform_points(to_world, surface.vertices), faces=faces, normals=normals, ball=None)

@@ -1,4 +1,4 @@
-"""Marching cubes: how the zero set of a function runs through a cell, by the signs at the cell's corners.
+"""Marching cubes: the triangles of a cell by the signs of a function at its corners.
 
 Corner k of a cell is at (k & 1, k >> 1 & 1, k >> 2 & 1). Edge 4 a + j is along axis a, at (j & 1, j >> 1) along the two
 axes that follow a in the cycle x, y, z. A case is the sum of 1 << k over the corners k inside, where the function is
@@ -24,15 +24,15 @@ CORNERS, EDGES, CASES = 8, 12, 256
 
 
 class CaseTable(NamedTuple):
-    """The triangles of all cases; their corners are edges of the cell, counter-clockwise as seen from outside."""
+    """The triangles of all 256 cases; their corners are edges of the cell, counter-clockwise as seen from outside."""
 
-    count: Tensor  # (256,) int64, how many triangles
+    count: Tensor  # (256,) int64, number of triangles
     edges: Tensor  # (256, most, 3) int64
 
 
 @cache
 def case_table() -> CaseTable:
-    """The table, on the CPU."""
+    """Computes the table of all cases, on the CPU."""
     cases = [[triangle for loop in loops(case) for triangle in fan(loop)] for case in range(CASES)]
     table = np.zeros((CASES, max(map(len, cases)), 3), np.int64)
     for case, triangles in enumerate(cases):
@@ -44,13 +44,13 @@ def case_table() -> CaseTable:
 
 @cache
 def edge_starts() -> Tensor:
-    """(12, 3) int64, the corner at which each edge begins: along its axis at 0. On the CPU."""
+    """(12, 3) int64, the corner at which each edge starts, with its coordinate along the axis at 0. On the CPU."""
     with torch.device("cpu"):
         return torch.tensor([_placed(edge // 4, 0, edge & 1, edge >> 1 & 1) for edge in range(EDGES)])
 
 
 def _placed(axis: int, along: int, second: int, third: int) -> tuple[int, int, int]:
-    """(x, y, z) of a value along an axis, and of those along the two axes that follow it in the cycle x, y, z."""
+    """(x, y, z) from a value along an axis and the values along the next two axes in the cycle x, y, z."""
     place = [0, 0, 0]
     place[axis], place[(axis + 1) % 3], place[(axis + 2) % 3] = along, second, third
     return tuple(place)
@@ -58,15 +58,15 @@ def _placed(axis: int, along: int, second: int, third: int) -> tuple[int, int, i
 
 @cache
 def faces() -> list[list[tuple[int, int]]]:
-    """Each face's corners and the edge that leads from each to the next, counter-clockwise as seen from outside the cell."""
-    found = []
+    """The six faces of a cell, each as corners with the edge to the next corner, counter-clockwise from outside."""
+    cycles = []
     for axis in range(3):
         for side in (0, 1):
             places = [(0, 0), (1, 0), (1, 1), (0, 1)] if side else [(0, 0), (0, 1), (1, 1), (1, 0)]
             corners = [sum(bit << k for k, bit in enumerate(_placed(axis, side, *place))) for place in places]
             following = corners[1:] + corners[:1]
-            found.append([(corner, edge_between(corner, after)) for corner, after in zip(corners, following)])
-    return found
+            cycles.append([(corner, edge_between(corner, after)) for corner, after in zip(corners, following)])
+    return cycles
 
 
 def edge_between(one: int, other: int) -> int:
@@ -77,7 +77,7 @@ def edge_between(one: int, other: int) -> int:
 
 
 def loops(case: int) -> list[list[int]]:
-    """The closed lines of a case, each as the edges that it crosses, in the order of the triangles."""
+    """The closed polygons of a case, each as the edges that it crosses, in the order of the triangles."""
     following: dict[int, int] = {}
     for face in faces():
         inside = [bool(case >> corner & 1) for corner, _ in face]
@@ -85,17 +85,17 @@ def loops(case: int) -> list[list[int]]:
             if not inside[number] and inside[(number + 1) % 4]:  # the edge here leads inside; the next that leads outside:
                 leaving = next(number + step for step in range(1, 4) if not inside[(number + step + 1) % 4])
                 following[face[number][1]] = face[leaving % 4][1]
-    found = []
+    polygons = []
     while following:
         loop = [next(iter(following))]
         while (edge := following.pop(loop[-1])) != loop[0]:
             loop.append(edge)
-        found.append(loop)
-    return found
+        polygons.append(loop)
+    return polygons
 
 
 def fan(loop: list[int]) -> list[tuple[int, int, int]]:
-    """The triangles of a loop, none of them in a face of the cell, where the neighbour might have the same."""
+    """Triangulates a polygon, without triangles in a face of the cell, where the neighbour might have the same."""
     flats = [{edge for _, edge in face} for face in faces()]
     for first in range(len(loop)):
         turned = loop[first:] + loop[:first]

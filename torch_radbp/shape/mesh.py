@@ -47,7 +47,7 @@ class Mesh(Surface):
 
     def hold(self, positions: Tensor, faces: Tensor, normals: Tensor | None, texcoords: Tensor | None,
              to_world: Tensor | None, smooth: bool = False, recompute_normals: bool = False) -> None:
-        """Checks and stores the mesh, positions and normals before `to_world`; `smooth`: makes normals if none are given.
+        """Checks and stores the mesh, positions and normals before `to_world`; `smooth`: computes normals if none are given.
 
         Raises:
             ValueError: if the mesh is empty, refers to vertices it does not have, is not finite, or has no area; if normals
@@ -113,7 +113,7 @@ class Mesh(Surface):
                          attributes=attributes)
 
     def add_attribute(self, name: str, values: Tensor) -> None:
-        """Adds values for the texture `mesh_attribute` to read, as the parameter `name`.
+        """Adds an attribute of vertices or faces for the texture `mesh_attribute`, as the parameter `name`.
 
         Args:
             name: begins with vertex_ or face_.
@@ -136,7 +136,7 @@ class Mesh(Surface):
             raise
 
     def replace(self, positions: Tensor, faces: Tensor, columns: dict[str, Tensor]) -> None:
-        """Takes other vertices and faces; what gradients were asked of is not kept.
+        """Replaces vertices and faces; `requires_grad` of the old ones is not kept.
 
         Args:
             positions: (V, 3), as `vertex_positions`.
@@ -164,13 +164,13 @@ class Mesh(Surface):
 
 
 def has_area(positions: Tensor, faces: Tensor) -> bool:
-    """True if any triangle has an area; stops at the first block that contains one."""
+    """True if any triangle has an area; stops at the first block of faces that contains one."""
     blocks = (positions[block].unbind(1) for block in faces.split(BLOCK))
     return any(bool(torch.linalg.cross(second - first, third - first).any()) for first, second, third in blocks)
 
 
 def vertex_indices(name: str, values: Tensor) -> Tensor:
-    """`values` as int64.
+    """Converts indices of vertices to int64.
 
     Raises:
         ValueError: if they are no integers, or cannot be.
@@ -184,7 +184,7 @@ def vertex_indices(name: str, values: Tensor) -> Tensor:
 
 
 class FileMesh(Mesh):
-    """A mesh read from a file.
+    """Base class of meshes that are read from a file.
 
     Args:
         filename: the file.
@@ -220,7 +220,7 @@ class FileMesh(Mesh):
 
 @register("shape", "obj")
 class OBJ(FileMesh):
-    """A Wavefront OBJ file."""
+    """A mesh from a Wavefront OBJ file."""
 
     def __init__(self, *, filename: Filename, face_normals: bool = False, flip_tex_coords: bool = True,
                  recompute_normals: bool = False, to_world: Matrix4 | None = None, flip_normals: bool = False,
@@ -231,7 +231,7 @@ class OBJ(FileMesh):
 
 @register("shape", "ply")
 class PLY(FileMesh):
-    """A Stanford PLY file."""
+    """A mesh from a Stanford PLY file."""
 
     def __init__(self, *, filename: Filename, face_normals: bool = False, flip_tex_coords: bool = False,
                  recompute_normals: bool = False, to_world: Matrix4 | None = None, flip_normals: bool = False,

@@ -1,4 +1,4 @@
-"""Where instances show the groups of a scene: transforms, by which each triangle of a group is in many places."""
+"""The poses of instances, by which each triangle of a group is in many places."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 class Instances(NamedTuple):
-    """The I places where the G groups of a scene are shown, detached; all instances of a group one after the other.
+    """The I instances of the G groups of a scene, detached; all instances of a group one after the other.
 
     Vertices and triangles of groups come after those of the scene itself, and each once, in the frame of its group. A hit
     counts instances from 1; 0 is the scene itself.
@@ -22,32 +22,32 @@ class Instances(NamedTuple):
     boxes: Tensor  # (I, 8, 3) corners of a box around each instance, world space
 
     def by_hit(self, dtype: torch.dtype) -> Tensor:
-        """(I + 1, 3, 4) the transforms, counted as hits do."""
+        """(I + 1, 3, 4) the transforms, indexed by a hit's instance; row 0 is the identity."""
         identity = torch.eye(4, dtype=dtype, device=self.to_world.device)[None, :3]
         return torch.cat([identity, self.to_world.to(dtype)])
 
     def extent(self, vertices: Tensor) -> Tensor:
-        """() the longest side of a box around the scene; `vertices` (V, 3) are those of the scene and of all groups."""
+        """() the longest side of the scene's bounding box; `vertices` (V, 3) are those of the scene and of all groups."""
         corners = torch.cat([vertices[:int(self.first_vertex[0])], self.boxes.reshape(-1, 3).to(vertices)])
         return (corners.amax(0) - corners.amin(0)).max()
 
     def triangles(self) -> int:
-        """The number of triangles that are seen."""
+        """The number of triangles with those of every instance counted."""
         sizes, counts = self.first_triangle.diff(), self.first_instance.diff()
         return int(self.first_triangle[0] + (sizes * counts).sum())
 
 
 class Expanded(NamedTuple):
-    """Triangles of a scene in the world, those of each instance by themselves."""
+    """The triangles of a scene in the world, with a copy for every instance."""
 
     vertices: Tensor  # (V', 3)
     faces: Tensor  # (T', 3) int32
-    triangle: Tensor  # (T',) int32, which of the scene's triangles each is
-    instance: Tensor  # (T',) int32, of a hit on it
+    triangle: Tensor  # (T',) int32, the scene's triangle that each is a copy of
+    instance: Tensor  # (T',) int32, its instance as in a hit
 
 
 def expanded(vertices: Tensor, faces: Tensor, instances: Instances, most: int | None = None) -> Expanded:
-    """The triangles of a scene and those that instances show, in the world.
+    """Copies the triangles of a scene and of its instances to the world.
 
     Args:
         vertices: (V, 3) of the scene and of its groups.
@@ -64,8 +64,8 @@ def expanded(vertices: Tensor, faces: Tensor, instances: Instances, most: int | 
         size, length = triangle[group + 1] - triangle[group], vertex[group + 1] - vertex[group]
         step = 1 if most is None else max(1, -(-(instance[group + 1] - instance[group]) * size // max(most, size)))
         chosen = torch.arange(instance[group], instance[group + 1], step, device=device)
-        matrices, own = instances.to_world[chosen].to(vertices.dtype), vertices[vertex[group]:vertex[group + 1]]
-        points.append((matrices[:, None, :, :3] * own[None, :, None]).sum(-1).add_(matrices[:, None, :, 3]).flatten(0, 1))
+        matrices, local = instances.to_world[chosen].to(vertices.dtype), vertices[vertex[group]:vertex[group + 1]]
+        points.append((matrices[:, None, :, :3] * local[None, :, None]).sum(-1).add_(matrices[:, None, :, 3]).flatten(0, 1))
         local = faces[triangle[group]:triangle[group + 1]].to(torch.int32) - vertex[group]
         shift = count + length * torch.arange(len(chosen), dtype=torch.int32, device=device)
         corners.append((local + shift[:, None, None]).flatten(0, 1))

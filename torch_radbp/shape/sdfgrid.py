@@ -67,7 +67,7 @@ class SDFGrid(Surface):
 
     @property
     def faces(self) -> Tensor:
-        """(F, 3) int64; found anew whenever it is read."""
+        """(F, 3) int64; marching cubes run whenever it is read."""
         return net_of(primal(self.grid), self.normals == "analytic").faces
 
     def triangles(self, net: Net | None = None) -> Triangles:
@@ -87,5 +87,5 @@ class SDFGrid(Surface):
 
 
 def net_of(grid: Tensor, of_voxels: bool) -> Net:
-    """The net of the zero set of a grid, (Z, Y, X, 1), detached; see `zero_net`."""
+    """The marching-cubes net of a grid's zero set, (Z, Y, X, 1), detached; see `zero_net`."""
     return zero_net(grid[..., 0], of_voxels)

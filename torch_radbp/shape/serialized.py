@@ -8,7 +8,7 @@ from torch_radbp.shape.mesh import FileMesh
 
 @register("shape", "serialized")
 class Serialized(FileMesh):
-    """One mesh of a serialized file, as Mitsuba 0.5 wrote them.
+    """One mesh of a file in Mitsuba 0.5's "serialized" format.
 
     Args:
         shape_index: which of the file's meshes, from 0.

@@ -1,4 +1,4 @@
-"""Shapes that are kept once and shown by instances."""
+"""Groups of shapes, which are stored once and shown by instances."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torch_radbp.shape.surface import Surface
 
 @register("shape", "shapegroup")
 class ShapeGroup(Shape):
-    """Shapes that are not seen themselves, but wherever an `instance` shows them.
+    """Shapes that are visible only where an `instance` shows them.
 
     No parameters but those of its shapes, whose names are those in the group: `group.leaf.vertex_positions`. Their gradients
     are summed over the instances.

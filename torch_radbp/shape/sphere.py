@@ -1,4 +1,4 @@
-"""The sphere."""
+"""The sphere, tessellated."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Sphere(Tessellated):
 
 
 def unit_sphere(segments: int, rings: int) -> Triangles:
-    """The tessellated unit sphere, facets ordered so that the geometric normals point outwards; see `ball.py`."""
+    """Tessellates the unit sphere, facets ordered so that geometric normals point outwards; see `ball.py`."""
     uv, faces = grid(segments, rings)
     phi, theta = 2 * math.pi * uv[:, 0], math.pi * uv[:, 1]
     normals = torch.stack([torch.sin(theta) * torch.cos(phi), torch.sin(theta) * torch.sin(phi), torch.cos(theta)], 1)

@@ -1,4 +1,4 @@
-"""The base of all shapes: placement, material, emission and triangles."""
+"""The base class of surfaces: placement, material, emission and triangles."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Triangles(NamedTuple):
     faces: Tensor  # (F, 3) integers
     normals: Tensor | None  # (V, 3) unit shading normals, or None for flat faces
     uv: Tensor | None  # (V, 2)
-    ball: Ball | None = None  # what they tessellate, if it is a sphere; or several, one after the other
+    ball: Ball | None = None  # the sphere (or several) that the triangles tessellate; None: none
     attributes: tuple[tuple[str, Tensor], ...] = ()  # (V, 1 or 3) or (F, 1 or 3), by names that begin with vertex_ or face_
 
 
@@ -61,7 +61,7 @@ class Surface(Shape):
         self.flip_normals = flip_normals
 
     def connections(self) -> tuple[Callable[..., NamedTuple], tuple[Any, ...]] | None:
-        """How to find what `triangles` is to be told of the shape's values without their derivatives.
+        """A function that computes detached facts which `triangles` needs about the shape's values, and its arguments.
 
         Returns:
             A function of a module and its arguments, tensors and plain values, attached or not; None: it is told nothing.
@@ -79,16 +79,17 @@ class Surface(Shape):
         return self.converter(self)
 
     def triangles(self) -> Triangles:
-        """The shape as triangles in world space; one that has `connections` may be told them, lest it finds them itself."""
+        """The shape as triangles in world space; results of `connections` may be passed, or else are computed."""
         raise TypeError(f"{type(self).__name__} does not define its triangles")
 
-    def oriented(self, *found: NamedTuple) -> Triangles:
-        """`triangles()`, turned inside out if `flip_normals` is set; `found`: its `connections`, if it has any."""
-        surface = self.triangles(*found)
+    def oriented(self, *connections: NamedTuple) -> Triangles:
+        """`triangles()`, turned inside out if `flip_normals` is set; `connections`: its own, if it has any."""
+        surface = self.triangles(*connections)
         if not self.flip_normals:
             return surface
         normals = None if surface.normals is None else -surface.normals
-        ball = None if surface.ball is None else surface.ball._replace(turned=tuple(not own for own in surface.ball.turned))
+        ball = surface.ball
+        ball = None if ball is None else ball._replace(turned=tuple(not each for each in ball.turned))
         return surface._replace(faces=turned(surface.faces), normals=normals, ball=ball)
 
 

@@ -1,4 +1,4 @@
-"""Vertices of a mesh at one place, up to rounding, as along seams of surface coordinates."""
+"""Welding: vertices of a mesh at the same position up to rounding, as along seams of uv."""
 
 from __future__ import annotations
 
@@ -13,46 +13,46 @@ AT_ONCE = 1 << 16  # vertices, so that little memory is touched for the first ti
 
 
 def weld_size(vertices: Tensor) -> float:
-    """The distance below which the vertices of a mesh, (V, 3), count as one."""
+    """The distance below which vertices of a mesh, (V, 3), are welded."""
     extent = float((vertices.amax(0) - vertices.amin(0)).max())
     # Powers of ten, because coordinates that people write are multiples of them.
     return 10.0 ** math.floor(math.log10(extent * WELDED)) if extent > 0.0 else 1.0
 
 
 def cells_of(vertices: Tensor, size: float) -> tuple[Tensor, Tensor]:
-    """The cells, of this size, of two grids that contain the vertices, (V, 3); (V,) int64 each.
+    """The cells of the vertices, (V, 3), in two grids of this cell size; (V,) int64 each.
 
     One grid is shifted by half a cell against the other, so that vertices at the same place, up to rounding, share a cell
     of at least one of them.
     """
     first = vertices.amin(0).double()
     cells = torch.empty(2, len(vertices), dtype=torch.int64, device=vertices.device)
-    for some, found in zip(vertices.split(AT_ONCE), cells.split(AT_ONCE, 1)):
+    for some, cells_of_some in zip(vertices.split(AT_ONCE), cells.split(AT_ONCE, 1)):
         places = (some.double() - first) / size
-        for shift, cell in zip((0.5, 1.0), found):
+        for shift, cell in zip((0.5, 1.0), cells_of_some):
             x, y, z = torch.floor(places + shift).long().unbind(1)
             cell.copy_((x << 42) | (y << 21) | z)
     return cells[0], cells[1]
 
 
 def welded(cells: tuple[Tensor, Tensor]) -> Tensor | None:
-    """For each vertex the first one at the same place, (V,) int32, by the cells from `cells_of`; None: all lie apart."""
+    """For each vertex the first vertex at the same position, (V,) int32, by `cells_of`; None: all are distinct."""
     # Most vertices lie apart: only those are sorted that the numbers of their cells do not tell from others at once.
     near = (may_be_shared(cells[0]) | may_be_shared(cells[1])).nonzero().squeeze(1)
-    own = label = torch.arange(len(near), device=near.device)
+    numbers = label = torch.arange(len(near), device=near.device)
     groups = [torch.unique(cell[near], return_inverse=True) for cell in cells]
-    if all(len(found) == len(own) for found, _ in groups):
+    if all(len(cells_of_grid) == len(numbers) for cells_of_grid, _ in groups):
         return None
     for _, group in groups * 2:
-        label = torch.full_like(own, len(own)).scatter_reduce(0, group, label, "amin")[group]
-    if torch.equal(label, own):
+        label = torch.full_like(numbers, len(numbers)).scatter_reduce(0, group, label, "amin")[group]
+    if torch.equal(label, numbers):
         return None
     every = torch.arange(len(cells[0]), dtype=torch.int32, device=near.device)
     return every.index_copy(0, near, near[label].int())
 
 
 def may_be_shared(cell: Tensor) -> Tensor:
-    """True of vertices in cells, (V,) int64, that may be those of other vertices too; surely where they are; (V,) bool."""
+    """(V,) bool, True for vertices whose cell (V,) may contain others; never False where it does."""
     slots = 1 << (SLOTS_OF_VERTEX * len(cell)).bit_length()
     slot = ((cell * HASH) >> 32) & (slots - 1)
     return (torch.bincount(slot, minlength=slots) > 1)[slot]

@@ -20,7 +20,7 @@ ROUNDING = 16.0  # in units of the last place, of a number that would be zero wi
 
 
 class Net(NamedTuple):
-    """Which edges of the lattice are cut, and how the cuts are connected. Detached. In coordinates of voxels, x first."""
+    """The marching-cubes net of a grid: cut lattice edges, and triangles between them; detached; in voxels, x first."""
 
     faces: Tensor  # (F, 3) int64, counter-clockwise as seen from where values are positive
     voxel: Tensor  # (V, 3) int64, the grid point from which the vertex's voxel extends
@@ -29,10 +29,10 @@ class Net(NamedTuple):
 
 
 class Cell(NamedTuple):
-    """The voxels of some points."""
+    """The voxels that contain some points."""
 
     voxel: tuple[Tensor, Tensor, Tensor]  # (V,) int64 each, x first
-    place: Vec3  # (V,) the points in their voxels, in [0, 1]; attached
+    place: Vec3  # (V,) positions of the points in their voxels, in [0, 1]; attached
 
 
 def check_grid(name: str, values: Tensor) -> None:
@@ -46,12 +46,12 @@ def check_grid(name: str, values: Tensor) -> None:
 
 
 def subdivision(size: tuple[int, ...]) -> int:
-    """How many cells of the lattice a voxel has along each axis, if the grid has this size."""
+    """The number of lattice cells per voxel along each axis for a grid of this size."""
     return -(-LEAST_CELLS // (max(size) - 1))
 
 
 def zero_net(values: Tensor, of_voxels: bool) -> Net:
-    """The net of the zero set, on a lattice of at least `LEAST_CELLS` cells along the longest side.
+    """Runs marching cubes on a lattice of at least `LEAST_CELLS` cells along the longest side.
 
     Args:
         values: (Z, Y, X), detached.
@@ -76,7 +76,7 @@ def zero_net(values: Tensor, of_voxels: bool) -> Net:
 
 def _connected(edges: Tensor, corner: Tensor, number: Tensor | None, voxels: Tensor, cells: int,
                size: tuple[int, ...]) -> Net:
-    """The net of triangles between edges of cells.
+    """Joins the triangles of cells to a net.
 
     Args:
         edges: (F, 3), of the cell that a triangle is in.
@@ -103,7 +103,7 @@ def _connected(edges: Tensor, corner: Tensor, number: Tensor | None, voxels: Ten
 
 
 def occupied(values: Tensor) -> Tensor:
-    """The voxels of a grid, (Z, Y, X), in which the interpolant changes its sign; (M, 3) int64 of their first points."""
+    """The voxels of a grid, (Z, Y, X), in which the interpolant changes sign; (M, 3) int64, their first grid points."""
     inside, outside = values < 0, values >= 0
     for axis in range(3):
         inside, outside = (part.narrow(axis, 0, part.shape[axis] - 1) | part.narrow(axis, 1, part.shape[axis] - 1)
@@ -112,35 +112,35 @@ def occupied(values: Tensor) -> Tensor:
 
 
 def _at_corners(values: Tensor, voxel: tuple[Tensor, ...]) -> list[Tensor]:
-    """The values at the 8 corners of voxels, (V,) each, in the order of `marching_cubes`; attached."""
+    """The grid's values at the 8 corners of voxels, (V,) each, in the order of `marching_cubes`; attached."""
     return [_at(values, tuple(first + (k >> axis & 1) for axis, first in enumerate(voxel))) for k in range(CORNERS)]
 
 
 def _at(values: Tensor, point: tuple[Tensor, ...]) -> Tensor:
-    """The values at points of the grid, x first, (V,) each; attached."""
+    """The grid's values at grid points, x first, (V,) each; attached."""
     x, y, z = point
     _, height, width = values.shape
     return gather(values.flatten(), (z * height + y) * width + x)
 
 
 def _between(a: Tensor, b: Tensor, share: Tensor) -> Tensor:
-    """The linear interpolant, exactly `a` and `b` at its ends, so that neighbouring voxels agree."""
+    """Linear interpolation, exactly `a` and `b` at the ends, so that neighbouring voxels agree."""
     return a * (1.0 - share) + b * share
 
 
 def _refined(corners: list[Tensor], cells: int) -> Tensor:
-    """The interpolant in M voxels on a lattice of `cells` cells along each axis, (M, cells + 1, cells + 1, cells + 1)."""
-    found = torch.stack(corners, 1).unflatten(1, (2, 2, 2))
-    share = torch.linspace(0.0, 1.0, cells + 1, dtype=found.dtype, device=found.device)
+    """Samples the interpolant in M voxels on a lattice of `cells` per axis, (M, cells + 1, cells + 1, cells + 1)."""
+    values = torch.stack(corners, 1).unflatten(1, (2, 2, 2))
+    share = torch.linspace(0.0, 1.0, cells + 1, dtype=values.dtype, device=values.device)
     for axis in (1, 2, 3):
-        a, b = found.unbind(axis)
+        a, b = values.unbind(axis)
         along = share.reshape([-1 if other == axis else 1 for other in range(4)])
-        found = _between(a.unsqueeze(axis), b.unsqueeze(axis), along)
-    return found
+        values = _between(a.unsqueeze(axis), b.unsqueeze(axis), along)
+    return values
 
 
 def _cases(inside: Tensor) -> Tensor:
-    """The case of each cell, (M, n, n, n) uint8, by the signs at the lattice points of voxels, (M, n + 1, n + 1, n + 1)."""
+    """The marching-cubes case of each cell, (M, n, n, n) uint8, from lattice signs (M, n + 1, n + 1, n + 1)."""
     count, bits = inside.shape[1] - 1, inside.to(torch.uint8)
     case = torch.zeros_like(bits[:, :count, :count, :count])
     for k in range(CORNERS):
@@ -150,7 +150,7 @@ def _cases(inside: Tensor) -> Tensor:
 
 
 def vertices(values: Tensor, net: Net) -> tuple[Cell, list[Tensor]]:
-    """Where the edges of a net are cut, and the values at the corners of the voxels there; attached to (Z, Y, X) values.
+    """The voxels and positions at which a net's edges are cut, and the grid's values there; attached to `values`.
 
     An edge along which the interpolant is zero, up to rounding, is cut at its middle, which does not move.
     """
@@ -158,51 +158,51 @@ def vertices(values: Tensor, net: Net) -> tuple[Cell, list[Tensor]]:
     corners = _at_corners(values, voxel)
     start = Vec3.of(net.start.to(values.dtype))
     along = [net.axis == axis for axis in range(3)]
-    ends = [Vec3(*(torch.where(own, end, part) for own, part in zip(along, start))) for end in (0.0, 1.0)]
+    ends = [Vec3(*(torch.where(is_axis, end, part) for is_axis, part in zip(along, start))) for end in (0.0, 1.0)]
     low, high = (interpolant(corners, end) for end in ends)
     level = vanishes(low - high, sum(interpolant(magnitudes(corners), end) for end in ends))
     cut = torch.where(level, 0.5, low / torch.where(level, 1.0, low - high))
-    return Cell(voxel, Vec3(*(torch.where(own, cut, part) for own, part in zip(along, start)))), corners
+    return Cell(voxel, Vec3(*(torch.where(is_axis, cut, part) for is_axis, part in zip(along, start)))), corners
 
 
 def magnitudes(values: list[Tensor]) -> list[Tensor]:
-    """The magnitudes of some values, detached."""
+    """The detached absolute values of some tensors."""
     return [value.detach().abs() for value in values]
 
 
 def vanishes(difference: Tensor, size: Tensor) -> Tensor:
-    """True where the difference of two sums is zero up to rounding; `size`: the sum of the magnitudes of all terms."""
+    """True where the difference of two sums is zero up to rounding; `size`: the sum of absolute values of all terms."""
     return difference.detach().abs() <= ROUNDING * torch.finfo(size.dtype).eps * size
 
 
 def interpolant(corners: list[Tensor], place: Vec3) -> Tensor:
-    """The trilinear interpolant of the values at the corners of voxels."""
+    """Trilinear interpolation between the corners of voxels."""
     for share in place:
         corners = [_between(a, b, share) for a, b in zip(corners[::2], corners[1::2])]
     return corners[0]
 
 
 def face_interpolants(corners: list[Tensor], place: Vec3, axis: int) -> tuple[Tensor, Tensor]:
-    """The interpolants on the two faces of voxels across an axis."""
+    """Bilinear interpolation on the two faces of voxels across an axis."""
     low, high = ([corners[k] for k in range(CORNERS) if (k >> axis & 1) == end] for end in (0, 1))
     return bilinear(low, place, axis), bilinear(high, place, axis)
 
 
 def bilinear(corners: list[Tensor], place: Vec3, axis: int) -> Tensor:
-    """The interpolant on a plane across an axis, of the values at its four corners: the first of the other axes first."""
+    """Bilinear interpolation of the values at four corners of a plane across an axis, first the first of the other axes."""
     first, second = (share for other, share in enumerate(place) if other != axis)
     return _between(_between(corners[0], corners[1], first), _between(corners[2], corners[3], first), second)
 
 
 def voxel_gradient(values: Tensor, cell: Cell, corners: list[Tensor]) -> Vec3:
-    """The gradient of the interpolant in the points' own voxels, per unit of the grid's cube; attached.
+    """The gradient of the trilinear interpolant at points within voxels, per unit of the grid's cube; attached.
 
     Where it is zero up to rounding, it is zero, without derivative.
     """
-    found = [face_interpolants(corners, cell.place, axis) for axis in range(3)]
+    faces = [face_interpolants(corners, cell.place, axis) for axis in range(3)]
     sizes = [sum(face_interpolants(magnitudes(corners), cell.place.map(Tensor.detach), axis)) for axis in range(3)]
-    level = [vanishes(high - low, size) for (low, high), size in zip(found, sizes)]
-    slope = Vec3(*((high - low) * (length - 1) for (low, high), length in zip(found, reversed(values.shape))))
+    level = [vanishes(high - low, size) for (low, high), size in zip(faces, sizes)]
+    slope = Vec3(*((high - low) * (length - 1) for (low, high), length in zip(faces, reversed(values.shape))))
     none = level[0] & level[1] & level[2]
     return where(none, slope.map(torch.zeros_like), slope)
 
@@ -218,10 +218,10 @@ def smooth_normal(values: Tensor, cell: Cell, corners: list[Tensor]) -> Vec3:
     """
     slopes, levels, shares = [], [], []
     for axis, length in enumerate(reversed(values.shape)):
-        share, own = cell.place[axis], cell.voxel[axis]
+        share, voxel = cell.place[axis], cell.voxel[axis]
         upper = (share.detach() >= 0.5)
-        there = torch.where(upper, own < length - 2, own > 0)
-        beyond = torch.where(upper, own + 2, own - 1).clamp(0, length - 1)
+        there = torch.where(upper, voxel < length - 2, voxel > 0)
+        beyond = torch.where(upper, voxel + 2, voxel - 1).clamp(0, length - 1)
         others = [_at(values, tuple(beyond if other == axis else cell.voxel[other] + (k >> other & 1) for other in range(3)))
                   for k in range(CORNERS) if not k >> axis & 1]
         low, high = face_interpolants(corners, cell.place, axis)
@@ -245,12 +245,12 @@ def smooth_normal(values: Tensor, cell: Cell, corners: list[Tensor]) -> Vec3:
 
 
 def _direction(a: Vec3, none: Tensor) -> Vec3:
-    """The unit vector along `a`; zero, without derivative, where there is none."""
+    """The unit vector along `a`; zero, without derivative, where `none` is set."""
     return where(none, a.map(torch.zeros_like), normalize(scaled(a)))
 
 
 def unit_vector(a: Vec3, least: float = 0.0) -> Vec3:
-    """The unit vector along `a`; (1, 0, 0), without derivative, if no component is larger than `least`."""
+    """The unit vector along `a`; (1, 0, 0), without derivative, if no component exceeds `least`."""
     none = max_component(Vec3(*magnitudes(list(a)))) <= least
-    found = _direction(a, none)
-    return found._replace(x=torch.where(none, 1.0, found.x))
+    direction = _direction(a, none)
+    return direction._replace(x=torch.where(none, 1.0, direction.x))

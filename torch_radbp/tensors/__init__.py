@@ -1,1 +1,1 @@
-"""Tensors as all parts use them: records of them, vectors, reads of tables by lane, and what of them is differentiated."""
+"""Records of tensors, vectors, table look-ups by lane, and what of them is differentiated."""

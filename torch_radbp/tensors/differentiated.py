@@ -1,4 +1,4 @@
-"""Whether tensors are differentiated, backward (`requires_grad`) or forward (`forward_ad`), and records of them cut off."""
+"""Whether tensors are differentiated, backward (`requires_grad`) or forward (`forward_ad`), and how to detach records."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def tangent_of(tensor: Tensor) -> Tensor | None:
 
 
 def primal(tensor: Tensor) -> Tensor:
-    """The tensor without its gradient and its forward-mode tangent."""
+    """A tensor without its gradient and its forward-mode tangent."""
     if not tensor.is_floating_point():
         return tensor
     return forward_ad.unpack_dual(tensor).primal.detach() if inside_dual_level() else tensor.detach()
@@ -36,26 +36,25 @@ def any_differentiated(record) -> bool:
 
 
 def detached(tensors):
-    """A record of tensors without derivatives; what has none in it is the same object."""
+    """A detached record of tensors; whatever carries no derivative stays the same object."""
     if isinstance(tensors, Tensor):
         return tensors.detach() if differentiated(tensors) else tensors
     if not isinstance(tensors, NESTED):
         return tensors
     parts = list(tensors.values()) if isinstance(tensors, dict) else tensors
-    found = [detached(part) for part in parts]
-    if all(map(operator.is_, found, parts)):
+    detached_parts = [detached(part) for part in parts]
+    if all(map(operator.is_, detached_parts, parts)):
         return tensors
-    return with_parts(tensors, found)
+    return with_parts(tensors, detached_parts)
 
 
 def with_derivative_of(value: Tensor, attached: Tensor) -> Tensor:
-    """A detached value with the derivative, backward and forward, of another estimate of the same."""
+    """A detached value with the derivative, backward and forward, of another estimate of the same quantity."""
     return value + (attached - primal(attached))
 
 
 def settled(value: Tensor) -> Tensor:
-    """What a discrete choice is made by (of a lobe, of a light), or its probability: without derivative in every way of
-    sampling.
+    """Detaches the probabilities of a discrete choice (of a lobe, of a light), in all modes of sampling.
 
     All choices go through here, so that tests can hold them while parameters move.
     """
@@ -63,5 +62,5 @@ def settled(value: Tensor) -> Tensor:
 
 
 def differentiable(tensors) -> list[Tensor]:
-    """The leaves of a record that derivatives are wanted of, in order."""
+    """The leaves of a record that are differentiated, in order."""
     return [leaf for leaf in leaves_of(tensors) if isinstance(leaf, Tensor) and leaf.requires_grad]

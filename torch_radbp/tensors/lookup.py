@@ -1,4 +1,4 @@
-"""Reads of tables by lane that record, for local derivatives, what was read and where.
+"""Table look-ups by lane that record what was gathered and where, for local derivatives.
 
 The derivative of a gather is a scatter-add. The local vector-Jacobian product of a bounce never scatters into a table: a
 tapped table returns what it gathers as leaves and remembers the indices, and the sweep adds the adjoints of the leaves to
@@ -19,29 +19,29 @@ from torch_radbp.tensors.vec import gather
 
 
 class Read(NamedTuple):
-    """One gather of a tapped table."""
+    """One recorded gather from a table."""
 
     index: Tensor  # (N,) int32
-    leaf: Tensor  # (N,) the entries
-    found: Tensor | None  # (N,) a part of their adjoint that is already known
+    leaf: Tensor  # (N,) the gathered entries, as a leaf of autograd
+    found: Tensor | None  # (N,) a part of the adjoint of these that is computed elsewhere
 
 
 class Tap:
-    """A table that returns its entries as leaves; `reads` lists what was gathered, in order."""
+    """A table that returns gathered entries as autograd leaves, and lists all gathers in `reads`."""
 
     def __init__(self, table: Tensor):
         self.table = table
         self.reads: list[Read] = []
 
     def read(self, index: Tensor, found: Tensor | None = None) -> Tensor:
-        """The entries at `index`; `found`: see `Read`."""
+        """Gathers the entries at `index`; `found`: see `Read`."""
         leaf = gather(self.table, index).detach().requires_grad_()
         self.reads.append(Read(index, leaf, found))
         return leaf
 
 
 def tapped(node, wanted: tuple[bool, ...], place: int, taps: list[Tap]):
-    """A record of tables with some of them tapped.
+    """Replaces tables of a record by `Tap`s, which record gathers.
 
     Args:
         node: the record, or a part of it.
@@ -65,7 +65,7 @@ def tapped(node, wanted: tuple[bool, ...], place: int, taps: list[Tap]):
 
 
 class GatheredExactly(torch.autograd.Function):
-    """Entries of a table. Its gradient is summed in float64: a float32 sum loses what is small against it."""
+    """A gather whose gradient is summed in float64: a float32 sum loses small terms."""
 
     @staticmethod
     def forward(table: Tensor, index: Tensor) -> Tensor:
@@ -91,29 +91,29 @@ class GatheredExactly(torch.autograd.Function):
 
 
 def untapped(record):
-    """A record with the tables themselves where they are tapped."""
+    """A record in which every `Tap` is replaced by its table."""
     return mapped(record, lambda leaf: leaf.table if isinstance(leaf, Tap) else leaf)
 
 
 class SummedTable:
-    """A table whose gradient, in plain autograd, does not lose what is small against its total."""
+    """A table whose gradient, in plain autograd, is summed in float64."""
 
     def __init__(self, table: Tensor):
         self.table = table
 
     def read(self, index: Tensor) -> Tensor:
-        """The entries at `index`."""
+        """Gathers the entries at `index`."""
         return GatheredExactly.apply(self.table, index)
 
 
 def summed(record):
-    """A record of tables with those that plain autograd differentiates as `SummedTable`."""
+    """Replaces the tables of a record that require a gradient by `SummedTable`s."""
     return with_leaves(record, [SummedTable(leaf) if isinstance(leaf, Tensor) and leaf.ndim == 1 and differentiated(leaf)
                                 else leaf for leaf in leaves_of(record)])
 
 
 def lookup(table, index: Tensor):
-    """Entries of a table, or of each table of a record, at int32 `index` (N,)."""
+    """Gathers entries of a table, or of each table of a record, at int32 `index` (N,)."""
     if isinstance(table, (Tap, SummedTable)):
         return table.read(index)
     if isinstance(table, tuple):

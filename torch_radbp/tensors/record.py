@@ -1,4 +1,4 @@
-"""Records, that is nested tuples, named or not, lists and dicts: their leaves in order, and the same with other leaves.
+"""Records, that is nested tuples (named or not), lists and dicts: their leaves in order, and copies with other leaves.
 
 Leaves are counted as `torch.utils._pytree` counts them (None is one, an empty tuple has none), which takes five times as
 long: it looks each type up in a registry, and a small rendering spent a fifth of its time there.
@@ -16,14 +16,14 @@ NESTED = (tuple, list, dict)
 
 
 def leaves_of(record: Any) -> list:
-    """Whatever is no tuple, list or dict in a record, in order."""
+    """The leaves of a record in order: all that is no tuple, list or dict."""
     leaves: list = []
     collect((record,), leaves)
     return leaves
 
 
 def collect(record: tuple | list | dict, leaves: list) -> None:
-    """Adds the leaves of a record to a list."""
+    """Appends the leaves of a record to a list."""
     for part in record.values() if isinstance(record, dict) else record:
         if isinstance(part, NESTED):
             collect(part, leaves)
@@ -38,7 +38,7 @@ def with_leaves(record: Any, leaves: Iterable) -> Any:
 
 
 def mapped(record: Any, function: Callable[[Any], Any]) -> Any:
-    """A record of the same structure whose leaves are what a function makes of those of another one, in order."""
+    """A record of the same structure whose leaves are `function` of the leaves."""
     if not isinstance(record, NESTED):
         return function(record)
     parts = record.values() if isinstance(record, dict) else record
@@ -46,21 +46,21 @@ def mapped(record: Any, function: Callable[[Any], Any]) -> Any:
 
 
 def with_parts(record: tuple | list | dict, parts: list) -> tuple | list | dict:
-    """A tuple, list or dict like another one, with other parts."""
+    """A tuple, list or dict of the same type with other items."""
     if isinstance(record, dict):
         return dict(zip(record, parts))
     return parts if isinstance(record, list) else tuple.__new__(type(record), parts)
 
 
 def rows_between(record, first: int, last: int):
-    """The rows from `first` to before `last` of every tensor of a record, in nested tuples; None stays None."""
+    """The rows from `first` to before `last` of every tensor of a record; None stays None."""
     if record is None or isinstance(record, Tensor):
         return None if record is None else record[first:last]
     return tuple.__new__(type(record), [rows_between(part, first, last) for part in record])
 
 
 def joined(parts: list):
-    """Records of the same structure, one after the other."""
+    """Concatenates records of the same structure, tensor by tensor."""
     if len(parts) == 1:
         return parts[0]
     if isinstance(parts[0], Tensor):

@@ -1,4 +1,4 @@
-"""Stages: functions that run over lanes, declared where they are defined; and what runs them in plain torch.
+"""Stages: functions over lanes, declared where they are defined; and how plain torch runs them.
 
     run = EAGER     # or `jit.stages.compiled()`
     place = run(film_place)(size, order, number, sample)
@@ -17,7 +17,7 @@ DECLARED: dict[Callable, tuple[str, ...]] = {}  # each stage that is imported, w
 
 
 def stage(*tables: str) -> Callable[[Function], Function]:
-    """Declares a function as a stage: `jit.stages` runs it in plain torch or as one loop.
+    """Declares a function as a stage, which runs in plain torch or is compiled to one loop over lanes.
 
     It stays an ordinary function of torch, and other stages may call it. Depth and seed are tensors, so that bounces,
     chunks, iterations and scenes of the same kinds of things share one loop.
@@ -34,7 +34,7 @@ def stage(*tables: str) -> Callable[[Function], Function]:
 
 
 class Stage(Protocol):
-    """A stage as it is run.
+    """A stage that can be run: compiled, or in plain torch.
 
     Attributes:
         is_compiled: whether it is one loop over lanes, which writes into what exists as easily as into new tensors.
@@ -45,20 +45,20 @@ class Stage(Protocol):
     def __call__(self, *arguments): ...
 
     def knowing(self, *arguments) -> Stage:
-        """The same stage, prepared for calls that begin with these very arguments."""
+        """The same stage, prepared for calls whose first arguments are these objects."""
 
     def taken(self, **arguments) -> tuple:
-        """Arguments by name, prepared for several calls."""
+        """Prepares arguments, given by name, for several calls."""
 
     def room(self, results) -> Any:
-        """What `into` writes into, prepared for several calls."""
+        """Prepares tensors of results for several calls of `into`."""
 
     def into(self, results, first: int, *arguments) -> None:
         """Writes what a call would return into the tensors of `results`, from the entry `first` on."""
 
 
 class Stages(Protocol):
-    """Runs stages: gives for each function that is declared one what runs it, always the same object."""
+    """A way to run stages: returns for each declared function what runs it, always the same object."""
 
     is_compiled: bool
 
@@ -66,7 +66,7 @@ class Stages(Protocol):
 
 
 class PlainStage:
-    """A stage in plain torch."""
+    """A stage that runs in plain torch."""
 
     is_compiled = False
 
@@ -90,7 +90,7 @@ class PlainStage:
 
 
 class PlainStages:
-    """Runs stages in plain torch.
+    """Runs all stages in plain torch.
 
     Args:
         instead: functions that run in the place of stages.
@@ -112,7 +112,7 @@ EAGER = PlainStages()
 
 
 def write(results, first: int, values) -> None:
-    """Writes values into the tensors of `results` from the entry `first` on; where either has None nothing."""
+    """Copies values into the tensors of `results` from the entry `first` on; skips None."""
     for target, value in zip(leaves_of(results), leaves_of(values)):
         if target is not None and value is not None:
             target[first:first + len(value)] = value

@@ -1,4 +1,4 @@
-"""What this package uses of torch that is not public, in one place, with what is done where a version lacks it.
+"""All that this package uses of torch's internals, with a substitute where a version of torch lacks it.
 
 Tried with the versions of docs/versions.md (`make test-torch`). Of `pytree`, by which torch takes nested tuples,
 lists and dicts apart, and of dispatch modes, which see every basic operation, nothing can take the place.
@@ -37,7 +37,7 @@ except ImportError:  # `torch.compile` then traces into a rendering, and breaks 
 
 @contextmanager
 def without_compiler() -> Iterator[None]:
-    """Functions that are called inside run as they are, also if `torch.compile` compiles the caller.
+    """Runs what is called inside uncompiled, even if `torch.compile` compiles the caller.
 
     As `torch.compiler.disable` does, without the three seconds in which that imports the compiler.
     """
@@ -52,7 +52,7 @@ def without_compiler() -> Iterator[None]:
 
 
 def batched(tensor: Tensor) -> bool:
-    """True if a tensor stands for a batch of gradients (`is_grads_batched`); False where that is not known."""
+    """True if a tensor stands for a batch of gradients (`is_grads_batched`); False if torch cannot tell."""
     try:
         return "Batched" in torch._C._dispatch_key_set(tensor)
     except AttributeError:
@@ -60,7 +60,7 @@ def batched(tensor: Tensor) -> bool:
 
 
 def backward_pass() -> int | None:
-    """The number of the backward pass that this thread is in; None where there is none, or that is not known."""
+    """The id of the backward pass that this thread is in; None if there is none, or torch cannot tell."""
     try:
         number = torch._C._current_graph_task_id()
     except AttributeError:
@@ -69,40 +69,40 @@ def backward_pass() -> int | None:
 
 
 def at_end_of_backward(function: Callable[[], None]) -> None:
-    """Has a function called when the backward pass has ended that this thread is in."""
+    """Calls a function when this thread's current backward pass has ended."""
     torch.autograd.Variable._execution_engine.queue_callback(function)
 
 
 def functions_of_torch_only():
-    """A context in which subclasses of tensors are taken for plain ones."""
+    """A context in which subclasses of tensors are treated as plain tensors."""
     return torch._C.DisableTorchFunctionSubclass()
 
 
 def inside_dual_level() -> bool:
-    """False where no tensor can have a forward-mode tangent; True where that is not known."""
+    """True if forward-mode derivatives may be active, or torch cannot tell; False if no tensor can have a tangent."""
     return getattr(forward_ad, "_current_level", 0) >= 0
 
 
 def transforms() -> list[str]:
-    """Names of the transforms of `torch.func` that are active, outermost first, such as "jvp"."""
+    """The names of the active `torch.func` transforms, outermost first, such as "jvp"."""
     stack = get_interpreter_stack() if get_interpreter_stack is not None else None
     return [interpreter.key().name.lower() for interpreter in stack or ()]
 
 
 def outside_transforms(function: Callable, *arguments):
-    """`function(*arguments)`, computed as if no transform were active."""
+    """Calls `function(*arguments)` as if no `torch.func` transform were active."""
     with temporarily_clear_interpreter_stack():
         return function(*arguments)
 
 
 def unwrapped(tensor: Tensor | None) -> Tensor | None:
-    """The plain tensor inside of one that a transform of `torch.func` has wrapped."""
+    """The plain tensor inside of one that `torch.func` transforms have wrapped."""
     return get_unwrapped(tensor) if tensor is not None and is_functorch_wrapped_tensor(tensor) else tensor
 
 
 @contextmanager
 def operations_on_this_thread() -> Iterator[int]:
-    """torch's operations that this thread calls stay on it; gives the number of threads that they would have had.
+    """Keeps torch's operations in this thread single-threaded; yields the number of threads that they would have had.
 
     `torch.set_num_threads` sets a number of this thread, and one that threads begin with which ask for the first time: of
     the user's, some might do so just then. OpenMP and MKL are told the former alone, where their functions are found.
@@ -124,7 +124,7 @@ def operations_on_this_thread() -> Iterator[int]:
 
 @functools.cache
 def setters_of_threads() -> tuple[Callable[[int], None], Callable[[int], int]]:
-    """What sets the number of threads of the calling thread in OpenMP, and in MKL, which returns what was set before."""
+    """Functions that set the calling thread's number of threads in OpenMP, and in MKL (which returns the old one)."""
     # A symbol is looked up in a library and in all it depends on, hence in the runtime that torch loaded.
     library = library_of_torch()
     set_openmp = getattr(library, "omp_set_num_threads", None)
@@ -134,7 +134,7 @@ def setters_of_threads() -> tuple[Callable[[int], None], Callable[[int], int]]:
 
 
 def is_obeyed(set_openmp: Callable[[int], None]) -> bool:
-    """True if it is the runtime that torch asks."""
+    """True if the function sets the number of threads of the OpenMP runtime that torch uses."""
     number = torch.get_num_threads()
     set_openmp(number + 1)
     obeyed = torch.get_num_threads() == number + 1
@@ -144,7 +144,7 @@ def is_obeyed(set_openmp: Callable[[int], None]) -> bool:
 
 @functools.cache
 def keep_waits_short() -> None:
-    """OpenMP's threads soon sleep after operations outside of our calls, instead of spinning into these.
+    """Makes OpenMP's idle threads sleep soon, so that they do not spin while our own threads work.
 
     GNU's runtime lets them spin 300,000 times, but 100 times while it manages more threads than there are processors (its
     manual, GOMP_SPINCOUNT). So one team more is made, which sleeps for good. What the environment says is not changed.
@@ -166,7 +166,7 @@ def keep_waits_short() -> None:
 
 
 def library_of_torch() -> ctypes.CDLL | None:
-    """torch's shared library, in which symbols of all that it is linked to are found; None: it has none."""
+    """torch's shared library, through which symbols of all libraries linked to it are found; None: it has none."""
     try:
         return ctypes.CDLL(torch._C.__file__)
     except (OSError, AttributeError):

@@ -19,7 +19,7 @@ TINY = 1e-24  # keeps a division finite where the quotient is not used; the deri
 
 
 class Vec2(NamedTuple):
-    """A 2-vector per lane."""
+    """A vector of two components per lane."""
 
     x: Tensor
     y: Tensor
@@ -86,13 +86,13 @@ class Vec3(NamedTuple):
 
     @staticmethod
     def full(like: Tensor, value: float) -> Vec3:
-        """The same constant in every component of every lane. The components share one tensor, so do not write into it."""
+        """A vector whose components share one constant tensor: do not write into it."""
         component = torch.full_like(like, value)
         return Vec3(component, component, component)
 
     @staticmethod
     def buffer(like: Tensor) -> Vec3:
-        """Zeros to write into: each component is a tensor of its own."""
+        """A vector of zeros to write into: each component is a tensor of its own."""
         return Vec3(torch.zeros_like(like), torch.zeros_like(like), torch.zeros_like(like))
 
 
@@ -105,7 +105,7 @@ def cross(a: Vec3, b: Vec3) -> Vec3:
 
 
 def angle_between(a: Vec3, b: Vec3) -> Tensor:
-    """(N,) the angle between unit vectors, in [0, pi]; exact also where they are nearly the same, or opposite."""
+    """(N,) the angle between unit vectors, in [0, pi]; accurate also for nearly equal or opposite vectors."""
     return 2.0 * torch.atan2(*(torch.sqrt(dot(chord, chord)) for chord in (a - b, a + b)))
 
 
@@ -119,18 +119,18 @@ def where(condition: Tensor, a: Vec3, b: Vec3) -> Vec3:
 
 
 def masked(condition: Tensor, a: Vec3) -> Vec3:
-    """`a`, which is finite, where the condition holds, else zero. A product: `torch.where` is ten times slower on a CPU."""
+    """`a` where the condition holds, else zero; `a` is finite. A product: `torch.where` is ten times slower on a CPU."""
     return a * condition.to(a.x.dtype)
 
 
 def gather(table: Tensor, index: Tensor) -> Tensor:
-    """Entries of a table at integer `index` (N,)."""
+    """Gathers entries of a table at integer `index` (N,)."""
     return table.index_select(0, index)
 
 
 @stage("record")
 def rows(record, index: Tensor):
-    """The rows `index` of every tensor of a record, in nested tuples; None stays None."""
+    """Gathers the rows `index` of every tensor of a record, in nested tuples; None stays None."""
     if record is None:
         return None
     if isinstance(record, Tensor):
@@ -140,14 +140,14 @@ def rows(record, index: Tensor):
 
 
 def attached(value: Tensor | Vec3, source: Tensor | Vec3) -> Tensor | Vec3:
-    """`value` with the derivative of `source`, a tensor of the same value but for rounding."""
+    """`value` with the derivative of `source`, which has the same value up to rounding."""
     if isinstance(value, Vec3):
         return Vec3(*(attached(v, s) for v, s in zip(value, source)))
     return value.detach() + (source - source.detach())
 
 
 def interpolated(corners: tuple[Vec2 | Vec3, ...], u: Tensor, v: Tensor) -> Vec2 | Vec3:
-    """Interpolates between three vertices, by the barycentric coordinates of the second and the third."""
+    """Interpolates between the three vertices of triangles, by the second and third barycentric coordinate."""
     first, second, third = corners
     return first * (1.0 - u - v) + second * u + third * v
 
@@ -157,25 +157,25 @@ def max_component(a: Vec3) -> Tensor:
 
 
 def unit_normal(e1: Vec3, e2: Vec3) -> Vec3:
-    """The unit normal of triangles with these edges, however small: the squares of small edges underflow in float32."""
+    """The unit normal of triangles with these edges, safe from underflow where triangles are tiny."""
     return normalize(cross(scaled(e1), scaled(e2)))
 
 
 def scaled(a: Vec3) -> Vec3:
-    """`a` divided by its largest component, which is taken as a constant; a vector of length zero stays zero."""
+    """`a` divided by its largest component, a constant for derivatives; a vector of length zero stays zero."""
     size = max_component(a.detach().map(torch.abs))
     return a * torch.where(size > 0, size, 1.0).reciprocal()
 
 
 class Ray(NamedTuple):
-    """Half lines o + t d with t > 0, world space."""
+    """Rays o + t d with t > 0, world space."""
 
     o: Vec3  # origin
     d: Vec3  # direction; unit length in the tracer
 
 
 def crossing(ray: Ray, p0: Vec3, e1: Vec3, e2: Vec3) -> tuple[Tensor, Tensor, Tensor]:
-    """The volumes that tell where a line crosses the plane of a triangle; attached to all arguments.
+    """Triple products from which the intersection of a line and a triangle's plane follows; attached to all arguments.
 
     Args:
         ray: gives the line.
@@ -193,7 +193,7 @@ def crossing(ray: Ray, p0: Vec3, e1: Vec3, e2: Vec3) -> tuple[Tensor, Tensor, Te
 
 
 class Frame(NamedTuple):
-    """An orthonormal basis; `n` is the normal, local directions have z along it."""
+    """An orthonormal basis; local directions have z along `n`."""
 
     s: Vec3
     t: Vec3
@@ -206,13 +206,13 @@ class Frame(NamedTuple):
         return self.s * v.x + self.t * v.y + self.n * v.z
 
     def coordinates(self, v: Vec3) -> Vec3:
-        """What `to_world` makes `v` of; also of axes that are no longer orthonormal, to which it is attached."""
+        """The linear combination of the axes by `v`, as `to_world`; attached to the axes, which need not be orthonormal."""
         across = cross(self.t, self.n), cross(self.n, self.s), cross(self.s, self.t)
         return Vec3(*(dot(v, axis) for axis in across)) / dot(self.s, across[0])
 
     @staticmethod
     def of(n: Vec3) -> Frame:
-        """A basis around the unit vector `n`.
+        """Completes the unit vector `n` to an orthonormal basis.
 
         Reference: Duff et al. 2017, "Building an Orthonormal Basis, Revisited", listing 3.
         """
@@ -225,7 +225,7 @@ class Frame(NamedTuple):
 
     @staticmethod
     def along(n: Vec3, direction: Vec3) -> Frame:
-        """A basis around the unit vector `n`, its s as close to `direction` as possible; `Frame.of` if they are parallel."""
+        """Completes the unit vector `n` to a basis with s as close to `direction` as possible; `Frame.of` if parallel."""
         across = direction - n * dot(n, direction)
         squared = dot(across, across)
         fine = squared > SMALLEST_TANGENT
@@ -234,13 +234,13 @@ class Frame(NamedTuple):
 
 
 class LocalVec3:
-    """A vector in a shading frame whose components are computed when they are first read: a diffuse surface only reads z.
+    """A vector in a shading frame with lazily computed components: a diffuse surface only reads z.
 
     Has the operators of `Vec3`.
     """
 
     def __init__(self, frame: ShadingFrame, v: Vec3, backwards: bool = False, z: Tensor | None = None):
-        """`v` in the frame, or -v if `backwards`; `z` if it is known already."""
+        """Transforms `v` (or -v if `backwards`) to the frame; `z`: its z component, if already computed."""
         self.frame, self.v, self.backwards = frame, v, backwards
         self.parts: dict[str, Tensor] = {} if z is None else {"z": z}
 
@@ -274,7 +274,7 @@ class LocalVec3:
 
 
 class ShadingFrame:
-    """The frame around a unit normal; its tangents are computed when they are first read.
+    """The shading frame around a unit normal, with lazily computed tangents.
 
     Args:
         n: the normal.

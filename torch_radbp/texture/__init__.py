@@ -1,4 +1,4 @@
-"""Textures: functions from surface coordinates to linear RGB. Each file is imported, and registers its plugins."""
+"""Textures: functions from surface coordinates to linear RGB. Importing this imports and registers all of its plugins."""
 
 from torch_radbp.plugin.folder import import_files
 

@@ -1,4 +1,4 @@
-"""Images laid end to end, and the reading of them at surface coordinates."""
+"""Images concatenated to one table of texels, and their look-up at surface coordinates."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch_radbp.texture.uv_transform import transformed
 
 
 class TextureBank(NamedTuple):
-    """Textures laid end to end; a constant colour is a texture of one texel. X textures, K texels in all."""
+    """Textures in one table of texels; a constant colour is a texture of one texel. X textures, K texels in all."""
 
     texels: Vec3  # (K,) each, linear RGB; attached
     offset: Tensor  # (X,) int32, first texel
@@ -21,12 +21,12 @@ class TextureBank(NamedTuple):
     height: Tensor  # (X,) int32
     wrap: Tensor  # (X,) int32: 0 repeat, 1 mirror, 2 clamp
     nearest: Tensor  # (X,) bool
-    to_u: Vec3  # (X,) each: u' = x u + y v + z
+    to_u: Vec3  # (X,) rows of the transforms: u' = x u + y v + z
     to_v: Vec3
 
 
 def wrapped(texel: Tensor, size: Tensor, wrap: Tensor) -> tuple[Tensor, Tensor]:
-    """Integer texel coordinates, and those of the next texels, brought into [0, size) by each lane's wrap mode."""
+    """Integer texel coordinates, and those of the next texels, wrapped to [0, size) by each lane's wrap mode."""
     mirrors, clamps = wrap == 1, wrap == 2
     period = torch.where(mirrors, 2 * size, size)
     first = torch.remainder(texel, period)  # one division for all
@@ -40,10 +40,10 @@ def wrapped(texel: Tensor, size: Tensor, wrap: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class Texels(NamedTuple):
-    """The four texels around a place, (N,) each, and how far it is from the first."""
+    """The four texels around a point, (N,) each, and the point's position between them."""
 
-    rows: tuple[Tensor, Tensor, Tensor, Tensor]  # of the bank's texels: upper left, upper right, lower left, lower right
-    fx: Tensor  # in [0, 1), attached; 0 of a texture that is read by its nearest texel
+    rows: tuple[Tensor, Tensor, Tensor, Tensor]  # rows of the bank: upper left, upper right, lower left, lower right
+    fx: Tensor  # in [0, 1), attached; 0 with nearest filtering
     fy: Tensor
     width: Tensor  # of the texture
     height: Tensor
@@ -51,7 +51,7 @@ class Texels(NamedTuple):
 
 
 def _texels_around(bank: TextureBank, texture: Tensor, first: Tensor, uv: Vec2) -> Texels:
-    """The texels around surface coordinates.
+    """The four texels around surface coordinates.
 
     Args:
         bank, texture: as for `sample_texture`.
@@ -72,7 +72,7 @@ def _texels_around(bank: TextureBank, texture: Tensor, first: Tensor, uv: Vec2) 
 
 
 def sample_texture(bank: TextureBank, texture: Tensor, uv: Vec2 | None) -> Vec3:
-    """Linear RGB of textures at surface coordinates.
+    """Looks textures up at surface coordinates; linear RGB.
 
     Args:
         bank: attached or tapped.
@@ -90,8 +90,8 @@ def sample_texture(bank: TextureBank, texture: Tensor, uv: Vec2 | None) -> Vec3:
 
 
 def texture_slope(bank: TextureBank, texture: Tensor, uv: Vec2) -> Vec2:
-    """The derivatives of the first channel of textures by u and by v, before their transform: those of bilinear
-    interpolation, which jump at the centres of texels; zero of a texture that is read by its nearest texel. Attached.
+    """The derivatives of textures' first channel by u and by v, before their transform: those of bilinear interpolation,
+    which jump at the centres of texels; zero with nearest filtering. Attached.
 
     Args: as for `sample_texture`.
     """

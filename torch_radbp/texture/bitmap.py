@@ -1,4 +1,4 @@
-"""An image mapped onto a surface."""
+"""A texture from an image."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def linear_image(kind: str, filename: str | None, arrays: dict[str, Tensor | Non
     """
     given = {name: array for name, array in arrays.items() if array is not None}
     if len(given) + (filename is not None) != 1:
-        own, other = arrays
-        raise ValueError(f"{kind} needs either filename or {own}, and not both; {other} is another name for {own}")
+        name, other = arrays
+        raise ValueError(f"{kind} needs either filename or {name}, and not both; {other} is another name for {name}")
     if not given:
         given = {"filename": read_image(filename, raw=raw)}
     (name, data), = given.items()
@@ -58,14 +58,14 @@ def linear_image(kind: str, filename: str | None, arrays: dict[str, Tensor | Non
 
 
 def _decoded(data: Tensor, raw: bool) -> Tensor:
-    """Linear values of bytes, which are fractions of 255, coded as sRGB unless they are `raw`: as Mitsuba reads them."""
+    """Converts bytes to linear values, by sRGB's curve unless they are `raw`, as Mitsuba does."""
     fractions = data.to(torch.get_default_dtype()) / 255.0
     return fractions if raw else srgb_to_linear(fractions)
 
 
 @dataclass(frozen=True)
 class BitmapReader(TableReader):
-    """Reads images. Bank: `TextureBank`."""
+    """Looks images up, for lanes. Bank (table of textures): `TextureBank`."""
 
     def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> TextureBank:
         return texture_bank(textures, dtype, device)
@@ -79,7 +79,7 @@ class BitmapReader(TableReader):
 
 @dataclass(frozen=True)
 class PyramidReader(BitmapReader):
-    """Reads images at the level of detail that fits what is seen. Bank: `PyramidBank`."""
+    """Looks images up at the mipmap level that fits the sample's footprint. Bank: `PyramidBank`."""
 
     needs_footprint: ClassVar[bool] = True
 
@@ -94,12 +94,12 @@ class PyramidReader(BitmapReader):
 
 
 def _along(slope: Vec2, edges: TriangleEdges) -> Vec2:
-    """The change along two edges of what has these derivatives by u and by v."""
+    """The change along two edges of a triangle, from the derivatives by u and by v."""
     return Vec2(*(slope.x * edge.x + slope.y * edge.y for edge in edges.uv))
 
 
 class Level(NamedTuple):
-    """One level of a pyramid, with all that `texture_bank` reads."""
+    """One mipmap level of an image, with the attributes that `texture_bank` reads."""
 
     image: Tensor  # (H, W, 3)
     to_uv: Tensor
@@ -107,21 +107,21 @@ class Level(NamedTuple):
     filter_type: str = "bilinear"
 
     def texels(self) -> Tensor:
-        """(H, W, 3) linear RGB, attached."""
+        """The texels of this mipmap level, (H, W, 3) linear RGB, attached."""
         return self.image
 
 
 def pyramid_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> PyramidBank:
-    """The pyramids of images, attached."""
+    """Builds the mipmaps of images, attached."""
     levels = [[Level(image, texture.to_uv, texture.wrap_mode) for image in
                pyramid(texture.texels().to(dtype=dtype, device=device))] for texture in textures]
-    counts = [len(own) for own in levels]
+    counts = [len(image) for image in levels]
     first, count = (torch.tensor(column, dtype=torch.int32, device=device) for column in (starts(counts), counts))
-    return PyramidBank(texture_bank([level for own in levels for level in own], dtype, device), first, count)
+    return PyramidBank(texture_bank([level for image in levels for level in image], dtype, device), first, count)
 
 
 def texture_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> TextureBank:
-    """Images laid end to end, attached; a texture that is no image has one texel."""
+    """Builds the table of images, attached; a texture that is no image has one texel."""
     images = [texture.texels().to(dtype=dtype, device=device) for texture in textures]
     to_u, to_v = uv_rows([getattr(texture, "to_uv", None) for texture in textures], dtype, device)
     offset, width, height, wrap, nearest = columns_of_images(
@@ -136,7 +136,7 @@ def texture_bank(textures: Sequence[Texture], dtype: torch.dtype, device: torch.
 @functools.lru_cache(maxsize=64)
 def columns_of_images(sizes: tuple[tuple[int, int], ...], wrap_modes: tuple[str, ...], nearest: tuple[bool, ...],
                       device: torch.device) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """What `TextureBank` has of images beside their texels and coordinates: `offset` to `nearest`.
+    """The columns of `TextureBank` from `offset` to `nearest`.
 
     Args:
         sizes: height and width of each.
@@ -152,7 +152,7 @@ def columns_of_images(sizes: tuple[tuple[int, int], ...], wrap_modes: tuple[str,
 
 
 def reader_of(texture: Texture) -> Reader:
-    """How lanes read a texture; one that says nothing is read as an image."""
+    """The object that looks a texture up for lanes; a texture without one is treated as an image."""
     return texture.reader() if hasattr(texture, "reader") else BitmapReader()
 
 
@@ -187,10 +187,10 @@ class Bitmap(Texture):
                  filter_type: str = "bilinear", wrap_mode: str = "repeat", raw: bool = False, to_uv: Matrix4 | None = None,
                  format: str = "auto", accel: bool = True):
         super().__init__()
-        for name, value, known in (("filter_type", filter_type, FILTERS), ("wrap_mode", wrap_mode, WRAP_MODES),
-                                   ("format", format, FORMATS)):
-            if value not in known:
-                raise ValueError(f"{name} {value!r} is not known; {nearest(value, known)}")
+        for name, value, supported in (("filter_type", filter_type, FILTERS), ("wrap_mode", wrap_mode, WRAP_MODES),
+                                       ("format", format, FORMATS)):
+            if value not in supported:
+                raise ValueError(f"{name} {value!r} is not known; {nearest(value, supported)}")
         self.filename, self.filter_type, self.wrap_mode, self.raw = filename, filter_type, wrap_mode, raw
         self.format, self.accel = format, accel
         image = linear_image("a bitmap", filename, {"data": data, "bitmap": bitmap}, raw)
@@ -207,7 +207,7 @@ class Bitmap(Texture):
         return {"data": IMAGES[self.channels], "to_uv": TO_UV}
 
     def reader(self) -> BitmapReader:
-        """How lanes read it."""
+        """The object that looks images up for lanes: with mipmaps or without."""
         return PyramidReader() if self.filter_type == "trilinear" else BitmapReader()
 
     def jumps(self) -> tuple[JumpLines, ...]:
@@ -220,9 +220,9 @@ class Bitmap(Texture):
         return self
 
     def texels(self) -> Tensor:
-        """(H, W, 3) linear RGB, attached."""
+        """The texels as (H, W, 3) linear RGB, attached."""
         return self.data.expand(-1, -1, 3)
 
     def scalars(self) -> Tensor:
-        """The values as numbers, (H, W): the luminance, as in Mitsuba; attached."""
+        """The texels as scalars, (H, W): the luminance, as in Mitsuba; attached."""
         return self.data[..., 0] if self.channels == 1 else (self.data * self.data.new_tensor(LUMINANCE)).sum(2)

@@ -1,4 +1,4 @@
-"""The light of a glowing body."""
+"""Blackbody radiation as a texture."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Blackbody(Spectrum):
         super().assign(role)
 
     def spectrum(self) -> Tensor:
-        """(1000,) at `WAVELENGTHS`, float64, attached."""
+        """(1000,) the radiance at `WAVELENGTHS`, float64, attached."""
         nanometres = torch.as_tensor(WAVELENGTHS, device=self.temperature.device)
         metres = nanometres * 1e-9
         # Not of the whole fraction: its denominator overflows where there is no light.

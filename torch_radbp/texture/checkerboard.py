@@ -1,4 +1,4 @@
-"""Two colours in a regular pattern."""
+"""A checkerboard of two textures."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from torch_radbp.texture.uv_transform import jump_lines, transformed, uv_matrix,
 
 
 class CheckerboardBank(NamedTuple):
-    """X checkerboards."""
+    """The table of X checkerboards."""
 
-    to_u: Vec3  # (X,) each: u' = x u + y v + z
+    to_u: Vec3  # (X,) rows of the transforms: u' = x u + y v + z
     to_v: Vec3
     colours: Any  # the bank of their 2 X colours, those of each checkerboard side by side
 
 
 @dataclass(frozen=True)
 class CheckerboardReader(TableReader):
-    """Reads checkerboards, of colours that `colours` reads. Bank: `CheckerboardBank`."""
+    """Looks checkerboards up, for lanes; `colours` looks up those of the squares. Bank: `CheckerboardBank`."""
 
     colours: TableReader
 
@@ -57,7 +57,7 @@ class CheckerboardReader(TableReader):
         return self.colours.rise(bank.colours, self.row_of_colour(bank, row, point), point)
 
     def row_of_colour(self, bank: CheckerboardBank, row: Tensor, point: TexturePoint) -> Tensor:
-        """The row of the colour that each lane meets, in the bank of colours."""
+        """The row, in the table of colours, of the square that each lane is in."""
         u, v = transformed(lookup(bank.to_u, row), lookup(bank.to_v, row), point.uv)
         right, lower = u - torch.floor(u) > 0.5, v - torch.floor(v) > 0.5
         return 2 * row + (right != lower).to(row.dtype)
@@ -88,7 +88,7 @@ class Checkerboard(Texture):
         return {"color0": Domain(), "color1": Domain()}
 
     def colours(self) -> tuple[Texture, ...]:
-        """The two textures."""
+        """The two textures of the squares."""
         return self.color0, self.color1
 
     def parts(self) -> tuple[Texture, ...]:
@@ -101,5 +101,5 @@ class Checkerboard(Texture):
         return 1, 1
 
     def reader(self) -> CheckerboardReader:
-        """How lanes read it."""
+        """The object that looks checkerboards up for lanes."""
         return CheckerboardReader(reader_for(self.colours()))

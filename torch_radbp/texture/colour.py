@@ -1,4 +1,4 @@
-"""Textures that have one colour everywhere."""
+"""The base of textures of one constant colour."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from torch_radbp.texture.reader import TableReader, TexturePoint
 
 @dataclass(frozen=True)
 class ColourReader(TableReader):
-    """Reads constant colours. Bank: (R,) linear RGB."""
+    """Looks constant colours up, for lanes. Bank (table of textures): (R,) linear RGB."""
 
     needs_uv: ClassVar[bool] = False
 
@@ -34,20 +34,20 @@ class ColourReader(TableReader):
 
 
 class Colour(Texture):
-    """Base of the textures that have one colour everywhere."""
+    """Base class of textures of one constant colour."""
 
     def colour(self) -> Tensor:
-        """(3,) linear RGB, or () for grey; attached."""
+        """The colour as (3,) linear RGB, or () for grey; attached."""
         raise TypeError(f"{type(self).__name__} does not define its colour")
 
     def reader(self) -> ColourReader:
-        """How lanes read it."""
+        """The object that looks constant colours up for lanes."""
         return ColourReader()
 
     def texels(self) -> Tensor:
-        """(1, 1, 3) linear RGB, attached."""
+        """The colour as texels, (1, 1, 3) linear RGB, attached."""
         return self.colour().expand(3).reshape(1, 1, 3)
 
     def scalars(self) -> Tensor:
-        """The value as a number, (1, 1): the mean of the channels, as in Mitsuba; attached."""
+        """The colour as a scalar, (1, 1): the mean of the channels, as in Mitsuba; attached."""
         return self.colour().mean().reshape(1, 1)

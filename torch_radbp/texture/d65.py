@@ -1,4 +1,4 @@
-"""Daylight."""
+"""The CIE standard illuminant D65 as a texture."""
 
 from __future__ import annotations
 

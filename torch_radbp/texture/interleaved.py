@@ -1,4 +1,4 @@
-"""Tables that are read together, laid out in rows: what lanes read of a vertex or a texel lies in one line of the cache.
+"""Interleaved tables: all values that a lane reads of one vertex or texel lie in one row, and so in one cache line.
 
 Tables are columns (struct of arrays) everywhere. Those of many entries may be columns of the same memory, of which compiled
 loops read whole rows (`jit/row_reads.py`); what few entries have is quicker to permute (`jit/window.py`). Images lie so
@@ -21,7 +21,7 @@ LEAST = 256  # entries
 
 
 class _MovedTable(torch.autograd.Function):
-    """A table in another place, with its derivative."""
+    """Moves a table to another place in memory, with its derivative."""
 
     @staticmethod
     def forward(ctx, table: Tensor, column: Tensor) -> Tensor:
@@ -33,7 +33,7 @@ class _MovedTable(torch.autograd.Function):
 
 
 def interleaved(record: Any) -> Any:
-    """A record with its tables of 4-byte entries as columns of rows; contiguous if they are few, or in forward mode.
+    """Interleaves the tables of 4-byte entries in a record; they stay contiguous if they are few, or in forward mode.
 
     Args:
         record: of tables, (N,) each, attached; None stays None.
@@ -46,7 +46,9 @@ def interleaved(record: Any) -> Any:
 
 
 class _Columns(torch.autograd.Function):
-    """The columns of rows, where these lie; their gradients become that of the rows without a copy if they lie so, too."""
+    """The columns of interleaved rows as views; their gradients join to that of the rows without a copy if they are views,
+    too.
+    """
 
     @staticmethod
     def forward(ctx, rows: Tensor) -> tuple[Tensor, ...]:
@@ -56,14 +58,14 @@ class _Columns(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx, *adjoints: Tensor | None) -> Tensor:
-        found = next(adjoint for adjoint in adjoints if adjoint is not None)
+        first = next(adjoint for adjoint in adjoints if adjoint is not None)
         if not torch.is_grad_enabled() and are_columns(adjoints, ctx.shape):
-            return found.as_strided(ctx.shape, (ctx.shape[1], 1), found.storage_offset())
-        return torch.stack([torch.zeros_like(found) if adjoint is None else adjoint for adjoint in adjoints], 1)
+            return first.as_strided(ctx.shape, (ctx.shape[1], 1), first.storage_offset())
+        return torch.stack([torch.zeros_like(first) if adjoint is None else adjoint for adjoint in adjoints], 1)
 
 
 def are_columns(tables: Sequence[Tensor | None], shape: torch.Size) -> bool:
-    """True if tables are the columns of contiguous rows (N, C), and no others'."""
+    """True if tables are exactly the columns of contiguous rows (N, C)."""
     if len(tables) != shape[1] or any(table is None for table in tables):
         return False
     start, memory = tables[0].storage_offset(), tables[0].untyped_storage().data_ptr()
@@ -72,20 +74,20 @@ def are_columns(tables: Sequence[Tensor | None], shape: torch.Size) -> bool:
 
 
 def columns_of_rows(rows: Tensor) -> tuple[Tensor, ...]:
-    """The columns, (N,) each, of rows (N, C), attached; where these lie if they are many and of 4-byte entries."""
+    """The columns, (N,) each, of rows (N, C), attached; views if they are many and of 4-byte entries."""
     if rows.itemsize != 4 or len(rows) < LEAST:
         return tuple(column.contiguous() for column in rows.unbind(1))
     return _Columns.apply(rows) if rows.requires_grad and tangent_of(rows) is None else rows.unbind(1)
 
 
 def columns(tables: Sequence[Tensor]) -> list[Tensor]:
-    """Tables, (N,) each of 4 bytes, as columns of rows; attached."""
+    """Interleaves tables, (N,) each of 4 bytes, to columns of rows; attached."""
     entries, count = len(tables[0]) if tables else 0, len(tables)
     if count < 2 or entries < LEAST or any(tangent_of(table) is not None for table in tables):
         return [table.contiguous() for table in tables]
     width = count if count <= AT_ONCE else -(-count // AT_ONCE) * AT_ONCE
     rows = torch.empty(entries, width, dtype=torch.float32, device=tables[0].device)
-    found = [rows[:, place].view(table.dtype) for place, table in enumerate(tables)]
-    for table, column in zip(tables, found):
+    views = [rows[:, place].view(table.dtype) for place, table in enumerate(tables)]
+    for table, column in zip(tables, views):
         column.copy_(table.detach())
-    return [_MovedTable.apply(table, column) if differentiated(table) else column for table, column in zip(tables, found)]
+    return [_MovedTable.apply(table, column) if differentiated(table) else column for table, column in zip(tables, views)]

@@ -1,4 +1,4 @@
-"""A spectrum sampled at any wavelengths."""
+"""A spectrum given at any wavelengths."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values that a mesh carries."""
+"""A texture whose values are attributes of a mesh."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PREFIXES = ("vertex_", "face_")
 
 @dataclass(frozen=True)
 class MeshAttributeReader(TableReader):
-    """Reads the attribute `name` of whatever mesh is met. Bank: (X,) factors."""
+    """Interpolates the attribute `name` of whatever mesh a ray hits. Bank: (X,) factors."""
 
     name: str
     as_number: bool = False  # the luminance of three channels
@@ -56,7 +56,7 @@ def luminance(colour: Vec3) -> Tensor:
 
 @register("texture", "mesh_attribute")
 class MeshAttribute(Texture):
-    """Values of the vertices or faces of the mesh that has the material or emits, such as colours that were measured.
+    """Attributes of the vertices or faces of the mesh with this material or emitter, such as measured colours.
 
     Those of vertices are interpolated linearly. A PLY file brings attributes along, and `Mesh.add_attribute` adds others;
     they are parameters of the mesh. Of three channels where a number is asked for, it is the luminance.
@@ -82,19 +82,19 @@ class MeshAttribute(Texture):
         return {"scale": NUMBER}
 
     def check(self, name: str, domain: Domain) -> None:
-        """Does nothing: values are checked on the meshes, by `torch_radbp.scene.attributes`."""
+        """Does nothing: mesh attributes are checked by `torch_radbp.scene.attributes`."""
 
     def sources(self) -> tuple[Tensor, ...]:
         return (self.scale,)
 
     def reader(self) -> MeshAttributeReader:
-        """How lanes read it."""
+        """The object that interpolates mesh attributes for lanes."""
         return MeshAttributeReader(self.name)
 
     def texels(self) -> Tensor:
-        """(1, 1, 3) the factor, attached."""
+        """(1, 1, 3) the factor `scale`, attached."""
         return self.scale.expand(1, 1, 3)
 
     def scalars(self) -> Tensor:
-        """(1, 1) the factor, attached."""
+        """(1, 1) the factor `scale`, attached."""
         return self.scale.reshape(1, 1)

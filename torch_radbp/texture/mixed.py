@@ -1,4 +1,4 @@
-"""Textures of several kinds, of which each lane reads one."""
+"""Banks of textures of several kinds, of which each lane reads one."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from torch_radbp.texture.reader import TableReader, TexturePoint
 
 
 class MixedBank(NamedTuple):
-    """X textures in the banks of several readers."""
+    """X textures of several kinds, each a row in its own kind's table."""
 
-    reader: Tensor  # (X,) int32, which of them reads each
-    row: Tensor  # (X,) int32, in its bank
+    reader: Tensor  # (X,) int32, index of the reader of each
+    row: Tensor  # (X,) int32, row in that reader's bank
     banks: tuple[Any, ...]
 
 
 @dataclass(frozen=True)
 class MixedReader(TableReader):
-    """Reads textures of several kinds. Bank: `MixedBank`."""
+    """Looks textures of several kinds up, for lanes. Bank: `MixedBank`."""
 
     readers: tuple[TableReader, ...]
 
@@ -48,7 +48,7 @@ class MixedReader(TableReader):
     def bank(self, textures: Sequence[Texture], dtype: torch.dtype, device: torch.device) -> MixedBank:
         which = [self.readers.index(reader_of(texture)) for texture in textures]
         rows = [which[:number].count(reader) for number, reader in enumerate(which)]
-        banks = tuple(reader.bank([texture for texture, own in zip(textures, which) if own == number], dtype, device)
+        banks = tuple(reader.bank([texture for texture, read_by in zip(textures, which) if read_by == number], dtype, device)
                       for number, reader in enumerate(self.readers))
         return MixedBank(*(torch.tensor(column, dtype=torch.int32, device=device) for column in (which, rows)), banks)
 
@@ -56,27 +56,27 @@ class MixedReader(TableReader):
         which, rows = lookup(bank.reader, row), lookup(bank.row, row)
         value = None
         for number, reader in enumerate(self.readers):
-            own = which == number
-            found = reader.read(bank.banks[number], torch.where(own, rows, 0), point)
-            value = found if value is None else where(own, found, value)
+            is_read = which == number
+            texels = reader.read(bank.banks[number], torch.where(is_read, rows, 0), point)
+            value = texels if value is None else where(is_read, texels, value)
         return value
 
     def rise(self, bank: MixedBank, row: Tensor, point: TexturePoint) -> Vec2:
         which, rows = lookup(bank.reader, row), lookup(bank.row, row)
         rise = None
         for number, reader in enumerate(self.readers):
-            own = which == number
-            found = reader.rise(bank.banks[number], torch.where(own, rows, 0), point)
-            rise = found if rise is None else Vec2(*(torch.where(own, new, old) for new, old in zip(found, rise)))
+            is_read = which == number
+            change = reader.rise(bank.banks[number], torch.where(is_read, rows, 0), point)
+            rise = change if rise is None else Vec2(*(torch.where(is_read, new, old) for new, old in zip(change, rise)))
         return rise
 
 
 def reader_for(textures: Sequence[Texture]) -> TableReader:
-    """A reader of all of some textures; the same for the same kinds in any order."""
+    """One reader for textures of several kinds; the same for the same kinds in any order."""
     return joint_reader(reader_of(texture) for texture in textures)
 
 
 def joint_reader(readers: Iterable[TableReader]) -> TableReader:
-    """A reader of all that some readers read."""
+    """One reader that serves all textures of several readers."""
     readers = sorted(set(readers), key=repr)
     return readers[0] if len(readers) == 1 else MixedReader(tuple(readers))

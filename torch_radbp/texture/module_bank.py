@@ -1,4 +1,4 @@
-"""Modules, each on the lanes that need its values, in batches.
+"""Modules as textures, evaluated in batches of the lanes that need their values.
 
 Between its layers a module writes and reads some hundred numbers for each place. Of a hundred thousand places at once they
 go to memory and come back: an MLP 2-64-64-3 then takes three times as long as on batches whose numbers stay in the cache of
@@ -24,36 +24,36 @@ PARAMETERS = 64  # a place, of a batch that is differentiated at the most: each 
 
 
 class ModuleBatch(NamedTuple):
-    """Lanes that one module computes at a time: a part of `Sorted.order`."""
+    """A batch of lanes on which one module runs: a part of `Sorted.order`."""
 
     module: int
     first: int
-    last: int  # the place after its last lane
+    last: int  # end: one past its last lane
 
 
 class Sorted(NamedTuple):
-    """Lanes module by module, first those of none."""
+    """Lanes sorted by module, lanes without a module first."""
 
-    order: Tensor | None  # (N,) int32; None: they are so already
+    order: Tensor | None  # (N,) int32; None: they are sorted already
     batches: list[ModuleBatch]
 
     def part(self, channels: Sequence[Tensor], batch: ModuleBatch) -> Tensor:
-        """(M, C) what the lanes of a batch have of C channels, (N,) each."""
+        """(M, C) the values of a batch of lanes in C channels, (N,) each."""
         here = slice(batch.first, batch.last)
         if self.order is None:
             return torch.stack([channel[here] for channel in channels], 1)
         return torch.stack(rows(tuple(channels), self.order[here]), 1)
 
-    def back(self, found: Tensor) -> Tensor:
-        """Columns, (..., N), for lanes in this order as they were before."""
+    def back(self, columns: Tensor) -> Tensor:
+        """Permutes columns, (..., N), from the sorted order back to the original order."""
         if self.order is None:
-            return found
+            return columns
         order = self.order.long()
-        return found.index_select(-1, torch.empty_like(order).scatter_(0, order, torch.arange(len(order)).to(order)))
+        return columns.index_select(-1, torch.empty_like(order).scatter_(0, order, torch.arange(len(order)).to(order)))
 
 
 class ModuleCopies:
-    """Functions of modules with other parameters: a copy of each for each thread, made when it is first asked for.
+    """Copies of modules with other parameters, one for each thread, made at first use.
 
     Args:
         functions: of modules.
@@ -65,7 +65,7 @@ class ModuleCopies:
         self.made: dict[tuple[int, int], ModuleFunction] = {}
 
     def of(self, module: int) -> ModuleFunction:
-        """That of a module for this thread."""
+        """This thread's copy of a module."""
         key = module, get_ident()
         if key not in self.made:
             self.made[key] = self.functions[module].with_parameters(self.parameters[module])
@@ -73,13 +73,13 @@ class ModuleCopies:
 
 
 class ModuleBank(NamedTuple):
-    """Some modules, with the tensors that they are differentiated with respect to."""
+    """Modules as textures, with the parameters by which they are differentiated."""
 
     functions: tuple[ModuleFunction, ...]
     parameters: tuple[tuple[Tensor, ...], ...]  # of each; attached
 
     def values(self, row: Tensor, at: Vec2 | Vec3) -> Vec3:
-        """(N,) values, attached. Each module runs on its own lanes.
+        """(N,) values of the modules at the lanes' points, attached. Each module runs on its own lanes.
 
         Args:
             row: (N,) int32, which of the modules gives each lane its value; -1: none, and the value is 0.
@@ -90,14 +90,14 @@ class ModuleBank(NamedTuple):
         def of_batch(module: int, place: Tensor) -> Tensor:
             return functions.of(module)(place)
 
-        return Vec3(*self.found(row, at, of_batch, (3,)))
+        return Vec3(*self.per_batch(row, at, of_batch, (3,)))
 
     def values_and_slopes(self, row: Tensor, at: Vec2 | Vec3) -> tuple[Vec3, ...]:
-        """(N,) values, and their derivatives by each coordinate of the places; detached. Args as for `values`.
+        """(N,) values, and their derivatives by each coordinate of the points; detached. Args as for `values`.
 
         Each value must depend on its own place only.
         """
-        functions = ModuleCopies(self.functions, [[parameter.detach() for parameter in own] for own in self.parameters])
+        functions = ModuleCopies(self.functions, [[parameter.detach() for parameter in each] for each in self.parameters])
 
         def of_batch(module: int, place: Tensor) -> Tensor:
             place = place.detach().requires_grad_()
@@ -105,7 +105,7 @@ class ModuleBank(NamedTuple):
                 values = functions.of(module)(place)
             return torch.stack([values.detach(), *_slopes(values, place)], 1)
 
-        return tuple(Vec3(*part) for part in self.found(row, at, of_batch, (1 + len(at), 3)))
+        return tuple(Vec3(*part) for part in self.per_batch(row, at, of_batch, (1 + len(at), 3)))
 
     def gradients(self, wanted: Sequence[Sequence[bool]], row: Tensor, at: Vec2 | Vec3,
                   adjoint: Vec3) -> Iterator[tuple[int, int, Tensor]]:
@@ -117,29 +117,29 @@ class ModuleBank(NamedTuple):
             adjoint: (N,) of the values; modules run where it is not 0.
         """
         row = torch.where((adjoint.x != 0) | (adjoint.y != 0) | (adjoint.z != 0), row, -1)
-        own = [[parameter.detach().requires_grad_(want) for parameter, want in zip(*pair)]
-               for pair in zip(self.parameters, wanted)]
-        leaves = [[parameter for parameter in parameters if parameter.requires_grad] for parameters in own]
-        lanes, functions = self.sorted(row, PARAMETERS), ModuleCopies(self.functions, own)
+        leaves_of_modules = [[parameter.detach().requires_grad_(want) for parameter, want in zip(*pair)]
+                             for pair in zip(self.parameters, wanted)]
+        leaves = [[parameter for parameter in parameters if parameter.requires_grad] for parameters in leaves_of_modules]
+        lanes, functions = self.sorted(row, PARAMETERS), ModuleCopies(self.functions, leaves_of_modules)
 
         def of_batch(batch: ModuleBatch) -> Sequence[Tensor | None]:
             with torch.enable_grad():
-                values = functions.of(batch.module)(lanes.part(at, batch), known=True)
+                values = functions.of(batch.module)(lanes.part(at, batch), checked=True)
             if not values.requires_grad:
                 return [None for _ in leaves[batch.module]]
             return torch.autograd.grad(values, leaves[batch.module], lanes.part(adjoint, batch), allow_unused=True)
 
         batches = [batch for batch in lanes.batches if leaves[batch.module]]
-        found = each(of_batch, batches, threads_for(row))
+        gradients_of_batches = each(of_batch, batches, threads_for(row))
         for module, wants in enumerate(wanted):
             numbers = [number for number, want in enumerate(wants) if want]
-            of_batches = [gradients for batch, gradients in zip(batches, found) if batch.module == module]
+            of_batches = [gradients for batch, gradients in zip(batches, gradients_of_batches) if batch.module == module]
             for number, parts in zip(numbers, zip(*of_batches)):
                 parts = [part for part in parts if part is not None]
                 if parts:
                     yield module, number, torch.stack(parts).sum(0, dtype=torch.float64)
 
-    def found(self, row: Tensor, at: Vec2 | Vec3, of_batch: Callable[[int, Tensor], Tensor],
+    def per_batch(self, row: Tensor, at: Vec2 | Vec3, of_batch: Callable[[int, Tensor], Tensor],
               shape: tuple[int, ...]) -> Tensor:
         """(*shape, N) what is found for each lane, batch by batch; 0 for lanes of no module.
 
@@ -158,7 +158,7 @@ class ModuleBank(NamedTuple):
         return lanes.back(parts[0] if len(parts) == 1 else torch.cat(parts, -1))
 
     def sorted(self, row: Tensor, parameters: float = torch.inf) -> Sorted:
-        """Lanes module by module, in batches.
+        """Sorts lanes by module, and divides them into batches.
 
         Args:
             row: as for `values`.
@@ -173,14 +173,14 @@ class ModuleBank(NamedTuple):
         return Sorted(None if len(row) in counts else order, batches)
 
     def size(self, module: int, device: torch.device, parameters: float = PARAMETERS) -> float:
-        """The most places of a batch of a module; args as for `sorted`."""
+        """The greatest batch size of a module; args as for `sorted`."""
         if device.type != "cpu":
             return torch.inf
         return max(BATCH, sum(map(Tensor.numel, self.parameters[module])) / parameters)
 
 
 def length_of_batches(count: int, most: float) -> int:
-    """The length of all batches of so many places but perhaps the last.
+    """The size of the batches (but perhaps the last) into which so many lanes are divided.
 
     They are equally long, and an even number of them if there are several, or one alone that is long: two threads then have
     equally much to do. The number of threads itself must not matter, for sums of gradients would be other ones.
@@ -194,12 +194,12 @@ def length_of_batches(count: int, most: float) -> int:
 
 
 def threads_for(lanes: Tensor) -> int:
-    """The threads that compute batches: one for those on a device, which knows their streams."""
+    """The number of threads that evaluate batches: one for those on a GPU, which knows their streams."""
     return threads() if lanes.is_cpu else 1
 
 
 def _slopes(values: Tensor, place: Tensor) -> list[Tensor]:
-    """The derivatives, (N, 3) each and detached, of values by each coordinate of the places that they were computed from.
+    """The derivatives, (N, 3) each and detached, of values by each coordinate of the points.
 
     Args:
         values: (N, 3).
@@ -207,7 +207,7 @@ def _slopes(values: Tensor, place: Tensor) -> list[Tensor]:
     """
     if not values.requires_grad:
         return [torch.zeros_like(values) for _ in range(place.shape[1])]
-    found = [torch.autograd.grad(values, place, channel.expand_as(values), retain_graph=True, allow_unused=True)[0]
-             for channel in torch.eye(values.shape[1]).to(values)]
-    of_channel = [torch.zeros_like(place) if slope is None else slope for slope in found]
+    slopes = [torch.autograd.grad(values, place, channel.expand_as(values), retain_graph=True, allow_unused=True)[0]
+              for channel in torch.eye(values.shape[1]).to(values)]
+    of_channel = [torch.zeros_like(place) if slope is None else slope for slope in slopes]
     return list(torch.stack(of_channel, 2).unbind(1))

@@ -1,4 +1,4 @@
-"""A module as a function of places, whose results are checked."""
+"""A module as a function of surface points, whose results are checked."""
 
 from __future__ import annotations
 
@@ -17,41 +17,41 @@ OUTSIDE = "; let it end with a function onto that range, such as nn.Sigmoid()"
 
 
 class Use(NamedTuple):
-    """What is made of a texture in a scene."""
+    """The use of a texture in a scene, for checks and messages."""
 
     name: str  # of the texture, in the scene
-    domains: tuple[Domain, ...]  # that its values must be in
+    domains: tuple[Domain, ...]  # domains of the attributes that it is used for
 
 
 @dataclass(frozen=True, eq=False)
 class ModuleFunction:
-    """The values of a module as a function of places."""
+    """A module as a checked function of surface points."""
 
     module: nn.Module
     use: Use
-    as_number: bool = False  # values are read as numbers: the luminance if there are three channels, as in Mitsuba
-    as_slope: bool = False  # their derivatives by the place are read instead
+    as_number: bool = False  # values become scalars: the luminance of three channels, as in Mitsuba
+    as_slope: bool = False  # values are replaced by their derivatives by the point
 
     def with_parameters(self, parameters: Sequence[Tensor]) -> ModuleFunction:
-        """The same of a copy of the module, which no other thread sees, with other parameters, in the module's order."""
+        """The function of a copy of the module with other parameters, in the module's order."""
         standing_in = dict(zip(map(id, self.module.parameters()), parameters))
         return replace(self, module=with_parameters(self.module, standing_in, {}))
 
-    def __call__(self, place: Tensor, known: bool = False) -> Tensor:
-        """(N, 3) values, attached; of slopes the derivatives of the first channel by the place, and zeros.
+    def __call__(self, place: Tensor, checked: bool = False) -> Tensor:
+        """(N, 3) values, attached; or the derivatives of the first channel by the point, padded with zeros.
 
         Args:
             place: (N, 2) or (N, 3).
-            known: its values at these places have been checked.
+            checked: its values at these places have been checked.
 
         Raises:
             TypeError: if the module returns no tensor, or one of another dtype or device.
             ValueError: if it returns a wrong shape, or a value is not finite or not in its domain.
         """
-        return self.slopes(place, known) if self.as_slope else self.values(place, known)
+        return self.slopes(place, checked) if self.as_slope else self.values(place, checked)
 
-    def slopes(self, place: Tensor, known: bool) -> Tensor:
-        """(N, 3) derivatives of the first channel by the place. Args as for a call.
+    def slopes(self, place: Tensor, checked: bool) -> Tensor:
+        """(N, 3) derivatives of the first channel by the point. Args as for a call.
 
         Raises:
             ValueError: if one is not finite, or the values do not depend on the place.
@@ -59,30 +59,30 @@ class ModuleFunction:
         recorded = torch.is_grad_enabled()
         with torch.enable_grad():
             step = torch.zeros_like(place).requires_grad_()  # not the place itself, which may be a dual tensor
-            height = self.values(place + step, known)[:, 0]
-            found = torch.autograd.grad(height.sum(), step, create_graph=recorded, allow_unused=True)[0] if (
+            height = self.values(place + step, checked)[:, 0]
+            slopes = torch.autograd.grad(height.sum(), step, create_graph=recorded, allow_unused=True)[0] if (
                 height.requires_grad) else None
-        if found is None:
+        if slopes is None:
             raise ValueError(f"the heights that the module of the texture {self.use.name!r} returns do not depend on what "
                              f"it gets, as far as autograd can tell, so that they have no slope: compute them from the "
                              f"place, without .detach() and torch.no_grad(), or leave the bumpmap out")
-        if not known and not bool(torch.isfinite(found).all()):
-            bad = int((~torch.isfinite(found)).sum())
+        if not checked and not bool(torch.isfinite(slopes).all()):
+            bad = int((~torch.isfinite(slopes)).sum())
             raise ValueError(f"the slopes of the texture {self.use.name!r}, derivatives of its module by the place, have "
-                             f"{bad} of {found.numel()} values that are NaN or infinite; {SMOOTH}")
-        return torch.cat([found, found.new_zeros(len(found), 3 - found.shape[1])], 1)
+                             f"{bad} of {slopes.numel()} values that are NaN or infinite; {SMOOTH}")
+        return torch.cat([slopes, slopes.new_zeros(len(slopes), 3 - slopes.shape[1])], 1)
 
-    def values(self, place: Tensor, known: bool) -> Tensor:
+    def values(self, place: Tensor, checked: bool) -> Tensor:
         """(N, 3) values of the module. Args as for a call."""
         values = self.run(place)
-        if not known:
+        if not checked:
             self.check(values, place)
         if self.as_number and values.shape[1] == 3:
             values = (values * values.new_tensor(LUMINANCE)).sum(1, keepdim=True)
         return values.expand(-1, 3)
 
     def run(self, place: Tensor):
-        """What the module returns. Args as for a call.
+        """Runs the module, and adds the texture's name to its errors. Args as for a call.
 
         Raises:
             RuntimeError: naming the texture, if the module raises anything but lack of memory.
@@ -97,7 +97,7 @@ class ModuleFunction:
                                f"of=\"position\": {type(error).__name__}: {error}") from error
 
     def check(self, values: Tensor, place: Tensor) -> None:
-        """Raises as a call does."""
+        """Raises ValueError or TypeError unless values are as a call returns them."""
         lanes, name = len(place), f"the texture {self.use.name!r}"
         if not isinstance(values, Tensor):
             raise TypeError(f"the module of {name} must return a tensor, got {type(values).__name__}")
@@ -114,18 +114,18 @@ class ModuleFunction:
             domain.warn(name, greatest)
 
 
-def with_parameters(module: nn.Module, parameters: dict[int, Tensor], known: dict[int, nn.Module]) -> nn.Module:
+def with_parameters(module: nn.Module, parameters: dict[int, Tensor], copies: dict[int, nn.Module]) -> nn.Module:
     """A shallow copy of a module with other parameters.
 
     Args:
         module: left as it is.
         parameters: by the ids of those that they replace.
-        known: copies so far, by the ids of their originals; filled in.
+        copies: so far, by the ids of their originals; filled in.
     """
-    if id(module) not in known:
-        copy = known[id(module)] = type(module).__new__(type(module))
+    if id(module) not in copies:
+        copy = copies[id(module)] = type(module).__new__(type(module))
         vars(copy).update(vars(module))
-        vars(copy)["_parameters"] = {name: parameters.get(id(own), own) for name, own in module._parameters.items()}
-        vars(copy)["_modules"] = {name: None if child is None else with_parameters(child, parameters, known)
+        vars(copy)["_parameters"] = {name: parameters.get(id(old), old) for name, old in module._parameters.items()}
+        vars(copy)["_modules"] = {name: None if child is None else with_parameters(child, parameters, copies)
                                   for name, child in module._modules.items()}
-    return known[id(module)]
+    return copies[id(module)]

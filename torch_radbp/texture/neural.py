@@ -20,7 +20,7 @@ PLACES = {"uv": 2, "position": 3}  # with the number of coordinates
 
 @dataclass(frozen=True)
 class ModuleReader(OutsideReader):
-    """Reads modules. Bank: `ModuleBank`.
+    """Evaluates modules that are used as textures. Bank: `ModuleBank`.
 
     Args:
         of: see `NeuralTexture`.
@@ -82,15 +82,15 @@ class NeuralTexture(Texture):
         self.use = Use("", ())
 
     def sources(self) -> tuple[Tensor, ...]:
-        """The parameters of the module."""
+        """All parameters of the module, from which the values are computed."""
         return tuple(self.module.parameters())
 
     def reader(self) -> ModuleReader:
-        """How lanes read it."""
+        """The object that evaluates the module for lanes."""
         return ModuleReader(self.of)
 
     def function(self) -> ModuleFunction:
-        """The values as a function of the place."""
+        """The module as a checked function of surface points."""
         return ModuleFunction(self.module, self.use)
 
 
@@ -98,7 +98,7 @@ Texture.of_module = NeuralTexture
 
 
 def check_parameters_of(module: nn.Module, of: str) -> None:
-    """Raises ValueError naming a parameter or a buffer of a module that holds no numbers."""
+    """Raises ValueError naming a parameter or buffer of a module that has no values (lazy, or on the device meta)."""
     for name, value in (*module.named_parameters(), *module.named_buffers()):
         if is_lazy(value):
             raise ValueError(f"module: its {name} has no shape before the module has run: call it once, on "

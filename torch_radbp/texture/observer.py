@@ -1,4 +1,4 @@
-"""Linear sRGB of spectra: what a standard observer sees.
+"""Spectra as linear sRGB, by the CIE standard observer.
 
 Spectra are sampled at `WAVELENGTHS`, in nanometres. Their colours are those of Mitsuba 3.9.1 in its RGB modes, so that a
 scene gives the same image in both. Light is taken as it is; what reflects or transmits is seen under daylight, D65. A
@@ -129,7 +129,7 @@ Role = Literal["emitted", "reflected", "index"]
 
 @cache
 def responses(lit: bool) -> np.ndarray:
-    """(1000, 3) linear sRGB of a unit of each of `WAVELENGTHS`.
+    """(1000, 3) the standard observer's linear sRGB of a unit of light at each of `WAVELENGTHS`.
 
     Args:
         lit: multiplied by D65, so that all of them together give white; else by 1.
@@ -141,7 +141,7 @@ def responses(lit: bool) -> np.ndarray:
 
 
 def at_wavelengths(nodes: Tensor, values: Tensor) -> Tensor:
-    """(1000,) the spectrum at `WAVELENGTHS`, linear between the nodes and zero beyond them; float64, attached to `values`.
+    """(1000,) a spectrum resampled to `WAVELENGTHS`, linear between nodes and zero beyond; float64, attached to `values`.
 
     Args:
         nodes: (N,) nanometres, increasing; detached.
@@ -156,7 +156,7 @@ def at_wavelengths(nodes: Tensor, values: Tensor) -> Tensor:
 
 
 def unclipped(spectrum: Tensor, role: Role) -> Tensor:
-    """(3,) linear sRGB, negative outside of the gamut.
+    """(3,) linear sRGB of a spectrum, negative outside of the gamut.
 
     Args:
         spectrum: (1000,) at `WAVELENGTHS`, float64; attached.
@@ -167,5 +167,5 @@ def unclipped(spectrum: Tensor, role: Role) -> Tensor:
 
 
 def linear_srgb(spectrum: Tensor, role: Role) -> Tensor:
-    """The same, clipped to what can be shown."""
+    """(3,) linear sRGB of a spectrum, clipped to the gamut. Args as for `unclipped`."""
     return unclipped(spectrum, role).clamp(0.0, 1.0 if role == "reflected" else None)

@@ -1,4 +1,4 @@
-"""Images at halved and halved resolution, and the reading of them at the level that fits what a lane sees of the surface.
+"""Mipmaps: images at halved resolutions, looked up at the level that fits the footprint of a sample.
 
 Each level is the mean of the one below over boxes, down to one texel, so that all levels have the same mean. A side of odd
 length 2 m + 1 becomes m texels, each of which covers 2 + 1 / m texels of the finer level: the weights of the three that it
@@ -31,15 +31,15 @@ TO_BINARY = 1.0 / math.log(2.0)
 
 
 class PyramidBank(NamedTuple):
-    """X images, each with its coarser levels after it."""
+    """X images, each followed by its coarser mipmap levels."""
 
-    levels: TextureBank  # the levels of all images as textures
-    first: Tensor  # (X,) int32, the finest level of each
-    count: Tensor  # (X,) int32, the levels of each
+    levels: TextureBank  # all levels of all images as textures
+    first: Tensor  # (X,) int32, index of the finest level of each
+    count: Tensor  # (X,) int32, number of levels of each
 
 
 class Blend(NamedTuple):
-    """The two levels that each lane reads, and the share of the coarser one."""
+    """The two mipmap levels that each lane reads, and the weight of the coarser one."""
 
     finer: Tensor  # (N,) int32, rows of `PyramidBank.levels`
     coarser: Tensor
@@ -47,7 +47,7 @@ class Blend(NamedTuple):
 
 
 def half_size(image: Tensor, axis: int) -> Tensor:
-    """An image of half as many texels along an axis, rounded down, each the mean of what it covers; attached."""
+    """Halves an image along an axis, rounded down, by averaging over the area that each texel covers; attached."""
     size = image.shape[axis]
     if size == 1:
         return image
@@ -63,7 +63,7 @@ def half_size(image: Tensor, axis: int) -> Tensor:
 
 
 def pyramid(image: Tensor) -> list[Tensor]:
-    """An image, (H, W, C), and its coarser levels, down to one texel; attached."""
+    """The mipmap levels of an image, (H, W, C), down to one texel; attached."""
     levels = [image]
     while max(levels[-1].shape[:2]) > 1:
         levels.append(half_size(half_size(levels[-1], 0), 1))
@@ -71,12 +71,12 @@ def pyramid(image: Tensor) -> list[Tensor]:
 
 
 def starts(counts: Sequence[int]) -> list[int]:
-    """The places at which runs of so many levels begin, one after the other."""
+    """The offsets of consecutive runs of the given lengths."""
     return [0, *itertools.accumulate(counts)][:-1]
 
 
 def levels_for(bank: PyramidBank, texture: Tensor, footprint: Tensor) -> Blend:
-    """The levels that fit.
+    """The mipmap levels that fit a footprint.
 
     Args:
         bank: attached or tapped.
@@ -94,8 +94,7 @@ def levels_for(bank: PyramidBank, texture: Tensor, footprint: Tensor) -> Blend:
 
 
 def sample_pyramid(bank: PyramidBank, texture: Tensor, uv: Vec2, footprint: Tensor | None) -> Vec3:
-    """Linear RGB of images at surface coordinates, attached. Args as for `levels_for`; without a footprint the finest level.
-    """
+    """Looks mipmapped images up, linear RGB, attached. Args as for `levels_for`; without a footprint at the finest level."""
     if footprint is None:
         return sample_texture(bank.levels, lookup(bank.first, texture), uv)
     at = levels_for(bank, texture, footprint)
@@ -104,7 +103,7 @@ def sample_pyramid(bank: PyramidBank, texture: Tensor, uv: Vec2, footprint: Tens
 
 
 def pyramid_slope(bank: PyramidBank, texture: Tensor, uv: Vec2, footprint: Tensor | None) -> Vec2:
-    """The derivatives of the first channel by u and by v at a fixed level; see `texture_slope` and `sample_pyramid`."""
+    """The derivatives of the first channel by u and by v at a fixed mipmap level; see `texture_slope`."""
     if footprint is None:
         return texture_slope(bank.levels, lookup(bank.first, texture), uv)
     at = levels_for(bank, texture, footprint)

@@ -1,4 +1,4 @@
-"""A constant that no colour management touches."""
+"""A constant without colour management."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch_radbp.texture.rgb import RGB
 
 @register("texture", "rawconstant")
 class RawConstant(RGB):
-    """One number or three, taken as they are everywhere.
+    """One number or three, used as they are everywhere.
 
     Parameters: `value`, () or (3,). Derivatives: with respect to it.
 

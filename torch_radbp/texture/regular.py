@@ -1,4 +1,4 @@
-"""A spectrum sampled at equal steps."""
+"""A spectrum given at equidistant wavelengths."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch_radbp.texture.spectrum import SampledSpectrum, Samples, numbers
 
 @register("texture", "regular")
 class Regular(SampledSpectrum):
-    """A spectrum of values at equal steps, linear between them, zero beyond them.
+    """A spectrum of values at equidistant wavelengths, linear between them, zero beyond them.
 
     Mitsuba 3.9 renders it in its spectral modes only. Here it has the colour that it has there, of a reflectance under
     daylight.

@@ -14,7 +14,7 @@ from torch_radbp.texture.spectrum import Samples, Spectrum, role_of
 
 @register("texture", "rgb")
 class RGB(Colour):
-    """The same linear RGB value everywhere.
+    """A constant linear RGB value.
 
     Parameters: `value`, (3,) or () for grey. Derivatives: with respect to `value`.
 
@@ -40,12 +40,12 @@ class RGB(Colour):
         return {"value": Domain(shapes=((), (3,)))}
 
     def colour(self) -> Tensor:
-        """The value itself."""
+        """The parameter `value`, attached."""
         return self.value
 
 
 def as_texture(owner: Plugin, name: str, value: Texture | nn.Module | Samples | Tensor | float) -> Texture:
-    """The texture for the attribute `name` of a plugin, from a texture, a module, a spectrum, one number or three.
+    """Makes the texture for the attribute `name` of a plugin, from a texture, a module, a spectrum, one number or three.
 
     Raises:
         TypeError: if the value is of another type, or a module where only tables can stand; or if the owner's `domains`

@@ -1,4 +1,4 @@
-"""The slope of a texture along the surface that it lies on: what a bump map takes instead of its values."""
+"""The slope of a texture along the surface, by which bump maps turn normals."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from torch_radbp.texture.reader import OutsideReader, Reader, TableReader, Textu
 
 
 def along_surface(rise: Vec2, edges: TriangleEdges) -> Vec3:
-    """The slope along the surface of what rises by so much along the edges; components as in `barycentric_gradients.py`."""
+    """The slope along the surface, from the rises along a triangle's edges; components as in `barycentric_gradients.py`."""
     of_second, of_third = edges.barycentric_gradients
     return of_second * rise.x + of_third * rise.y
 
 
 @dataclass(frozen=True)
 class SlopeReader(TableReader):
-    """Reads the slope of the first channel of what `reader` reads. Bank: that of `reader`."""
+    """Evaluates slopes along the surface of the textures that `reader` looks up. Bank: that of `reader`."""
 
     reader: TableReader
     needs_edges: ClassVar[bool] = True
@@ -53,7 +53,7 @@ class SlopeReader(TableReader):
 
 @dataclass(frozen=True)
 class ModuleSlopeReader(OutsideReader):
-    """Makes a slope along the surface of the derivative of a module by the place. Bank: `ModuleBank`."""
+    """Evaluates slopes of modules along the surface. Bank: `ModuleBank`."""
 
     reader: ModuleReader
     needs_edges: ClassVar[bool] = True
@@ -80,5 +80,5 @@ class ModuleSlopeReader(OutsideReader):
 
 
 def slope_reader(reader: Reader) -> Reader:
-    """The reader of the slopes of what another one reads."""
+    """The reader of slopes along the surface, for textures of another reader."""
     return ModuleSlopeReader(reader) if reader.outside else SlopeReader(reader)

@@ -1,4 +1,4 @@
-"""Spectra, which the tracer sees as the colours that they have."""
+"""Spectra, which the path tracer sees as colours."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Samples(NamedTuple):
     values: tuple[float, ...]
 
     def check(self) -> Samples:
-        """The samples themselves.
+        """Checks the samples and returns them.
 
         Raises:
             ValueError: if there are less than two, if a number is not finite, or if wavelengths do not increase.
@@ -50,7 +50,7 @@ class Samples(NamedTuple):
 
 
 def checked_colour(spectrum: Tensor, role: Role) -> Tensor:
-    """(3,) the colour of a spectrum at `WAVELENGTHS`, with a warning if it had to be clipped; detached."""
+    """(3,) the colour of a spectrum given at `WAVELENGTHS`, with a warning if it had to be clipped; detached."""
     spectrum = spectrum.detach()
     wanted, shown = unclipped(spectrum, role), linear_srgb(spectrum, role)
     if (wanted - shown).abs().max() > GAMUT * max(1.0, float(wanted.abs().max())):
@@ -60,23 +60,23 @@ def checked_colour(spectrum: Tensor, role: Role) -> Tensor:
 
 
 def role_of(owner: Plugin, domain: Domain) -> Role:
-    """What a spectrum says in the place of an attribute with this domain."""
+    """The role of a spectrum (light or reflectance) for an attribute with this domain."""
     if isinstance(owner, Emitter):
         return "emitted"
     return "reflected" if isinstance(owner, Texture) or domain.is_reflectance or domain.high == FRACTION.high else "index"
 
 
 class Spectrum(Colour):
-    """Base of the plugins that are a spectrum; a colour once it is known what has it."""
+    """Base class of spectra; they become colours once their role (light or reflectance) is known."""
 
     role: Role | None = None
 
     def spectrum(self) -> Tensor:
-        """(1000,) at `WAVELENGTHS`, float64, attached."""
+        """(1000,) the spectrum at `WAVELENGTHS`, float64, attached."""
         raise TypeError(f"{type(self).__name__} does not define its spectrum")
 
     def assign(self, role: Role) -> None:
-        """Says what the spectrum is of.
+        """Sets the role of the spectrum: of light, or of a reflectance.
 
         Raises:
             ValueError: if it was said before, and differently.
@@ -89,13 +89,13 @@ class Spectrum(Colour):
         self.role = role
 
     def colour(self) -> Tensor:
-        """(3,) linear sRGB, attached; before it is known what has it, as a reflectance."""
+        """(3,) linear sRGB, attached; that of a reflectance while no role is set."""
         colour = linear_srgb(self.spectrum(), self.role or "reflected")
         return colour.to(next(self.parameters()).dtype)
 
 
 class SampledSpectrum(Spectrum):
-    """Base of the spectra that are given by `values` at some wavelengths, linear between them and zero beyond them."""
+    """Base class of spectra given by `values` at some wavelengths, linear between them and zero beyond them."""
 
     value = None  # the same as a list of wavelengths and values: resolved into the others by constructors
 
@@ -107,12 +107,12 @@ class SampledSpectrum(Spectrum):
         raise TypeError(f"{type(self).__name__} does not define its wavelengths")
 
     def spectrum(self) -> Tensor:
-        """(1000,) at `WAVELENGTHS`, float64, attached."""
+        """(1000,) the spectrum at `WAVELENGTHS`, float64, attached."""
         return at_wavelengths(self.nodes(), self.values)
 
 
 def numbers(name: str, given: str | Tensor | Sequence[float]) -> Tensor:
-    """(N,) numbers in torch's default dtype: of a text in which commas or blanks separate them, or an array.
+    """(N,) numbers in torch's default dtype, from an array or a text that commas or blanks separate.
 
     Raises:
         ValueError: if one cannot be read, or the shape is another.

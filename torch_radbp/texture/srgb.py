@@ -1,4 +1,4 @@
-"""A constant colour by the name of Mitsuba's plugin for it."""
+"""A constant colour, Mitsuba's plugin `srgb`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torch_radbp.texture.rgb import RGB
 
 @register("texture", "srgb")
 class SRGB(RGB):
-    """The same linear RGB value everywhere, what <rgb> becomes in Mitsuba.
+    """A constant linear RGB value, which <rgb> becomes in Mitsuba.
 
     Parameters: `value`, () or (3,). Derivatives: with respect to it.
 

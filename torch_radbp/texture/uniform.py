@@ -1,4 +1,4 @@
-"""The same value at every wavelength."""
+"""A spectrum that is constant over wavelengths."""
 
 from __future__ import annotations
 

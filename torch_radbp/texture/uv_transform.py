@@ -14,7 +14,7 @@ from torch_radbp.tensors.vec import Vec2, Vec3
 
 
 def uv_matrix(to_uv: Tensor | None) -> Tensor:
-    """(4, 4) in torch's default dtype, of which the 2D affine part counts; the identity if it is not given."""
+    """(4, 4) the transform in torch's default dtype; only its 2D affine part counts. By default the identity."""
     matrix = torch.eye(4) if to_uv is None else finite("to_uv", to_uv, (4, 4))
     return matrix.to(torch.get_default_dtype())
 
@@ -25,20 +25,20 @@ def uv_rows(matrices: Sequence[Tensor | None], dtype: torch.dtype, device: torch
         one, zero = ones_and_zeros(len(matrices), dtype, device)
         # Tables that share memory are one table to what is compiled, and would be so in some scenes only.
         return Vec3(one.clone(), zero.clone(), zero.clone()), Vec3(zero.clone(), one.clone(), zero.clone())
-    same = torch.eye(4, dtype=dtype, device=device)
-    stacked = torch.stack([same if matrix is None else matrix.to(dtype=dtype, device=device) for matrix in matrices])
+    identity = torch.eye(4, dtype=dtype, device=device)
+    stacked = torch.stack([identity if matrix is None else matrix.to(dtype=dtype, device=device) for matrix in matrices])
     return tuple(Vec3(*(stacked[:, row, column].contiguous() for column in (0, 1, 3))) for row in (0, 1))
 
 
 @functools.lru_cache(maxsize=64)
 def ones_and_zeros(count: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    """So many of each."""
+    """`count` ones and as many zeros."""
     with torch.inference_mode(False):  # they are kept, for renderings that are differentiated
         return torch.ones(count, dtype=dtype, device=device), torch.zeros(count, dtype=dtype, device=device)
 
 
 def jump_lines(to_uv: Tensor, cells: tuple[int, int], inside: bool = False) -> tuple[JumpLines, ...]:
-    """The borders of the cells that a unit square of transformed coordinates is divided into, where there are several.
+    """The borders, as lines of discontinuity, of the cells into which the unit square of transformed uv is divided.
 
     Args:
         to_uv: (4, 4) the transform.
@@ -51,5 +51,5 @@ def jump_lines(to_uv: Tensor, cells: tuple[int, int], inside: bool = False) -> t
 
 
 def transformed(to_u: Vec3, to_v: Vec3, uv: Vec2) -> Vec2:
-    """The coordinates by which a texture is read, attached."""
+    """Transforms surface coordinates, attached."""
     return Vec2(*(row.x * uv.x + row.y * uv.y + row.z for row in (to_u, to_v)))

@@ -1,4 +1,4 @@
-"""What jumps that the camera sees by way of mirrors and glass add to derivatives of its image.
+"""Boundary terms of discontinuities that the camera sees by way of ideal mirrors and glass.
 
 After reflection and refraction into single directions, a point of the film sees something else, a ray of which the path is
 attached to the camera, to all mirrors and to all glass on its way. Where what it meets changes, at an edge, the radiance L
@@ -64,35 +64,35 @@ CROSSINGS = 1  # of a place
 
 
 class Reflected(NamedTuple):
-    """What is looked for by way of mirrors and glass."""
+    """What the boundary terms by way of mirrors and glass need."""
 
-    meshes: list[Outline]  # the edges of everything, in the frames of their vertices
+    meshes: list[Outline]  # edges of all meshes, in the frames of their vertices
     lines: LineTable | None  # of textures
-    surfaces: bool  # jumps of what is seen
-    shadows: bool  # and borders of shadows of light without extent
+    surfaces: bool  # discontinuities of reflected radiance are computed
+    shadows: bool  # and shadow borders of lights without extent
 
 
 def follows_mirrors(call: RenderCall) -> bool:
-    """True if the scene has mirrors or glass, by way of which images of cameras may show something."""
+    """True if the scene has ideal mirrors or glass, in which cameras may see something."""
     return (call.integrand.max_depth > 1 and any(look.kind.delta for look in call.scene.layout.appearances)
             and all(view.camera.kind.has_area for view in call.views))
 
 
 def reflections_move(call: RenderCall) -> bool:
-    """True if a vertex, a normal, an instance, a camera, or an index of ideal refraction has derivatives."""
+    """True if a vertex, a normal, an instance, a camera, or an index of ideal refraction is differentiated."""
     vertices = call.scene.triangles.vertices
     return call.scene.layout.bends_ideally or any_differentiated((
         vertices.p, vertices.n, call.scene.triangles.instances, [view.camera.lens for view in call.views]))
 
 
 def sharp_lights(call: RenderCall) -> bool:
-    """True if surfaces that are seen by way of others may have shadows with sharp borders."""
+    """True if surfaces seen in mirrors or glass may have sharp shadows."""
     return (call.integrand.settings.nee and call.integrand.max_depth > 2
             and any(kind.delta for kind in call.scene.layout.lights))
 
 
 def bytes_of_reflections(call: RenderCall) -> int:
-    """The most that scans, and the crossings that they find, may usually take of memory."""
+    """The usual greatest memory of scans and the crossings that they find."""
     paths = call.spp * max(view.width * view.height for view in call.views)
     corners = max((view.grid.columns + 1) * (view.grid.rows + 1) for view in call.views)
     places = max(FEWEST, min(MOST, paths // SHARE))
@@ -103,7 +103,7 @@ def bytes_of_reflections(call: RenderCall) -> int:
 
 
 def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
-    """(B, 3, H, W) zeros with the derivatives of jumps that are seen by way of ideal mirrors and glass.
+    """(B, 3, H, W) zeros with the derivatives of discontinuities seen by way of ideal mirrors and glass.
 
     Args:
         call: of which something moves.
@@ -123,16 +123,16 @@ def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
 
 
 class CurveCrossings(NamedTuple):
-    """K crossings of curves at which the image jumps; detached."""
+    """K points where scans of the film cross discontinuity curves; detached."""
 
     crossed: Crossings
     curves: Curves
-    follows: Follows  # how the levels of the curves follow the paths
-    strength: Tensor  # (3, K) float64, by how much more light an image has there for each change of the levels
+    follows: Follows  # how the curves' levels depend on the paths
+    strength: Tensor  # (3, K) float64, gain of light in the image per unit of the level
 
 
 def _jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, surfaces: bool) -> FilmJumps | None:
-    """What jumps in a view add to its derivative; None: it has none.
+    """The boundary term of one view by way of mirrors and glass; None: there is none.
 
     Args:
         call: attached.
@@ -149,7 +149,7 @@ def _jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, s
 
 
 def moved(call: RenderCall, searched: Searched, found: CurveCrossings) -> Tensor:
-    """(K,) float64 zeros, attached: how the levels of curves change at points of the film; args as of `_jumps_in_view`."""
+    """(K,) float64 zeros, attached: the change of curves' levels at fixed points; args as of `_jumps_in_view`."""
     crossed, curves, follows, _ = found
     view, lines, draw = call.views[searched.number], searched.surfaces.lines, draw_of(crossed)
     sample = camera_sample(call, view, crossed.low, crossed.aperture, crossed.key)
@@ -166,12 +166,12 @@ def moved(call: RenderCall, searched: Searched, found: CurveCrossings) -> Tensor
 
 
 def draw_of(crossed: Crossings) -> LightDraw | None:
-    """The light samples whose shadows are meant."""
+    """The light samples whose shadow borders were crossed."""
     return None if crossed.looks is None else crossed.looks.draw
 
 
 def jumping(searched: Searched, integrand: Integrand, surfaces: bool) -> CurveCrossings | None:
-    """Where a view sees jumps, and on what curves; None: nowhere. Args as for `_jumps_in_view`."""
+    """The discontinuity curves of a view, with the jumps across them; None: there are none. Args as for `_jumps_in_view`."""
     crossed = crossings_in_view(searched)
     if crossed is None:
         return None
@@ -193,7 +193,7 @@ def jumping(searched: Searched, integrand: Integrand, surfaces: bool) -> CurveCr
 
 
 def crossings_in_view(searched: Searched) -> Crossings | None:
-    """Where scans of a view cross curves; None: nowhere."""
+    """The crossings of curves by scans of a view; None: there are none."""
     scans = scans_of(searched)
     if scans is None:
         return None
@@ -209,7 +209,7 @@ def crossings_in_view(searched: Searched) -> Crossings | None:
 
 
 def jumps_at(searched: Searched, integrand: Integrand, crossed: Crossings) -> Tensor:
-    """(3, K) float64, by how much more a camera sees at the low points beside curves than at the high ones."""
+    """(3, K) float64 jump at crossed curves: radiance on the scan's low side less that on its high side."""
     call = searched.call
     film = joined([crossed.low, crossed.high])
     aperture, key = (joined([part] * 2) for part in (crossed.aperture, crossed.key))
@@ -220,7 +220,7 @@ def jumps_at(searched: Searched, integrand: Integrand, crossed: Crossings) -> Te
 
 
 def how_levels_follow(searched: Searched, integrand: Integrand, crossed: Crossings, curves: Curves) -> Follows:
-    """How the levels of curves change with the paths that see them."""
+    """The derivatives of the crossed curves' level functions by the camera paths that see them."""
     call, integrand = searched.call, follows_chains(integrand)
     sample = camera_sample(call, call.views[searched.number], crossed.low, crossed.aperture, crossed.key)
     chains = chains_of(integrand, started(call, sample), crossed.depth)
@@ -235,7 +235,7 @@ def how_levels_follow(searched: Searched, integrand: Integrand, crossed: Crossin
 
 
 def slope_on_film(searched: Searched, crossed: Crossings, adj_start: Ray) -> Vec2:
-    """How levels change with the point of the film, (K,) float64; `adj_start`: by the rays with which their paths begin."""
+    """The derivative of level functions by the point of the film, (K,) float64; `adj_start`: by the paths' first rays."""
     call = searched.call
     with torch.enable_grad():
         film = Vec2(*(part.clone().requires_grad_() for part in crossed.low))

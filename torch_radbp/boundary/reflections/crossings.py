@@ -1,5 +1,4 @@
-"""Points at which scans of the film cross curves at which the image jumps, by sections of steps between points that see
-different things."""
+"""Points at which scans of the film cross discontinuity curves, by bisection between points that see different things."""
 
 from __future__ import annotations
 
@@ -38,20 +37,20 @@ MOST_TURNS = 16
 class Crossings(NamedTuple):
     """K points of the film at which scans cross curves."""
 
-    low: Vec2  # the points on either side, right beside each other; pixels from the upper left corner of the window
+    low: Vec2  # neighbouring points on either side; pixels from the upper left corner of the window
     high: Vec2
     aperture: Vec2 | None
     key: LaneKey
     looks: LightLooks | None
-    times: Tensor  # (K,) float64, how many square pixels there are for each scan, over the probability to be followed
-    kind: Tensor  # (K,) int32, how the paths part there
-    depth: Tensor  # (K,) int64, after how many vertices
-    below: Reached  # what the path from the low point meets there; on a horizon, what it leaves
-    above: Reached  # and that from the high point
+    times: Tensor  # (K,) float64, square pixels per scan, divided by the probability of being followed
+    kind: Tensor  # (K,) int32, how the two paths differ
+    depth: Tensor  # (K,) int64, number of vertices before they do
+    below: Reached  # where the path from the low point goes there; on a horizon, what it leaves
+    above: Reached  # where that from the high point goes
 
 
 class ScanSteps(NamedTuple):
-    """N steps between points, and how the paths from there part."""
+    """N steps between points of scans, and the difference of the paths from both ends."""
 
     ends: Pairing
     times: Tensor  # (N,) float64, see `Crossings`
@@ -59,7 +58,7 @@ class ScanSteps(NamedTuple):
 
 
 def curve_crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | None:
-    """Where scans cross curves, one for each step of a scan at most; None: nowhere.
+    """Finds crossings of scans and curves, at most one for each step of a scan; None: there are none.
 
     Args:
         scans: of the view.
@@ -99,7 +98,7 @@ def curve_crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | N
 
 def divided_at_outlines(searched: Searched, points: FilmPoints, path: IdealPath, pairs: ScanSteps,
                         turn: int) -> tuple[FilmPoints, IdealPath, ScanSteps]:
-    """As `divided`, of those steps alone that cross a horizon, or an outline, or a rim, of what scatters ideally."""
+    """Divides only steps that cross a horizon, outline or rim of an ideally scattering surface; args as for `divided`."""
     (first, second), _, found = pairs
     begin = begins(path)
     outline = ((found.kind == SURFACE) | (found.kind == RIM)) & (found.depth == 0) & (begin[first] | begin[second])
@@ -112,7 +111,7 @@ def divided_at_outlines(searched: Searched, points: FilmPoints, path: IdealPath,
 
 
 def draws(searched: Searched, count: int, turn: int) -> Tensor:
-    """So many uniform numbers, float64, others in each turn."""
+    """Uniform random numbers for bisections, float64, different in each turn."""
     lane = torch.arange(count, dtype=torch.int32, device=searched.call.scene.device)
     key = salted(searched.call.views[searched.number], SALT + 2)
     return searched.call.stages(drawn_by_steps)(key, lane, torch.full_like(key.seed, SALT + turn))
@@ -120,7 +119,7 @@ def draws(searched: Searched, count: int, turn: int) -> Tensor:
 
 @stage()
 def drawn_by_steps(key: SampleKey, lane: Tensor, counter: Tensor) -> Tensor:
-    """Uniform numbers, (N,) float64.
+    """Uniform random numbers for bisections, (N,) float64.
 
     Args:
         key: of the view.
@@ -132,8 +131,7 @@ def drawn_by_steps(key: SampleKey, lane: Tensor, counter: Tensor) -> Tensor:
 
 def divided(searched: Searched, points: FilmPoints, path: IdealPath, pairs: ScanSteps,
             turn: int) -> tuple[FilmPoints, IdealPath, ScanSteps]:
-    """Parts of steps between whose ends something differs: where it does in several, one of them, by chance; and the points
-    with those between, with their paths."""
+    """Divides steps whose ends differ: of several differing parts one at random; returns new points and paths, too."""
     count, (first, second) = len(pairs.times), pairs.ends
     low, high = rows(points.film, first), rows(points.film, second)
     shares = [part / PARTS for part in range(1, PARTS)]

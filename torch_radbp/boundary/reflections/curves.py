@@ -1,4 +1,4 @@
-"""The curves that scans cross, as levels of what moves: an edge, a rim, a line along which surfaces cross.
+"""The curves that scans cross, as level functions: edges, rims, intersections of surfaces, shadow borders.
 
 The level is 0 on the curve. At a fixed point of the film it changes with what the path follows there, mirrors, glass and the
 camera, and with the surfaces that are seen.
@@ -33,26 +33,26 @@ ROUNDED = 2e-5  # the same as a share of the distance, for the rounding of what 
 
 
 class TriangleSide(NamedTuple):
-    """A side of a triangle each, (K,)."""
+    """One side of a triangle for each lane, (K,)."""
 
     prim: Tensor  # int32, the triangle
     instance: Tensor | None  # int32
-    corner: Tensor  # int64, that lies opposite
+    corner: Tensor  # int64, the opposite corner
 
 
 class Curves(NamedTuple):
-    """K curves."""
+    """K discontinuity curves that scans of the film have crossed."""
 
     kind: Tensor  # (K,) int64
-    edge: TriangleSide  # of an edge; of a shadow that which casts it; the triangle of a rim, a horizon, a line
-    other: Tensor  # (K,) int32, the triangle that crosses, or on which the shadow falls
+    edge: TriangleSide  # of an edge; of a shadow border the casting edge; or the triangle of a rim, horizon or texture line
+    other: Tensor  # (K,) int32, intersecting triangle, or receiver of the shadow
     shown_by: Tensor | None  # (K,) int32, its instance
-    line: Tensor  # (K,) int64, row of the table of lines
-    number: Tensor  # (K,) float64, of the line
+    line: Tensor  # (K,) int64, texture line: row of the table of lines
+    number: Tensor  # (K,) float64, integer of that line
 
 
 def curves_crossed(searched: Searched, crossed: Crossings) -> tuple[Curves, Tensor]:
-    """The curves, and (K,) bool which of them are known; of edges the nearest to the rays."""
+    """Identifies the curves at crossings, and (K,) bool which are known; of edges the nearest to the rays."""
     scene, lines = searched.call.scene, searched.surfaces.lines
     geometry, hit, beyond = geometry_of(scene), crossed.below.hit, crossed.above.hit
     rays = [_in_double(met.ray) for met in (crossed.below, crossed.above)]
@@ -85,8 +85,7 @@ def curves_crossed(searched: Searched, crossed: Crossings) -> tuple[Curves, Tens
 
 
 def nearest_side(geometry: Geometry, rays: list[Ray], hits: list[Hit]) -> tuple[TriangleSide, Tensor]:
-    """Of triangles that one of two rays right beside each other meets, the side that is nearest to them; and (K,) bool: it
-    may pass between them."""
+    """The side nearest to two neighbouring rays among those of a hit triangle; and (K,) bool: it may pass between them."""
     sides = []
     for hit in hits:
         own = _corners_of(geometry, hit.prim, hit.instance)
@@ -105,7 +104,7 @@ def nearest_side(geometry: Geometry, rays: list[Ray], hits: list[Hit]) -> tuple[
 
 
 def side_that_casts(searched: Searched, crossed: Crossings) -> tuple[TriangleSide, Tensor]:
-    """The edges that cast the shadows of whose borders some crossings are, and (K,) bool whether they are known."""
+    """The edges that cast shadows whose borders are crossed, and (K,) bool whether they are known."""
     scene, rays, hits = searched.call.scene, [], []
     for met in (crossed.below, crossed.above):
         ray, distance = to_light(scene, met.ray, met.hit, crossed.looks.draw)
@@ -116,22 +115,22 @@ def side_that_casts(searched: Searched, crossed: Crossings) -> tuple[TriangleSid
 
 
 def _in_double(ray: Ray) -> Ray:
-    """Rays in float64."""
+    """Converts rays to float64."""
     return Ray(*(part.map(torch.Tensor.double) for part in ray))
 
 
 def _corners_of(geometry: Geometry, prim: Tensor, instance: Tensor | None) -> Corners:
-    """The corners of triangles, (N,) int32, in the world, attached; float64. Of any where it is -1."""
+    """The corners of triangles, (N,) int32, in the world, attached; float64. Of any triangle for -1."""
     return positions(geometry, _between(geometry, prim), instance)
 
 
 def _between(geometry: Geometry, prim: Tensor) -> Between:
-    """The vertices of triangles."""
+    """The vertices of triangles, as rows of the vertex table."""
     return Between(*lookup(geometry.triangles.corners, prim.clamp_min(0)))
 
 
 def distance_to_side(ray: Ray, a: Vec3, b: Vec3) -> tuple[Tensor, Tensor]:
-    """How far the segments from a to b lie off rays, (N,), and how far along these."""
+    """The distance of segments from a to b from rays, (N,), and the distance along these."""
     w, e = a - ray.o, b - a
     w_along, e_along = dot(w, ray.d), dot(e, ray.d)
     w, e = w - ray.d * w_along, e - ray.d * e_along
@@ -142,13 +141,13 @@ def distance_to_side(ray: Ray, a: Vec3, b: Vec3) -> tuple[Tensor, Tensor]:
 
 
 def _inside(corners: Corners, ray: Ray) -> Tensor:
-    """(N,) bool: rays cross triangles."""
+    """(N,) bool: rays that cross their triangle inside of its edges."""
     u, v = crossed_at(corners, ray)
     return (u > 0) & (v > 0) & (u + v < 1)
 
 
 def level(scene: SceneTensors, lines: LineTable | None, curves: Curves, ray: Ray, draw: LightDraw | None) -> Tensor:
-    """(K,) float64, attached: 0 on the curves, but for what they lie off the points of the film.
+    """The level functions of curves, (K,) float64, attached: 0 on the curves.
 
     Args:
         scene: attached.
@@ -175,33 +174,33 @@ def level(scene: SceneTensors, lines: LineTable | None, curves: Curves, ray: Ray
 
 
 def _ends_of(geometry: Geometry, side: TriangleSide) -> tuple[Vec3, Vec3]:
-    """The ends of sides, attached."""
+    """The end points of sides, attached."""
     first, second, third = _corners_of(geometry, side.prim, side.instance)
     return (where(side.corner == 0, second, where(side.corner == 1, third, first)),
             where(side.corner == 0, third, where(side.corner == 1, first, second)))
 
 
 def beside_edge(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
-    """On which side rays pass edges."""
+    """The level function of edges: the signed distance at which rays pass them."""
     a, b = _ends_of(geometry, curves.edge)
     return dot(cross(b - a, ray.d), a - ray.o)
 
 
 def _facing(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
-    """How far shading normals are turned away."""
+    """The level function of rims: how far shading normals are turned away from the viewer."""
     corners = _corners_of(geometry, curves.edge.prim, curves.edge.instance)
     normals = vertex_normals(geometry, _between(geometry, curves.edge.prim), curves.edge.instance)
     return dot(interpolated(normals, *crossed_at(corners, ray)), ray.d)
 
 
 def _above(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
-    """How far rays that leave triangles do so on the side of these triangles' own normals."""
+    """The level function of horizons: how far scattered rays leave on the side of the geometric normal."""
     corners = _corners_of(geometry, curves.edge.prim, curves.edge.instance)
     return dot(cross(corners[1] - corners[0], corners[2] - corners[0]), ray.d)
 
 
 def nearer(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
-    """How much farther one of two triangles is than the other."""
+    """The level function of intersections: how much farther one of two triangles is than the other."""
     distances = []
     for prim, instance in ((curves.edge.prim, curves.edge.instance), (curves.other, curves.shown_by)):
         corners = _corners_of(geometry, prim, instance)
@@ -212,13 +211,13 @@ def nearer(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
 
 
 def across_line(scene: SceneTensors, geometry: Geometry, lines: LineTable, curves: Curves, ray: Ray) -> Tensor:
-    """How far beyond a line of a texture rays meet triangles."""
+    """The level function of texture lines: how far beyond a line rays hit triangles."""
     u, v = crossed_at(_corners_of(geometry, curves.edge.prim, curves.edge.instance), ray)
     return level_of_line(scene, lines, curves.edge.prim, curves.line, u, v) - curves.number
 
 
 def across_shadow(scene: SceneTensors, geometry: Geometry, curves: Curves, ray: Ray, draw: LightDraw) -> Tensor:
-    """On which side light passes edges on its way to what rays meet."""
+    """The level function of shadow borders: the signed distance at which light passes edges."""
     corners = _corners_of(geometry, curves.other, curves.shown_by)
     start, d, _ = light_line(scene, interpolated(corners, *crossed_at(corners, ray)), draw)
     a, b = _ends_of(geometry, curves.edge)

@@ -1,4 +1,4 @@
-"""Where two camera paths from nearby points of the film part: between these the image may jump."""
+"""The first difference of two camera paths from neighbouring points of the film, between which the image may jump."""
 
 from __future__ import annotations
 
@@ -36,23 +36,23 @@ SMOOTH = 0.2  # BEND times that angle below which points of one smooth surface a
 
 
 class Difference(NamedTuple):
-    """How the paths of N pairs part."""
+    """The first difference between the two camera paths of N pairs."""
 
     kind: Tensor  # (N,) int32
-    depth: Tensor  # (N,) int32, after how many ideal vertices; of a horizon that of the surface counts
-    likelihood: Tensor  # (N,) float64, of a jump between the two; 0 if the paths are alike
-    alike: Tensor  # (N,) bool: they have not parted so far, and go on
+    depth: Tensor  # (N,) int32, number of ideal vertices before; of a horizon its surface counts
+    likelihood: Tensor  # (N,) float64, of a discontinuity between the two; 0 if the paths are alike
+    alike: Tensor  # (N,) bool: no difference so far, and both go on
 
 
 class Pairing(NamedTuple):
-    """Pairs of paths, N."""
+    """N pairs of camera paths, by index."""
 
     first: Tensor  # (N,) int64, rows of paths
     second: Tensor
 
 
 def path_difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairing) -> Difference:
-    """How the paths of pairs part: by the first vertex at which they do.
+    """The first vertex at which the paths of pairs differ, and how.
 
     Args:
         stages: of the call.
@@ -61,8 +61,7 @@ def path_difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: 
         pairs: of them.
     """
     depths = tuple([number_of(depth, pairs.first.device) for depth in range(len(path))])
-    if (not isinstance(surfaces, PreparedArgument) or not len(pairs.first) or pairs.first.device.type != "cpu"
-            or inside_dual_level()):
+    if not isinstance(surfaces, PreparedArgument) or not len(pairs.first) or inside_dual_level():
         return depth_by_depth(stages, surfaces, path, pairs, depths)
     with board() as helpers:
         kind = stages, surfaces.form.structure, *structure_of((path, depths))
@@ -74,7 +73,7 @@ def path_difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: 
 
 def depth_by_depth(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairing,
                    depths: tuple[Tensor, ...]) -> Difference:
-    """As `path_difference`; `depths`: the numbers of the vertices."""
+    """`path_difference` vertex by vertex; `depths`: the numbers of the vertices as tensors."""
     found, whole = stages(unparted)(pairs), None
     for depth, vertices in zip(depths, path):
         found = stages(parted)(surfaces, vertices, pairs, found, depth)
@@ -87,7 +86,7 @@ def depth_by_depth(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: P
 
 @stage()
 def unparted(pairs: Pairing) -> Difference:
-    """Paths of which nothing is known."""
+    """The differences of pairs of paths before any vertex was compared: none so far."""
     nothing = torch.zeros_like(pairs.first, dtype=torch.int32)
     return Difference(nothing, nothing, torch.zeros_like(nothing, dtype=torch.float64),
                       torch.ones_like(nothing, dtype=torch.bool))
@@ -95,7 +94,7 @@ def unparted(pairs: Pairing) -> Difference:
 
 @stage("surfaces", "vertices")
 def parted(surfaces: Surfaces, vertices: Vertices, pairs: Pairing, so_far: Difference, number: Tensor) -> Difference:
-    """How paths part that have come so far.
+    """Compares pairs of paths at one more vertex.
 
     Args:
         surfaces: of the scene.
@@ -132,7 +131,7 @@ def parted(surfaces: Surfaces, vertices: Vertices, pairs: Pairing, so_far: Diffe
 
 
 def _meet_same_surface(surfaces: Surfaces, one: Reached, other: Reached) -> Tensor:
-    """(N,) bool: two rays meet the same triangle, neighbours on a smooth surface, or both nothing."""
+    """(N,) bool: two rays hit the same triangle, neighbours on a smooth surface, or both nothing."""
     same, there = one.hit.prim == other.hit.prim, one.hit.prim.clamp_min(0)
     near = torch.zeros_like(same)
     for side in range(3):
@@ -142,14 +141,13 @@ def _meet_same_surface(surfaces: Surfaces, one: Reached, other: Reached) -> Tens
 
 
 def part_of_one(surfaces: Surfaces, one: Reached, other: Reached) -> Tensor:
-    """(N,) bool: two rays meet one smooth surface, if they meet the same instance."""
+    """(N,) bool: two rays hit the same smooth surface, if they hit the same instance."""
     parts = [lookup(surfaces.smooth.part, met.hit.prim.clamp_min(0)) for met in (one, other)]
     return parts[0] == parts[1]
 
 
 def how_bent(surfaces: Surfaces, one: Reached, other: Reached) -> tuple[Tensor, Tensor]:
-    """Where nearby rays surely meet different surfaces, (N,) bool; and by how much the way from one point to the other is
-    not along the triangles, (N,) float64, BEND times a sine."""
+    """(N,) bool: neighbouring rays surely hit different surfaces; (N,) float64: BEND times the sine of the bend between."""
     way = point_met(other) - point_met(one)
     length = torch.sqrt(dot(way, way)).clamp_min(TINY)
     bend = torch.zeros_like(length)
@@ -164,6 +162,6 @@ def how_bent(surfaces: Surfaces, one: Reached, other: Reached) -> tuple[Tensor, 
 
 
 def point_met(met: Reached) -> Vec3:
-    """Where rays meet surfaces, (N,) world, float64."""
+    """The points at which rays hit surfaces, (N,) world, float64."""
     o, d = (part.map(torch.Tensor.double) for part in met.ray)
     return o + d * met.hit.t.double()

@@ -1,4 +1,4 @@
-"""Camera paths as far as they are scattered ideally: reflected by mirrors, refracted by glass, into single directions."""
+"""Camera paths through ideal mirrors and glass, up to the first vertex that scatters otherwise."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ NO_ROULETTE = 1 << 30
 
 
 class Vertices(NamedTuple):
-    """The vertices of N paths after as many ideal ones each."""
+    """The vertices of N paths after the same number of ideal ones."""
 
-    place: Tensor  # (N,) int32, which of the M that come so far each path is; -1: it ends before
+    place: Tensor  # (N,) int32, index of the path among the M that come so far; -1: it ends before
     met: Reached
 
 
 class LightLooks(NamedTuple):
-    """Light samples, N, from which shadows are looked for."""
+    """N light samples for which shadow borders are searched."""
 
     draw: LightDraw
-    sharp: Tensor  # (N,) bool: of light without extent; others are left out
+    sharp: Tensor  # (N,) bool: of a light without extent; others are left out
 
 
 IdealPath = tuple[Vertices, ...]  # vertex by vertex, from what the camera sees on
 
 
 def only_ideal(integrand: Integrand) -> Integrand:
-    """The integrand by which ideal vertices are followed: light is not looked for, and no path is ended by chance."""
+    """The integrand that follows ideal vertices: without light sampling and Russian roulette."""
     return integrand._replace(settings=integrand.settings._replace(nee=False), rr_depth=NO_ROULETTE,
                               max_depth=min(integrand.max_depth, MOST_VERTICES))
 
 
 def ideal_path(integrand: Integrand, start: PathState, surfaces: Surfaces) -> IdealPath:
-    """Follows paths until they meet something that does not scatter ideally, or nothing; at most to their last vertex.
+    """Follows paths until they hit something that does not scatter ideally, or nothing; at most to the last bounce.
 
     Args:
         integrand: from `only_ideal`, of a detached scene.
@@ -71,7 +71,7 @@ def ideal_path(integrand: Integrand, start: PathState, surfaces: Surfaces) -> Id
 
 
 def some_paths(path: IdealPath, chosen: Tensor) -> IdealPath:
-    """Some paths, (M,) int64 which, in this order; as many vertices as the longest of them has."""
+    """Selects paths, (M,) int64, in this order; trimmed to the longest of them."""
     found = []
     for place, met in path:
         own = place[chosen]
@@ -84,7 +84,7 @@ def some_paths(path: IdealPath, chosen: Tensor) -> IdealPath:
 
 
 def extended(path: IdealPath, more: IdealPath) -> IdealPath:
-    """Some paths and then others."""
+    """Concatenates two sets of paths."""
     count, others = len(path[0].place), len(more[0].place)
     found = []
     for number in range(max(len(path), len(more))):
@@ -104,7 +104,7 @@ def begins(path: IdealPath) -> Tensor:
 
 
 def along(path: IdealPath, chosen: Tensor, depth: Tensor) -> Reached:
-    """What some of the paths, (K,), meet after so many vertices each, (K,) int64, which they do."""
+    """The hits of selected paths, (K,), after given numbers of vertices, (K,) int64."""
     parts, order = [], []
     for number, (place, met) in enumerate(path):
         own = (depth == number).nonzero().squeeze(1)
@@ -116,7 +116,7 @@ def along(path: IdealPath, chosen: Tensor, depth: Tensor) -> Reached:
 
 
 def with_light(integrand: Integrand, path: IdealPath, looks: LightLooks) -> IdealPath:
-    """The paths, with `LIT` where they end after at least one ideal vertex."""
+    """The paths with `LIT` set where they end, after an ideal vertex, at a point with a free shadow ray."""
     found = list(path)
     for number, (place, met) in enumerate(path[1:integrand.max_depth - 1], 1):
         lane = (place >= 0).nonzero().squeeze(1)  # in the order of `met`
@@ -130,7 +130,7 @@ def with_light(integrand: Integrand, path: IdealPath, looks: LightLooks) -> Idea
 
 
 def to_light(scene: SceneTensors, ray: Ray, hit: Hit, draw: LightDraw) -> tuple[Ray, Tensor]:
-    """The rays from what rays meet towards light samples, and how far, (N,); detached."""
+    """The shadow rays from hits towards light samples, and their lengths, (N,); detached."""
     si = surface_interaction(scene, ray, hit)
     _, d, _ = light_line(scene, si.p.map(torch.Tensor.double), draw)
     # It aims from where it starts, off the surface, as shadow rays do: else the two would not agree beside a border.

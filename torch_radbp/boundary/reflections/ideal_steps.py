@@ -1,4 +1,4 @@
-"""The loop over ideal vertices: all paths take one step together, and those go on that are scattered into one direction.
+"""The loop over ideal vertices: all paths take one step together; those go on that scatter into one direction.
 
 What is done with lanes on a step is recorded once for scenes of one kind, and then done again, as bounces are; see
 `path/taped_bounces.py`.
@@ -40,11 +40,11 @@ FRONT, ONWARDS, THROUGH, OUTSIDE, LIT = (1 << bit for bit in range(5))
 
 
 class Reached(NamedTuple):
-    """What paths meet after as many ideal vertices each, (M,); detached."""
+    """Hits of paths after the same number of ideal vertices, (M,); detached."""
 
     ray: Ray
     hit: Hit
-    what: Tensor  # (M,) int32, FRONT + ...
+    what: Tensor  # (M,) int32, FRONT + ...: kind of surface and side
     cells: tuple[Tensor, ...]  # (M,) each, from `cells_met`
 
 
@@ -52,11 +52,11 @@ class Ideal(NamedTuple):
     """The appearances of a scene that scatter ideally."""
 
     numbers: tuple[int, ...]
-    queue_of: Tensor  # (A + 1,) int32: of each appearance its place among them, of others and of none their number
+    queue_of: Tensor  # (A + 1,) int32: for each appearance its index among these; others have their number
 
 
 def ideal_of(integrand: Integrand) -> Ideal:
-    """The appearances that scatter ideally."""
+    """Finds the appearances that scatter ideally."""
     appearances = integrand.proposal.layout.appearances
     numbers = tuple(number for number, appearance in enumerate(appearances) if appearance.kind.delta)
     places = [numbers.index(number) if number in numbers else len(numbers) for number in range(len(appearances) + 1)]
@@ -68,7 +68,7 @@ IdealStep = Callable[[Onward, int], tuple[Tensor, Reached, Onward | None]]
 
 def ideal_step(integrand: Integrand, surfaces: Surfaces, ideal: Ideal, onward: Onward,
                depth: int) -> tuple[Tensor, Reached, Onward | None]:
-    """One step of every path.
+    """Traces one vertex of every path: hits, and the paths that an ideal mirror or glass scatters on.
 
     Args:
         integrand: from `only_ideal`, of a detached scene.
@@ -94,7 +94,7 @@ def ideal_step(integrand: Integrand, surfaces: Surfaces, ideal: Ideal, onward: O
 
 def ideally_scattered(integrand: Integrand, ideal: Ideal, state: PathState, hit: Hit,
                       depth: int) -> tuple[Tensor, Vertex | None]:
-    """The lanes that may be scattered ideally, (M,) int32, and their vertices; None if there are none."""
+    """The lanes that hit ideal surfaces, (M,) int32, and their vertices; None if there are none."""
     number, front = appearances_met(integrand, state.ray, hit)
     order, counts = partition(integrand.stages(rows)(ideal.queue_of, number), len(ideal.numbers) + 1)
     queues, first = [], 0
@@ -112,19 +112,19 @@ def ideally_scattered(integrand: Integrand, ideal: Ideal, state: PathState, hit:
 
 @stage()
 def no_direction(d: Vec3) -> Vec3:
-    """(N,) zeros, to write directions into."""
+    """(N,) zero vectors, to write directions into."""
     return d * 0.0
 
 
 @stage()
 def scattered_ideally(pdf: Tensor, survives: Tensor, beta: Vec3) -> Tensor:
-    """(N,) bool: paths go on from vertices, in directions of such densities that are not left to chance."""
+    """(N,) bool: paths that go on in a direction that is not random."""
     return torch.isinf(pdf) & survives & (max_component(beta) > 0)
 
 
 @stage("surfaces")
 def ideal_vertex(surfaces: Surfaces, ray: Ray, hit: Hit, onwards: Vec3) -> Reached:
-    """What is known of vertices that rays meet, (N,); `onwards`: the directions in which paths go on ideally; 0: in none."""
+    """The record of hits, (N,); `onwards`: ideal directions in which paths go on; 0: in none."""
     n = triangle_normal(surfaces, hit)
     shading = shading_normal(surfaces, hit, n)
     cosine, met = dot(shading, ray.d), hit.prim >= 0
@@ -138,7 +138,7 @@ def ideal_vertex(surfaces: Surfaces, ray: Ray, hit: Hit, onwards: Vec3) -> Reach
 
 def steps_played(integrand: Integrand, surfaces: PreparedArgument, ideal: Ideal, tape: Tape, onward: Onward,
                  depth: int) -> tuple[Tensor, Reached, Onward | None]:
-    """As `ideal_step`, by machine code where that is possible."""
+    """Takes one step by machine code, or by `ideal_step` where that is not possible."""
     def step(onward: Onward, at: Position) -> Played:
         return Played(ideal_step(integrand, surfaces, ideal, onward, depth))
 
@@ -146,14 +146,13 @@ def steps_played(integrand: Integrand, surfaces: PreparedArgument, ideal: Ideal,
         (onward, _, at) = blank_lanes((arguments[0], None, arguments[1]), reserve)
         return onward, at
 
-    key = integrand.settings_at(depth), integrand.is_last(depth), depth == 0
-    played = tape.play(key, step, (onward, integrand.at(depth)), onward.count, blank)
+    played = tape.play(integrand.kind_at(depth), step, (onward, integrand.at(depth)), onward.count, blank)
     return ideal_step(integrand, surfaces, ideal, onward, depth) if played is None else played.results
 
 
 @contextmanager
 def steps_taken(integrand: Integrand, surfaces: Surfaces | PreparedArgument, start: PathState) -> Iterator[IdealStep]:
-    """What takes one step after the other: `ideal_step`, or machine code that does the same. Args as for `ideal_path`."""
+    """A function that takes one step after the other, by machine code or `ideal_step`. Args as for `ideal_path`."""
     ideal = ideal_of(integrand)
     if not recordable(integrand):
         yield partial(ideal_step, integrand, surfaces, ideal)

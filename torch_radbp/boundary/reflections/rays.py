@@ -1,4 +1,4 @@
-"""The rays that leave chains of ideal vertices, and how they follow what the chains are attached to."""
+"""The rays that leave chains of ideal vertices, with their derivatives."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from torch_radbp.tensors.vec import Ray, Vec3, rows
 class Chains(NamedTuple):
     """K chains of ideal vertices; detached."""
 
-    states: dict[int, PathState]  # by the number of a vertex, of the paths that go on there
+    states: dict[int, PathState]  # by index of the vertex, of paths that go on there
     steps: dict[int, Step]
-    depth: Tensor  # (K,) int64, how many vertices each has
-    ray: Ray  # that leaves the last of them
+    depth: Tensor  # (K,) int64, number of vertices
+    ray: Ray  # leaves the last vertex
 
 
 def follows_chains(integrand: Integrand) -> Integrand:
-    """The integrand by which chains follow what they are attached to."""
+    """The integrand with which chains of ideal vertices are differentiated."""
     integrand = only_ideal(integrand)
     # Whether all directions are followed or not.
     return integrand._replace(settings=integrand.settings._replace(moving=True, sampling="hybrid"))
 
 
 def chains_of(integrand: Integrand, start: PathState, depth: Tensor) -> Chains:
-    """The chains of so many vertices that paths begin with.
+    """Traces chains of given numbers of vertices.
 
     Args:
         integrand: from `follows_chains`, of a detached scene.
@@ -64,7 +64,7 @@ def chains_of(integrand: Integrand, start: PathState, depth: Tensor) -> Chains:
 
 def adjoint_of_start(integrand: Integrand, chains: Chains, adj_ray: Ray, wanted: tuple[bool, ...],
                      gradients: Gradients) -> Ray:
-    """The adjoints of the rays with which chains begin.
+    """The adjoints of the first rays of chains; adds to the scene's gradients.
 
     Args:
         integrand: that the chains are of.
@@ -84,16 +84,16 @@ def adjoint_of_start(integrand: Integrand, chains: Chains, adj_ray: Ray, wanted:
 
 
 class Follows(NamedTuple):
-    """How numbers, K, follow chains."""
+    """The derivatives of K numbers through chains of ideal vertices."""
 
     integrand: Integrand
     chains: Chains
-    adj_ray: Ray  # of the rays that leave these
-    adj_start: Ray  # and of those with which they begin
+    adj_ray: Ray  # by the rays that leave the chains
+    adj_start: Ray  # by the first rays of the chains
 
 
 class FollowFunction(torch.autograd.Function):
-    """Zeros that follow chains, as a function of the rays with which these begin and of what they meet."""
+    """Zeros with derivatives through chains, as a function of first rays and scene."""
 
     @staticmethod
     def forward(ctx, follows: Follows, wanted: tuple[bool, ...], *leaves: Tensor) -> Tensor:
@@ -118,7 +118,7 @@ class FollowFunction(torch.autograd.Function):
 
 
 def following(follows: Follows, start: Ray, scene: SceneTensors) -> Tensor:
-    """(K,) float64 zeros that follow chains.
+    """(K,) float64 zeros with derivatives through chains of mirrors and glass.
 
     Args:
         follows: how.

@@ -1,4 +1,4 @@
-"""Where the film is searched: short lines across pixels, most of them where neighbouring points see different things.
+"""Scans: short lines across pixels on which discontinuities are searched, mostly where corners see different things.
 
 First a path is followed from every corner of the pixels. A pixel is then scanned in proportion to how likely its corners see
 different things by way of mirrors and glass, and a little more, for what is smaller.
@@ -35,39 +35,39 @@ ACROSS, DOWN = 0, 1  # the random numbers of a place
 
 
 class FilmPoints(NamedTuple):
-    """N points of the film, and the random numbers of the paths that begin there."""
+    """N points of the film, with the random numbers of their paths."""
 
     film: Vec2  # pixels from the upper left corner of the window; float64
     aperture: Vec2 | None  # on the lens
     key: LaneKey
-    looks: LightLooks | None  # at light whose shadows are looked for; None: at none
+    looks: LightLooks | None  # light samples whose shadow borders are searched; None: none are
 
 
 class Searched(NamedTuple):
-    """What is searched, without derivatives."""
+    """A view that is searched for discontinuities, without derivatives."""
 
     call: RenderCall
     number: int  # of the view
     integrand: Integrand  # from `only_ideal`
     surfaces: Surfaces
     tables: Any  # the same, prepared for the stages
-    shadows: bool  # borders of shadows of light without extent are looked for
+    shadows: bool  # shadow borders of lights without extent are searched
 
 
 class Scans(NamedTuple):
-    """M places, each the middle of a horizontal and of a vertical scan across its pixel."""
+    """M centres, each of a horizontal and a vertical scan across its pixel."""
 
-    column: Tensor  # (M,) float64, left edge of the pixel, from the left edge of the window
-    row: Tensor  # (M,) float64, likewise
-    at: Vec2  # where in the pixel the scans run
-    times: Tensor  # (M,) float64, how many square pixels there are for each
+    column: Tensor  # (M,) float64, left edge of the pixel, from the window's left edge
+    row: Tensor  # (M,) float64, upper edge, likewise
+    at: Vec2  # position of the scans in the pixel
+    times: Tensor  # (M,) float64, square pixels per scan
     aperture: Vec2 | None
     key: LaneKey
     looks: LightLooks | None
 
 
 def paths_from(searched: Searched, points: FilmPoints) -> IdealPath:
-    """The ideal paths from points of the film."""
+    """Traces ideal paths from points of the film."""
     call = searched.call
     sample = camera_sample(call, call.views[searched.number], points.film, points.aperture, points.key)
     path = ideal_path(searched.integrand, started(call, sample), searched.tables)
@@ -75,12 +75,12 @@ def paths_from(searched: Searched, points: FilmPoints) -> IdealPath:
 
 
 def parting(searched: Searched, path: IdealPath, pairs: Pairing) -> Difference:
-    """How the paths of pairs part."""
+    """Compares the camera paths of pairs: how they differ first."""
     return path_difference(searched.call.stages, searched.tables, path, pairs)
 
 
 def looks_of(searched: Searched, count: int) -> LightLooks | None:
-    """So many light samples whose shadows are looked for; None: none are."""
+    """Light samples whose shadow borders are searched; None: none are."""
     if not searched.shadows:
         return None
     scene = searched.call.scene
@@ -89,7 +89,7 @@ def looks_of(searched: Searched, count: int) -> LightLooks | None:
 
 
 def scans_of(searched: Searched) -> Scans | None:
-    """Where a view is scanned; None: it sees neither mirrors nor glass."""
+    """The scans of a view; None: it sees neither mirrors nor glass."""
     call = searched.call
     view = call.views[searched.number]
     columns, weight = view.grid.columns, pixel_weights(searched)
@@ -110,7 +110,7 @@ def scans_of(searched: Searched) -> Scans | None:
 
 
 def pixel_weights(searched: Searched) -> Tensor:
-    """How often pixels are scanned, (P,) float64, row by row; 0 where no mirror or glass is in view."""
+    """The expected number of scans per pixel, (P,) float64, row by row; 0 where no mirror or glass is in view."""
     call, most, shows = searched.call, None, None
     turns = max(1, min(PASSES, call.spp // SAMPLES_OF_PASS))
     looks = looks_of(searched, turns)
@@ -126,8 +126,7 @@ def pixel_weights(searched: Searched) -> Tensor:
 
 
 def corner_pass(searched: Searched, turn: int, looks: LightLooks | None) -> tuple[Tensor, Tensor]:
-    """One path from each corner of the pixels: how likely a jump in each pixel is, (R, C) float64; and the corners from
-    which ideal surfaces are seen, (R + 1, C + 1) bool. All go the same way at each vertex, and look at the same light."""
+    """One path per pixel corner: (R, C) float64 likelihood of a jump in each pixel, (R + 1, C + 1) bool: ideal surfaces."""
     call = searched.call
     view = call.views[searched.number]
     width, height = view.grid.columns + 1, view.grid.rows + 1
@@ -155,7 +154,7 @@ def corner_pass(searched: Searched, turn: int, looks: LightLooks | None) -> tupl
 
 
 def points_of(scans: Scans) -> FilmPoints:
-    """The points of scans: all of the horizontal scans from left to right, M each, then those of the vertical ones."""
+    """The points of scans: all horizontal scans from left to right, M each, then the vertical ones."""
     shares = [step / STEPS for step in range(STEPS + 1)]
     x = [scans.column + share for share in shares] + [scans.column + scans.at.x] * len(shares)
     y = [scans.row + scans.at.y] * len(shares) + [scans.row + share for share in shares]
@@ -165,6 +164,6 @@ def points_of(scans: Scans) -> FilmPoints:
 
 
 def neighbours(count: int, device: torch.device) -> Pairing:
-    """The numbers of the points at either end of all steps of so many scans, (2 STEPS M,) int64 each."""
+    """The indices of both end points of all steps of `count` scans, (2 STEPS M,) int64 each."""
     first = torch.arange(2 * (STEPS + 1) * count, device=device).view(2, STEPS + 1, count)
     return Pairing(first[:, :-1].flatten(), first[:, 1:].flatten())

@@ -1,4 +1,4 @@
-"""What is known of surfaces before paths meet them: where they go on smoothly, and where their textures jump."""
+"""Tables of surfaces for searches: which triangles continue smoothly, and where textures are discontinuous."""
 
 from __future__ import annotations
 
@@ -26,40 +26,40 @@ from torch_radbp.tensors.vec import Vec3, interpolated
 
 
 class LineTable(NamedTuple):
-    """The lines of textures, as of `JumpLines`; (K S,) float64 each, of K shapes the first of each, then the second, ..."""
+    """Texture lines, as of `JumpLines`; (K S,) float64 each, for K shapes first one line each, then the second, ..."""
 
     x: Tensor
     y: Tensor
     z: Tensor
     first: Tensor
     last: Tensor
-    shape: Tensor  # (T,) int64 of each triangle, among the K
+    shape: Tensor  # (T,) int64, index of each triangle's shape among the K
     count: int  # K
     most: int  # S
 
     def row(self, prim: Tensor, slot: Tensor | int) -> Tensor:
-        """Which lines triangles have, (N,) int64."""
+        """The rows of the table with the discontinuity lines of triangles' textures, (N,) int64."""
         return slot * self.count + self.shape.index_select(0, prim.clamp_min(0))
 
 
 class SmoothParts(NamedTuple):
-    """How the T triangles of a scene hang together."""
+    """The smooth surfaces to which the T triangles of a scene belong."""
 
-    continues: Tensor  # (3 T,) int32, for each side, opposite a corner, on which triangle the surface goes on without a jump
-    part: Tensor  # (T,) int32, equal of triangles of one smooth surface
+    continues: Tensor  # (3 T,) int32, for each side, by opposite corner, the next triangle if the surface is smooth
+    part: Tensor  # (T,) int32, equal for triangles of one smooth surface
 
 
 class Surfaces(NamedTuple):
-    """The surfaces of a scene, in place of `SceneTensors`; detached. Functions of lanes read them."""
+    """The surfaces of a scene, in place of `SceneTensors`, as functions of lanes read them; detached."""
 
     triangles: TriangleTable
     layout: NormalsOnly
     smooth: SmoothParts
-    lines: LineTable | None  # None: no texture jumps
+    lines: LineTable | None  # None: no texture is discontinuous
 
 
 class CachedSmoothParts(NamedTuple):
-    """Smooth parts, and what they depend on."""
+    """Cached smooth parts, with what they depend on."""
 
     vertices: Vec3
     meshes: list[Outline]
@@ -70,7 +70,7 @@ KNOWN: WeakKeyDictionary[Scene, CachedSmoothParts] = WeakKeyDictionary()
 
 
 def surfaces_of(call: RenderCall, meshes: list[Outline], lines: LineTable | None) -> Surfaces:
-    """The surfaces of a call's scene; how triangles hang together is found anew only if vertices or edges have changed.
+    """The surfaces of a call's scene; smooth parts are cached while vertices and edges are unchanged.
 
     Args:
         call: detached.
@@ -89,7 +89,7 @@ def surfaces_of(call: RenderCall, meshes: list[Outline], lines: LineTable | None
 
 
 def smooth_parts(stages: Stages, scene: SceneTensors, meshes: Sequence[Outline]) -> SmoothParts:
-    """How the triangles of a scene hang together.
+    """Computes which triangles belong to one smooth surface.
 
     Args:
         stages: of the call.
@@ -110,14 +110,14 @@ def smooth_parts(stages: Stages, scene: SceneTensors, meshes: Sequence[Outline])
 
 @stage("geometry")
 def goes_on(geometry: Geometry, outline: Outline) -> Tensor:
-    """(E,) bool: surfaces go on without a jump across edges that are no silhouettes."""
+    """(E,) bool: surfaces continue smoothly across edges that are no silhouettes."""
     edges = outline.edges
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite[:2]), None)
     return (edges.count == 2) & (jump_of_creases(outline, a, b, opposite) == 0.0)
 
 
 def connected(joints: Tensor, count: int) -> Tensor:
-    """The least number of those that each of `count` things hangs together with; `joints`: (2, J) int64, pairs that do."""
+    """Connected components: for each of `count` items the least number in its component; `joints`: (2, J) int64 pairs."""
     label = torch.arange(count, device=joints.device)
     while True:
         own = label[joints]
@@ -132,7 +132,7 @@ def connected(joints: Tensor, count: int) -> Tensor:
 
 
 def line_table(lines: Sequence[tuple[JumpLines, ...]], sizes: Sequence[int], device: torch.device) -> LineTable | None:
-    """The lines of each shape's textures, of so many triangles each; None: there are none."""
+    """The table of all shapes' texture lines; None: there are none."""
     most = max(map(len, lines), default=0)
     if not most:
         return None
@@ -143,7 +143,7 @@ def line_table(lines: Sequence[tuple[JumpLines, ...]], sizes: Sequence[int], dev
 
 
 def cells_met(surfaces: Surfaces, hit: Hit) -> tuple[Tensor, ...]:
-    """Between which lines textures are met, by the number of the last line of each kind, (N,) float64."""
+    """The cells between texture lines in which hits lie, by the number of the last line of each kind, (N,) float64."""
     lines = surfaces.lines
     if lines is None or surfaces.triangles.vertices.uv is None:
         return ()
@@ -154,7 +154,7 @@ def cells_met(surfaces: Surfaces, hit: Hit) -> tuple[Tensor, ...]:
 
 def level_of_line(scene: SceneTensors | Surfaces, lines: LineTable, prim: Tensor, row: Tensor, u: Tensor,
                   v: Tensor) -> Tensor:
-    """The number that is an integer on lines, (N,) float64, attached to the surface coordinates.
+    """The number that is an integer on texture lines, (N,) float64, attached to the surface coordinates.
 
     Args:
         prim: (N,) int32, triangles.

@@ -1,4 +1,4 @@
-"""What edges add to derivatives by the light that they keep from surfaces: borders of shadows, direct and indirect.
+"""Boundary terms of light that edges occlude: shadow borders of direct and indirect light.
 
 Four integrals are cut off at edges. Direct light on surfaces that the camera sees, at borders on the film (`border.py`);
 light without extent on surfaces that paths meet later (`bounced.py`); all other light that vertices of paths receive
@@ -52,27 +52,27 @@ BYTES_OF_JUMP = 800  # what is kept of it for the backward pass
 
 
 class ShadowIntegral(NamedTuple):
-    """One of the integrals that are cut off."""
+    """One of the integrals of light that edges cut off: how to sample its boundary, and its derivative."""
 
-    found: Callable[..., Any]  # of a call without derivatives, a view and edges: places; None: there are none
-    jumps: Callable[..., FilmJumps]  # of a call, a view's number, edges and the places
-    is_split: bool = False  # `found` also takes a `split.Amount`; its places beside the first part are a `SampledIntegral`
+    found: Callable[..., Any]  # of a detached call, a view and edges: the samples; None: there are none
+    jumps: Callable[..., FilmJumps]  # of a call, a view's number, edges and the samples
+    is_split: bool = False  # `found` also takes a `split.Amount`; its samples are a `SampledIntegral`
 
 
 def shadows_move(call: RenderCall) -> bool:
-    """True if a vertex, an instance, a camera, or the place or direction of a light has derivatives."""
+    """True if a vertex, an instance, a camera, or the position or direction of a light is differentiated."""
     triangles, tables = call.scene.triangles, zip(call.scene.layout.lights, call.scene.lights.tables)
     return any_differentiated((triangles.vertices.p, triangles.instances, [view.camera.lens for view in call.views],
                                [table for kind, table in tables if not (kind.surround or kind.on_surface)]))
 
 
 def slides_over_edges(call: RenderCall) -> bool:
-    """True if something moves borders of shadows, or directions that carry derivatives turn."""
+    """True if shadow borders move, or directions that carry derivatives turn."""
     return shadows_move(call) or directions_turn(call)
 
 
 def bytes_of_shadows(call: RenderCall) -> int:
-    """The most that places on borders of shadows may take of memory."""
+    """The greatest memory of samples on shadow borders."""
     paths = call.spp * max(view.width * view.height for view in call.views)
     edges = outlines_of(call.module).edges_expected(len(call.scene.triangles.material))
     vertices = max(hidden_light.FEWEST_PATHS, min(hidden_light.MOST, paths // hidden_light.SHARE))
@@ -93,7 +93,7 @@ def bytes_of_shadows(call: RenderCall) -> int:
 
 
 def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) -> Tensor:
-    """(B, 3, H, W) zeros whose derivative is what borders of shadows contribute to the image.
+    """(B, 3, H, W) zeros whose derivative is that of shadow borders in the image.
 
     Lights without extent have shadows where lights are sampled. What light samples miss of the others is found by vertices
     of paths, and what comes evenly from all around, with a hundredth of the variance. Where directions follow parameters
@@ -120,17 +120,17 @@ def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) 
 
 
 def glues(call: RenderCall) -> bool:
-    """True if points that paths meet by chance are glued to surfaces, but behind rough glass."""
+    """True if random hits of paths are fixed to surfaces, except behind rough glass."""
     return call.integrand.settings.sampling != "attached"
 
 
 def sees_curves(call: RenderCall, crossing: Segments) -> bool:
-    """True if vertices of paths may see curves along which surfaces pass through each other."""
+    """True if path vertices may see intersections of surfaces."""
     return glues(call) and (call.integrand.max_depth > 2 or crossed_surfaces.surfaces_shine(call.scene, crossing))
 
 
 def _parts_of(call: RenderCall, curves: SegmentTree | None, contacts: Segments | None) -> list[ShadowIntegral]:
-    """The integrals of a call that are cut off.
+    """The boundary integrals of a call.
 
     Args:
         call: of which something moves.
@@ -174,7 +174,7 @@ def _parts_of(call: RenderCall, curves: SegmentTree | None, contacts: Segments |
 
 
 def found_of_view(still: RenderCall, number: int, edges: Casting, parts: Sequence[ShadowIntegral]) -> list[Any]:
-    """The places of each part that a view has; of the first all, of the others as many as are worth it beside those.
+    """The samples of each integral for a view; of the first all, of the others as many as pay off.
 
     Args:
         still: without derivatives.
@@ -192,7 +192,7 @@ def found_of_view(still: RenderCall, number: int, edges: Casting, parts: Sequenc
 
 
 def aimed_at(call: RenderCall) -> tuple[bool, bool]:
-    """Whether shadows of lights on surfaces, and of what surrounds the scene, are looked for from light samples."""
+    """Whether shadow borders of area lights, and of the environment, are sampled from light samples."""
     emitters, lights = call.module.emitters, call.scene.lights
     surfaces, around = (all(emitter.sampled_whole() for emitter in emitters if emitter.kind().surround == around)
                         for around in (False, True))

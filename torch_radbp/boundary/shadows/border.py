@@ -1,4 +1,4 @@
-"""What borders of shadows add to the derivative of an image: those of direct light, on surfaces that the camera sees.
+"""Boundary term of direct shadows: borders on surfaces that the camera sees.
 
 The image is the mean over random numbers of what one light sample each adds to it. For given numbers a sample is a point of
 a light, glued to it, or a direction; it lights a part of what is seen, and at the border of the shadow that an edge casts
@@ -76,47 +76,47 @@ ALIKE = 0.9  # cosine between normals of triangles of one surface
 
 
 class Lights(NamedTuple):
-    """Of which lights the shadows are meant."""
+    """Which kinds of lights a shadow term covers."""
 
-    sharp: bool  # those without extent
-    soft: bool  # on surfaces
-    around: bool  # around the scene
+    sharp: bool  # lights without extent
+    soft: bool  # area lights
+    around: bool  # the environment
 
     def of(self, scene: SceneTensors) -> Tensor:
-        """For each kind of light in a scene, whether it is meant; bool."""
+        """For each kind of light in a scene, whether it is covered; bool."""
         return torch.tensor([self.sharp if kind.delta else self.around if kind.surround else self.soft
                              for kind in scene.layout.lights], device=scene.device)
 
 
 class Borders(NamedTuple):
-    """N places on borders of shadows; detached."""
+    """N samples on shadow borders; detached."""
 
-    edge: Tensor  # (N,) int32, of the outline, which casts it
-    along: Tensor  # (N,) share of the way from the edge's a to b; float64
+    edge: Tensor  # (N,) int32, casting edge of the outline
+    along: Tensor  # (N,) float64, position along the edge, from a to b
     draw: LightDraw
-    receiver: Hit  # where the border falls
+    receiver: Hit  # the point on which the border falls
 
 
 class LitEdges(NamedTuple):
-    """N places on edges as M light samples see them, whether their light goes on to a surface or not."""
+    """N samples on edges as seen from M light samples, before their light is traced on to a surface."""
 
-    passed: Passed  # whose eyes are the light samples
+    passed: Passed  # with light samples as viewpoints
     draw: LightDraw  # (M,)
     eyes: Eyes  # (M,)
-    count: int  # of all light samples, also those of lights that are not meant
+    count: int  # number of all light samples, those of other lights included
 
 
 class CastShadows(NamedTuple):
-    """N places on borders of shadows, and what is known of them."""
+    """N samples on shadow borders, with their weights."""
 
     borders: Borders
-    passed: Passed  # how the light does that
-    inwards: Vec3  # by which points right beside the edges lie in the shade
-    times: Tensor  # how many edges in the mean of all light samples a place stands for
+    passed: Passed  # how light passes the edges
+    inwards: Vec3  # motion by which points right beside the edges come into shadow
+    times: Tensor  # weight: the number of edges that a sample stands for, per light sample
 
 
 class BordersInView(NamedTuple):
-    """K places on borders that a view sees; detached.
+    """K shadow border samples that a view sees; detached.
 
     The border sweeps an area where its edge moves outwards; by that, parts of the derivative are compared (`split.py`).
     """
@@ -124,28 +124,28 @@ class BordersInView(NamedTuple):
     borders: Borders
     place: Vec2  # on the film, pixels from the upper left corner of the window
     aperture: Vec2 | None  # of the lens
-    normal: Vec2  # of the border on the film, as long as the piece that a place stands for
-    strength: Tensor  # (3, K) float64, the difference of what is seen behind and ahead
-    sweep: Tensor  # (K,) where the edge moves by a step that is the same for all
+    normal: Vec2  # normal of the border on the film; its length is that of the piece per sample
+    strength: Tensor  # (3, K) float64, radiance behind less radiance ahead
+    sweep: Tensor  # (K,) swept area if all edges move by an equal step
 
     def independent(self) -> Tensor:
-        """As of `split.SampledIntegral`: each place has a light sample of its own."""
+        """The contributions in independent parts, see `split.SampledIntegral`: each sample by itself."""
         return self.strength * self.sweep
 
 
 class BorderCourse(NamedTuple):
-    """How N borders run on the film; detached, float64."""
+    """The course of N shadow borders on the film; detached, float64."""
 
     on_border: Vec3  # (N,) world
-    film: Vec2  # (N,) where that is seen
+    film: Vec2  # (N,) its image
     aperture: Vec2 | None
-    normal: Vec2  # as of `BordersInView`; 0 where that is not known, or counts in no pixel
-    aside: Vec2  # to what lies right beside the border in the shade
+    normal: Vec2  # as of `BordersInView`; 0 where unknown, or outside of all pixels
+    aside: Vec2  # direction to points right beside the border in shadow
     sweep: Tensor
 
 
 def jumps_of_borders(call: RenderCall, number: int, casting: Casting, found: BordersInView) -> FilmJumps:
-    """What borders of shadows of direct light that view `number` sees add to its derivative.
+    """The boundary term of direct shadows that view `number` sees.
 
     Args:
         call: of which something moves.
@@ -159,7 +159,7 @@ def jumps_of_borders(call: RenderCall, number: int, casting: Casting, found: Bor
 
 def border(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,
            off: Vec3 | None = None) -> Vec3:
-    """Where shadows end on the planes of their receivers, (N,) world, attached.
+    """The points at which shadows end on their receivers' planes, (N,) world, attached.
 
     Args:
         scene: attached.
@@ -175,19 +175,19 @@ def border(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: B
 
 def light_through(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float,
                   off: Vec3 | None) -> Ray:
-    """The light that passes edges on its way to the borders; args as for `border`."""
+    """The rays of light that pass edges on their way to the borders; args as for `border`."""
     p = point_of_edge(geometry, outline, borders.edge, borders.along + step)
     start, d, _ = light_line(scene, p if off is None else p + off, borders.draw)
     return Ray(start, d)
 
 
 def share_of(scene: SceneTensors) -> int:
-    """One place in view stands for so many paths of the image of a scene."""
+    """The number of image paths per border sample."""
     return SHARP_SHARE if any(kind.delta for kind in scene.layout.lights) else SHARE
 
 
 def lit_edges(call: RenderCall, number: int, casting: Casting, lights: Lights, share: int) -> LitEdges | None:
-    """Places on edges that light samples see as silhouettes; None: they see none.
+    """Samples silhouette edges as seen from light samples; None: they see none.
 
     Args:
         call: detached.
@@ -211,14 +211,13 @@ def lit_edges(call: RenderCall, number: int, casting: Casting, lights: Lights, s
 
 
 def shadows_cast(geometry: Geometry, lit: LitEdges, passed: Passed, receiver: Hit) -> CastShadows:
-    """The borders of shadows of some places on edges; `receiver`: the surfaces beyond these."""
+    """The shadow borders of samples on edges; `receiver`: the surfaces beyond these."""
     borders = Borders(passed.edge, passed.along, rows(lit.draw, passed.eye), receiver)
     return CastShadows(borders, passed, passed.outwards * (-BESIDE * extent_of(geometry)), passed.times / lit.count)
 
 
 def borders_of(call: RenderCall, number: int, casting: Casting, lights: Lights, share: int) -> CastShadows | None:
-    """Places on borders of shadows, whether view `number` sees them or not; None: there are none. Args as for
-    `lit_edges`."""
+    """Samples shadow borders, visible to view `number` or not; None: there are none. Args as for `lit_edges`."""
     lit = lit_edges(call, number, casting, lights, share)
     if lit is None:
         return None
@@ -229,7 +228,7 @@ def borders_of(call: RenderCall, number: int, casting: Casting, lights: Lights, 
 
 def places_lit(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes, seed: SampleKey,
                count: int) -> Passed | None:
-    """As `places_seen`, of light samples."""
+    """Samples on edges as light samples see them; args and result as for `places_seen`."""
     each, outline = eyes_for_each(casting.outline, eyes, LOOKS), casting.outline
     if not each:
         return places_seen(stages, geometry, casting, eyes, seed, LOOKS, count)
@@ -238,7 +237,7 @@ def places_lit(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes,
 
 
 def borders_in_view(call: RenderCall, number: int, casting: Casting, lights: Lights) -> BordersInView | None:
-    """Places on borders of shadows of direct light that view `number` sees; None: there are none.
+    """Samples shadow borders of direct light that view `number` sees; None: there are none.
 
     Args:
         call: detached.
@@ -275,7 +274,7 @@ def borders_in_view(call: RenderCall, number: int, casting: Casting, lights: Lig
 @stage("scene", "geometry", "outline", "camera")
 def border_course(scene: SceneTensors, geometry: Geometry, outline: Outline, camera: Camera, borders: Borders,
                   inwards: Vec3, times: Tensor, aperture: Vec2 | None) -> BorderCourse:
-    """How borders run on the film.
+    """Computes how shadow borders run on the film: image, normal and swept area.
 
     Args:
         scene, geometry, outline, borders: as for `border`, detached.
@@ -294,7 +293,7 @@ def border_course(scene: SceneTensors, geometry: Geometry, outline: Outline, cam
 
 
 def aperture_of(view: View, key: LaneKey) -> Vec2 | None:
-    """Points of the lens, as of `CameraKind.sample_ray`."""
+    """Random points of the camera's lens, as of `CameraKind.sample_ray`."""
     if not view.camera.kind.has_aperture:
         return None
     more = bounce_key(key, APERTURE_COUNTER)
@@ -302,15 +301,14 @@ def aperture_of(view: View, key: LaneKey) -> Vec2 | None:
 
 
 def camera_sample(call: RenderCall, view: View, film: Vec2, aperture: Vec2 | None, key: LaneKey) -> CameraSample:
-    """The rays through points of the film, pixels from the upper left corner of the window; attached as camera and points
-    are."""
+    """The camera rays through points of the film, pixels from the window's upper left corner; attached."""
     make = film_sample if any_differentiated((view.camera, film)) else call.stages(film_sample)
     return make(view.camera, film, aperture, key, call.scene.layout.traces_cones)
 
 
 @stage("camera")
 def film_sample(camera: Camera, film: Vec2, aperture: Vec2 | None, key: LaneKey, cones: bool) -> CameraSample:
-    """As `camera_sample`; `cones`: whether textures ask for them."""
+    """The camera rays through points of the film, for `camera_sample`; `cones`: with ray cones."""
     dtype = camera.dtype
     position = Vec2(*(((place + crop) / size).to(dtype) for place, crop, size in (
         (film.x, camera.film.crop_x, camera.film.size_x), (film.y, camera.film.crop_y, camera.film.size_y))))
@@ -322,13 +320,13 @@ def film_sample(camera: Camera, film: Vec2, aperture: Vec2 | None, key: LaneKey,
 
 
 def seen_at(hit: Hit, ray: Ray, p: Vec3) -> Hit:
-    """What is hit, as rays meet it at p, (N,) float64."""
+    """Hits on the same triangles, for rays that meet points p, (N,) float64."""
     reach = p - ray.o.map(torch.Tensor.double)
     return hit._replace(t=torch.sqrt(dot(reach, reach)).to(ray.o.x.dtype))
 
 
 def into_shade(camera: Camera, film: Vec2, aside: Vec2) -> Vec2:
-    """Points of the film a little beside borders, in the shade."""
+    """Points of the film a little beside borders, in shadow."""
     length = torch.hypot(aside.x, aside.y).clamp_min(TINY)
     # Far enough for the rounding of positions on the film, however small the window.
     reach = ASIDE * torch.maximum(camera.film.size_x, camera.film.size_y).double() / length
@@ -336,13 +334,13 @@ def into_shade(camera: Camera, film: Vec2, aside: Vec2) -> Vec2:
 
 
 def sees(integrand: Integrand, ray: Ray, receiver: Hit, p: Vec3) -> Tensor:
-    """True where camera rays meet what the borders fall on, (N,) bool; `p` (N,) these."""
+    """(N,) bool: camera rays that hit the receivers of borders; `p` (N,) points on these."""
     return integrand.stages(meets)(geometry_of(integrand.proposal), ray, first_hit(integrand, ray, 0), receiver, p)
 
 
 @stage("geometry")
 def meets(geometry: Geometry, ray: Ray, hit: Hit, receiver: Hit, p: Vec3) -> Tensor:
-    """True where what rays hit is what borders fall on, (N,) bool; `p` (N,) world, these.
+    """(N,) bool: hits on the receivers of borders; `p` (N,) world points on these.
 
     Another triangle is of the same surface if the border lies in its plane, but for rounding and by what rays pass aside.
     """

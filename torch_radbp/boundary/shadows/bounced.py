@@ -1,4 +1,4 @@
-"""Borders of shadows of light without extent, as they are seen by vertices of paths.
+"""Boundary term of sharp shadows at later path vertices: borders of lights without extent.
 
 Light from points and single directions reaches a surface through next-event estimation alone, so that its shadows have hard
 borders on every surface that a path meets. Those on the first are counted in `border.py`. On the next, x_{k+1}, glued
@@ -40,17 +40,17 @@ SALT = 0x2B3E6C1F  # tells the random numbers that connect borders with paths fr
 
 
 class ConnectedBorders(NamedTuple):
-    """K places on borders, each connected to a vertex of a path; detached."""
+    """K samples on borders, each connected to a path vertex; detached."""
 
-    points: Viewpoints  # these
-    start: Vec3  # where they are, world
+    points: Viewpoints  # the path vertices
+    start: Vec3  # their world positions
     borders: Borders
-    normal: Vec2  # in the coordinates of `on_receiver`, as long as the piece that a place stands for
-    strength: Tensor  # (3, K) float64, the difference of what the path receives from behind and ahead
+    normal: Vec2  # in the coordinates of `on_receiver`; its length is that of the piece per sample
+    strength: Tensor  # (3, K) float64, radiance from behind less that from ahead
 
 
 def jumps_of_connected_borders(call: RenderCall, number: int, casting: Casting, found: ConnectedBorders) -> FilmJumps:
-    """What such borders add to the derivative of view `number`; args as of `border.jumps_of_borders`."""
+    """The boundary term of such borders for view `number`; args as of `border.jumps_of_borders`."""
     geometry = attached_geometry(call.scene)
     seen = on_receiver(call.scene, geometry, casting.outline, found.borders)
     seen = less_what_slides(call, number, geometry, found.points, found.start, found.borders.receiver, seen)
@@ -59,23 +59,23 @@ def jumps_of_connected_borders(call: RenderCall, number: int, casting: Casting, 
 
 def on_receiver(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,
                 off: Vec3 | None = None) -> Vec2:
-    """Where shadows end on their receivers, (N,) barycentric coordinates there, attached; args as for `border`."""
+    """The barycentric coordinates on receivers at which shadows end, (N,), attached; args as for `border`."""
     return crossed_at(corners_of(geometry, borders.receiver), light_through(scene, geometry, outline, borders, step, off))
 
 
 class ConnectedPlaces(NamedTuple):
-    """N places on borders, and a vertex of a path each; detached."""
+    """N samples on borders, each paired with a path vertex; detached."""
 
-    points: Viewpoints  # these
-    start: Vec3  # where they are, world
+    points: Viewpoints  # the path vertices
+    start: Vec3  # their world positions
     borders: Borders
     inwards: Vec3  # as of `CastShadows`
-    times: Tensor  # how many edges, in the mean of all light samples, times paths, a pair stands for
+    times: Tensor  # weight: edges per light sample times paths that a pair stands for
     key: LaneKey  # of random numbers
 
 
 def connected_borders_of_paths(call: RenderCall, number: int, casting: Casting) -> ConnectedBorders | None:
-    """Places on borders, each connected to a vertex of a path of view `number`; args as of `border.borders_in_view`."""
+    """Samples borders, each connected to a path vertex of view `number`; args as of `border.borders_in_view`."""
     pairs = pairs_of(call, number, casting, False)
     if pairs is None:
         return None
@@ -98,7 +98,7 @@ def connected_borders_of_paths(call: RenderCall, number: int, casting: Casting) 
 
 
 def pairs_of(call: RenderCall, number: int, casting: Casting, following: bool) -> ConnectedPlaces | None:
-    """Places on borders, with a vertex of a path of view `number` each; None: there are none.
+    """Samples borders, each paired with a path vertex of view `number`; None: there are none.
 
     Args:
         call, number, casting: as of `border.borders_in_view`.
@@ -128,19 +128,19 @@ def pairs_of(call: RenderCall, number: int, casting: Casting, following: bool) -
 
 
 class Way(NamedTuple):
-    """From vertices of paths to borders, (N,)."""
+    """Connections from path vertices to borders, (N,)."""
 
-    ray: Ray  # as rays are cast
-    reach: Vec3  # float64
+    ray: Ray  # in the rays' dtype
+    reach: Vec3  # vector, float64
     distance: Tensor  # float64
 
     def meets(self, borders: Borders) -> Hit:
-        """The receivers, as these rays meet them."""
+        """The receivers of shadow borders, as hits of these rays."""
         return borders.receiver._replace(t=self.distance.to(self.ray.d.x.dtype))
 
 
 def way_to(start: Vec3, x: Vec3, dtype: torch.dtype) -> Way:
-    """From `start` to `x`, (N,) world each; `dtype`: of rays."""
+    """The connection from `start` to `x`, (N,) world each; `dtype`: of rays."""
     reach = x - start
     distance = torch.sqrt(dot(reach, reach).clamp_min(TINY))
     ray = Ray(*(part.map(lambda c: c.to(dtype).contiguous()) for part in (start, reach / distance)))
@@ -148,7 +148,7 @@ def way_to(start: Vec3, x: Vec3, dtype: torch.dtype) -> Way:
 
 
 def light_sent_on(call: RenderCall, integrand: Integrand, borders: Borders, way: Way, key: LaneKey) -> Tensor:
-    """(3, N) float64 the light that vertices of paths receive from borders where no shadow is.
+    """(3, N) float64 radiance that path vertices receive from unshadowed points at borders.
 
     Args:
         borders: that they are connected to.

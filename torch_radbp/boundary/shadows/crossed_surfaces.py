@@ -1,4 +1,4 @@
-"""What vertices of paths see of curves along which surfaces pass through each other.
+"""Boundary term of intersecting surfaces as path vertices see them.
 
 At a vertex x of a path, of two surfaces that pass through each other along a curve a part of each is seen, up to the curve:
 the part on the same side of the other surface as x. Paths that are scattered at x go on to points z that are glued to
@@ -52,29 +52,29 @@ LOOKS, PLACES = 4, 2  # for segments from each vertex, and places on segments th
 
 
 class Sheets(NamedTuple):
-    """N surfaces at places where others pass through them; detached, float64 but for integers."""
+    """N surfaces at points where other surfaces intersect them; detached, float64 but for integers."""
 
     triangle: Tensor  # (N,) int32
     instance: Tensor | None  # (N,) int32, that shows it
     at: Vec2  # barycentric
-    through: Tensor  # (N,) int32, the triangle that passes through
-    shown_by: Tensor | None  # (N,) int32, what shows that
-    beside: Vec2  # a little into the part that is seen, barycentric
-    growth: Tensor  # how much of that is gained where the level rises by one, barycentric coordinates squared
+    through: Tensor  # (N,) int32, intersecting triangle
+    shown_by: Tensor | None  # (N,) int32, its instance
+    beside: Vec2  # step into the visible part, barycentric
+    growth: Tensor  # area gained per unit of the level, barycentric coordinates squared
 
 
 class CrossedOfView(NamedTuple):
-    """K surfaces that vertices of paths of a view see up to where others pass through them; detached."""
+    """K surfaces that path vertices of a view see up to an intersection; detached."""
 
-    points: Viewpoints
-    viewpoint: Tensor  # (K,) int32, which
-    start: Vec3  # where these are, world
+    points: Viewpoints  # the path vertices
+    viewpoint: Tensor  # (K,) int32, index of the vertex
+    start: Vec3  # world positions of the vertices
     sheets: Sheets
-    strength: Tensor  # (3, K) float64, what is gained where the level rises by one
+    strength: Tensor  # (3, K) float64, gain of light per unit of the level
 
 
 def jumps_of_crossed_surfaces(call: RenderCall, number: int, found: CrossedOfView) -> FilmJumps:
-    """What such curves add to the derivative of view `number`; `call`: of which something moves."""
+    """The boundary term of intersections for view `number`; `call`: with derivatives."""
     geometry, sheets = attached_geometry(call.scene), found.sheets
     met = hit_at(sheets, sheets.at, found.points.hit.u.dtype)
     near, ways = what_slides(call, number, geometry, rows(found.points, found.viewpoint), found.start, met, sheets.at)
@@ -85,12 +85,12 @@ def jumps_of_crossed_surfaces(call: RenderCall, number: int, found: CrossedOfVie
 
 
 def surfaces_shine(scene: SceneTensors, segments: Segments) -> bool:
-    """True if one of the surfaces that pass through each other emits light, which all vertices of paths receive straight."""
+    """True if one of two intersecting surfaces emits light, which all path vertices receive directly."""
     return any(bool((rows(scene.triangles.emitter, triangle) >= 0).any()) for triangle, _ in surfaces_along(segments))
 
 
 def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree) -> CrossedOfView | None:
-    """What vertices of paths of view `number` see of such curves; None: nothing.
+    """Samples intersections as seen from path vertices of view `number`; None: there are none.
 
     Args:
         call: without derivatives.
@@ -126,7 +126,7 @@ def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree) -> Cros
 
 
 def hit_at(sheets: Sheets, place: Vec2, dtype: torch.dtype) -> Hit:
-    """What is hit of surfaces at some places, (N,) barycentric, a distance of 0 away."""
+    """Hits at points of surfaces, (N,) barycentric, at distance 0."""
     u, v = (part.to(dtype) for part in place)
     return Hit(sheets.triangle, u, v, torch.zeros_like(u), sheets.instance)
 
@@ -134,7 +134,7 @@ def hit_at(sheets: Sheets, place: Vec2, dtype: torch.dtype) -> Hit:
 @stage("geometry", "segments", "at")
 def sheets_seen(geometry: Geometry, segments: Segments, at: Vec3, passed: Passed,
                 extent: Tensor) -> tuple[Sheets, Sheets]:
-    """Both surfaces at places on segments.
+    """The two intersecting surfaces at samples on segments, as viewpoints see them.
 
     Args:
         geometry: of the scene, detached.

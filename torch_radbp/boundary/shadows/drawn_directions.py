@@ -1,4 +1,4 @@
-"""Random numbers for which vertices of paths draw given directions, and how the directions move that these numbers give.
+"""Inverse BSDF sampling: random numbers for which path vertices sample given directions, and the motion of these directions.
 
 Directions that carry derivatives move while their random numbers stay. How those move that pass an edge is told by the
 numbers for which the vertex draws just them. They are found by Newton's method, from the best of some guesses; a lobe is
@@ -37,7 +37,7 @@ SALT = 0x6A09E667  # tells the numbers that pick lobes from others
 
 
 class DirectionNumbers(NamedTuple):
-    """The random numbers of a direction, (N,)."""
+    """The random numbers of a BSDF sample, (N,)."""
 
     choice: Tensor  # of the lobe
     u: Tensor
@@ -45,17 +45,17 @@ class DirectionNumbers(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """Directions as vertices draw them, (N,); detached."""
+    """Given directions as BSDF samples of path vertices, (N,); detached."""
 
     numbers: DirectionNumbers
-    share: Tensor  # density of the lobe over that of all; 0: the lobe that was picked has no such direction
+    share: Tensor  # density of the lobe divided by that of all lobes; 0: the chosen lobe has no such direction
     pdf: Tensor  # density over solid angle
     scattered: Vec3  # BSDF times cosine
-    vantage: Vantage | None  # of the vertices; None if no light is picked with regard to that
+    vantage: Vantage | None  # at the vertices; None if light selection does not depend on it
 
 
 class Scatterers(NamedTuple):
-    """Those of some vertices that scatter by the same functions, and their surfaces."""
+    """The vertices with one kind of material, and their surfaces."""
 
     lanes: Tensor  # (M,) int64
     material: Material
@@ -63,7 +63,7 @@ class Scatterers(NamedTuple):
 
 
 def scatterers_met(integrand: Integrand, state: PathState, hit: Hit, settings: Settings) -> Iterator[Scatterers]:
-    """The surfaces that rays meet, attached as the integrand's scene and the rays are.
+    """Yields the surfaces that rays hit, by kind of material; attached as the integrand's scene and the rays are.
 
     Args:
         integrand: of eager stages.
@@ -84,7 +84,7 @@ def scatterers_met(integrand: Integrand, state: PathState, hit: Hit, settings: S
 
 
 def drawn(integrand: Integrand, state: PathState, hit: Hit, d: Vec3) -> Drawn:
-    """How vertices draw given directions.
+    """Inverts the BSDF sampling of path vertices at given directions.
 
     Args:
         integrand: detached, of eager stages.
@@ -113,17 +113,17 @@ def drawn(integrand: Integrand, state: PathState, hit: Hit, d: Vec3) -> Drawn:
 
 
 class Try(NamedTuple):
-    """Where numbers lead to, (N,) each."""
+    """An iterate of Newton's method: sampled direction and its error, (N,) each."""
 
     u: Tensor
     v: Tensor
-    off: Tensor  # square of the distance from the direction that is wanted; infinite: a delta lobe
+    off: Tensor  # squared distance from the wanted direction; infinite: a delta lobe
     density: Tensor  # over solid angle, of the lobe
-    step: tuple[Tensor, Tensor]  # of Newton's method, by which the numbers are too large
+    step: tuple[Tensor, Tensor]  # Newton step, to be subtracted
 
 
 def inverted_sampling(material: Material, wi: Vec3, wo: Vec3, choice: Tensor) -> tuple[DirectionNumbers, Tensor]:
-    """How the lobe that `choice` picks draws directions: the numbers, and its densities over solid angle.
+    """Inverts the sampling of the lobe that `choice` selects: random numbers, and solid-angle densities.
 
     The densities are 0 where the lobe has no such direction, or does not scatter by chance.
 
@@ -156,14 +156,14 @@ def inverted_sampling(material: Material, wi: Vec3, wo: Vec3, choice: Tensor) ->
 
 
 def drawn_direction(material: Material, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> tuple[Vec3, Tensor]:
-    """(N,) what numbers lead to, local, attached to `u` and `v`; and whether that is by a delta lobe."""
+    """(N,) local directions sampled from random numbers, attached to `u` and `v`; and whether by a delta lobe."""
     kind, values = material
     lobe = kind.choose(values, wi, choice, u.detach(), v.detach())
     return kind.sample(values, wi, lobe, u, v), lobe.is_delta(kind)
 
 
 def tried(material: Material, wi: Vec3, wo: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Try:
-    """Where numbers `u` and `v` lead to; args as for `inverted_sampling`."""
+    """Evaluates a Newton iterate at `u` and `v`; args as for `inverted_sampling`."""
     axes, slopes = Frame.of(wo), []
     for axis in (axes.s, axes.t):
         with torch.enable_grad():
@@ -182,7 +182,7 @@ def tried(material: Material, wi: Vec3, wo: Vec3, choice: Tensor, u: Tensor, v: 
 
 
 def directions_drawn(integrand: Integrand, state: PathState, hit: Hit, numbers: DirectionNumbers) -> Vec3:
-    """(N,) unit, world, attached: the directions that vertices draw by random numbers.
+    """(N,) unit world directions that path vertices sample from random numbers, attached.
 
     Args:
         integrand: attached, of eager stages.

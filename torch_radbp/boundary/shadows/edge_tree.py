@@ -1,4 +1,4 @@
-"""A tree over edges, by which those are found that are silhouettes from a point.
+"""A tree over edges, for sampling silhouettes as seen from a point.
 
 Each node has a box around its edges, the sum of their lengths, a cone around the normals of the triangles that meet there,
 and a slab across the cone's axis that holds the edges, on surfaces that are nearly flat much thinner than the box. An edge
@@ -43,7 +43,7 @@ STRAIGHT = 0.5 * torch.pi
 
 
 class EdgeNodes(NamedTuple):
-    """M nodes; detached, in the scene's dtype, world."""
+    """M nodes of the tree; detached, in the scene's dtype, world."""
 
     low: Vec3  # (M,) the corners of the box
     high: Vec3
@@ -51,36 +51,36 @@ class EdgeNodes(NamedTuple):
     cosine: Tensor  # (M,) of its half angle
     sine: Tensor  # (M,) likewise; 1: normals of all directions
     angle: Tensor  # (M,) the half angle
-    sharpest: Tensor  # (M,) that of the edge whose triangles meet at the sharpest angle
-    bend: Tensor  # (M,) lengths times the angles between the triangles at the edges, summed; 0: none can be a silhouette
-    plane: Tensor  # (M,) how far along the axis the edges lie in the middle,
-    thickness: Tensor  # (M,) and by how much more or less at most
+    sharpest: Tensor  # (M,) half angle of the edge with the sharpest pair of triangles
+    bend: Tensor  # (M,) sum of length times angle between triangles; 0: no edge can be a silhouette
+    plane: Tensor  # (M,) middle of the slab along the axis,
+    thickness: Tensor  # (M,) and its half thickness
 
 
 class EdgeTree(NamedTuple):
     """A tree over the edges of an outline."""
 
-    levels: tuple[EdgeNodes, ...]  # those that ways reach one after the other, below the root; the last has L nodes
-    slots: Tensor  # (GROUP L,) int32, the edges below the last L nodes; -1: none
+    levels: tuple[EdgeNodes, ...]  # levels that a descent visits, below the root; the last has L nodes
+    slots: Tensor  # (GROUP L,) int32, edges below the last L nodes; -1: none
 
 
 class Descent(NamedTuple):
-    """Where N places are on their way down; (N,)."""
+    """The state of N descents of the tree; (N,)."""
 
-    eye: Tensor  # int32, from where they look for edges
-    node: Tensor  # int32, its number in its level
-    u: Tensor  # float64, a uniform number that is left over
-    chance: Tensor  # float64, with which that node was reached; 0: no edge below may be a silhouette
+    eye: Tensor  # int32, viewpoint that samples an edge
+    node: Tensor  # int32, node in its level
+    u: Tensor  # float64, remaining uniform random number
+    chance: Tensor  # float64, probability of reaching the node; 0: no edge below may be a silhouette
 
 
 def edge_tree(stages: Stages, geometry: Geometry, outline: Outline) -> EdgeTree:
-    """The tree over the edges of an outline, of what is detached."""
+    """Builds the tree over the edges of an outline; detached."""
     slots = outline.slots.edge
     return tree_over(stages, stages(edge_bounds)(geometry, outline, slots, numbers_to(len(slots), slots)), slots)
 
 
 def tree_over(stages: Stages, bounds: EdgeNodes, slots: Tensor) -> EdgeTree:
-    """The tree over what has bounds, (S,), one for each of its slots."""
+    """Builds the tree over items with bounds, (S,), one for each slot."""
     last, levels = len(slots) // GROUP, []
     for count in level_sizes(last):
         below, size = (levels[-1], len(levels[-1].bend)) if levels else (bounds, len(slots))
@@ -89,7 +89,7 @@ def tree_over(stages: Stages, bounds: EdgeNodes, slots: Tensor) -> EdgeTree:
 
 
 def level_sizes(last: int) -> list[int]:
-    """How many nodes the levels have that ways reach, from the last on, which has so many, a power of 2."""
+    """The sizes of the levels that a descent visits, the last of size `last`, a power of 2."""
     sizes = []
     while last > 1:
         sizes.append(last)
@@ -98,13 +98,13 @@ def level_sizes(last: int) -> list[int]:
 
 
 def numbers_to(count: int, like: Tensor) -> Tensor:
-    """0, 1, ..., (count,) int32."""
+    """The int32 tensor 0, 1, ..., (count,)."""
     return torch.arange(count, dtype=torch.int32, device=like.device)
 
 
 @stage("geometry", "outline", "slots")
 def edge_bounds(geometry: Geometry, outline: Outline, slots: Tensor, slot: Tensor) -> EdgeNodes:
-    """The bounds of single edges.
+    """The bounds of leaf nodes of the tree, one edge each.
 
     Args:
         geometry: of the scene, detached.
@@ -133,7 +133,7 @@ def edge_bounds(geometry: Geometry, outline: Outline, slots: Tensor, slot: Tenso
 
 
 def box_around(a: Vec3, b: Vec3, exists: Tensor) -> tuple[Vec3, Vec3]:
-    """The corners of boxes around lines from a to b, (N,) each; of those that do not exist, (N,) bool, empty ones."""
+    """The bounding boxes of segments from a to b, (N,) each; empty where they do not exist, (N,) bool."""
     none = torch.full_like(a.x, torch.inf)
     low, high = (Vec3(*(extreme(p, q) for p, q in zip(a, b))) for extreme in (torch.minimum, torch.maximum))
     wider = ROUNDED * torch.maximum(max_component(a.map(torch.abs)), max_component(b.map(torch.abs)))
@@ -142,7 +142,7 @@ def box_around(a: Vec3, b: Vec3, exists: Tensor) -> tuple[Vec3, Vec3]:
 
 
 def _normal_of(geometry: Geometry, corner: Tensor, instance: Tensor | None) -> Vec3:
-    """Normals of the triangles that corners, (N,) int32, belong to, by the order of their vertices; of any length."""
+    """Normals of the triangles of corners, (N,) int32, by the order of their vertices; of any length."""
     triangle = torch.div(corner, 3, rounding_mode="floor")
     p = positions(geometry, Between(*lookup(geometry.triangles.corners, triangle)), instance)
     return cross(p[1] - p[0], p[2] - p[0])
@@ -150,7 +150,7 @@ def _normal_of(geometry: Geometry, corner: Tensor, instance: Tensor | None) -> V
 
 @stage("below")
 def merged_bounds(below: EdgeNodes, node: Tensor, count: int) -> EdgeNodes:
-    """The bounds of nodes, (N,) int32, each over so many, a power of 2, of those `below`: number `count` n and the next."""
+    """The bounds of nodes, (N,) int32, each over `count` children, a power of 2, from those of the level `below`."""
     nodes = [rows(below, node * count + place) for place in range(count)]
     while len(nodes) > 1:
         nodes = [merged(*pair) for pair in zip(nodes[::2], nodes[1::2])]
@@ -176,7 +176,7 @@ def merged(one: EdgeNodes, other: EdgeNodes) -> EdgeNodes:
 
 
 def slab_along(axis: Vec3, node: EdgeNodes) -> tuple[Tensor, Tensor]:
-    """How far along another axis the edges of nodes lie at least and at most, (N,) each."""
+    """The least and greatest coordinate of nodes' edges along another axis, (N,) each."""
     middle, half = (node.low + node.high) * 0.5, (node.high - node.low) * 0.5
     straight, across, at = dot(axis, node.axis), cross(axis, node.axis), dot(axis, middle)
     # Both the slab of the node and its box hold what lies off the middle.
@@ -187,7 +187,7 @@ def slab_along(axis: Vec3, node: EdgeNodes) -> tuple[Tensor, Tensor]:
 
 
 def angle_of_node(node: EdgeNodes, eye: Eyes, extent: Tensor) -> Tensor:
-    """An estimate of the angles under which the edges of nodes are seen, times how much they count; (N,).
+    """The importance of nodes for a viewpoint: about the angle that silhouettes subtend, times their weight; (N,).
 
     It is 0 only where none is a silhouette, or counts. All have the dtype of nodes.
     """
@@ -223,13 +223,13 @@ def angle_of_node(node: EdgeNodes, eye: Eyes, extent: Tensor) -> Tensor:
 
 
 def rounded(record, dtype: torch.dtype):
-    """Eyes, or another record, in the dtype of nodes, which are compared with them."""
+    """Converts viewpoints, or another record, to the dtype of nodes."""
     return with_leaves(record, [leaf.to(dtype) for leaf in leaves_of(record)])
 
 
 @stage("nodes", "eyes")
 def descended(nodes: EdgeNodes, eyes: Eyes, extent: Tensor, at: Descent, count: int) -> Descent:
-    """Places some levels farther down: one of all nodes there is picked, so that few ways end where no edge is.
+    """Descends several levels at once, sampling one of all nodes there by importance.
 
     Args:
         nodes: of the level that they reach.
@@ -245,8 +245,7 @@ def descended(nodes: EdgeNodes, eyes: Eyes, extent: Tensor, at: Descent, count: 
 
 
 def picked_by_weight(weights: Sequence[Tensor], u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Which of some weights, (N,) each, random numbers pick, (N,) int32; its share of all, 0 if all are; and what is left
-    of the random number."""
+    """Samples one of several weights, (N,) each: number, (N,) int32, probability, and remaining random number."""
     total = weights[0]
     for weight in weights[1:]:
         total = total + weight

@@ -1,4 +1,4 @@
-"""Silhouettes that are found by trying all edges from light samples.
+"""Silhouettes by testing all edges from light samples, instead of sampling a tree.
 
 A way down a tree (`edge_tree.py`) ends at a silhouette or at none, by chances that only roughly follow the angles under
 which silhouettes are seen. Light samples look at the whole scene: where edges are few beside them, it costs less to try each
@@ -36,23 +36,22 @@ SALT = 0x3C9A5B71  # tells the random numbers of the first from others
 
 
 def eyes_for_each(outline: Outline, eyes: Eyes, looks: int) -> int:
-    """From how many eyes each edge is tried: in all as many edges as where each eye looks so often down a tree; 0: these are
-    too few for each edge."""
+    """The number of viewpoints from which each edge is tested, by the cost of tree descents; 0: too few viewpoints."""
     count = len(eyes.w)
     each = min(count, looks * GROUP * count // len(outline.crease))
     return each if each >= min(FEWEST, count) else 0
 
 
 class Tried(NamedTuple):
-    """N edges as eyes see them."""
+    """Tests whether edges are silhouettes from viewpoints; N tests."""
 
-    eye: Tensor  # (N,) int32
-    angle: Tensor  # (N,) float64, under which the edge is seen; 0: it is no silhouette from there
+    eye: Tensor  # (N,) int32, viewpoint
+    angle: Tensor  # (N,) float64, angle that the edge subtends; 0: no silhouette
 
 
 def edges_tried(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey, each: int,
                 extent: Tensor) -> tuple[PickedEdges, Tensor]:
-    """The silhouettes among all edges, and the eyes that see them, (K,) int32.
+    """Finds silhouettes among all edges, and their viewpoints, (K,) int32.
 
     Args:
         stages, geometry, eyes, seed: as for `seen_edges.places_seen`.
@@ -81,7 +80,7 @@ def edges_tried(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes
 
 
 def close_to(geometry: Geometry, outline: Outline, found: Tensor) -> Tensor:
-    """Whether edges touch one of those that were found, (E,) bool; `found`: (K,) int32."""
+    """(E,) bool: edges that touch one of those in `found`, (K,) int32."""
     touched = torch.zeros(len(geometry.triangles.vertices.p.x), dtype=torch.bool, device=found.device)
     for end in outline.edges[:2]:
         touched[rows(end, found).long()] = True
@@ -91,7 +90,7 @@ def close_to(geometry: Geometry, outline: Outline, found: Tensor) -> Tensor:
 @stage("geometry", "outline", "eyes", "edges")
 def edge_tried(geometry: Geometry, outline: Outline, eyes: Eyes, edges: Tensor, seed: SampleKey, each: Tensor, count: Tensor,
                extent: Tensor, lane: Tensor) -> Tried:
-    """What eyes see of edges.
+    """Tests whether edges are silhouettes as seen from viewpoints.
 
     Args:
         geometry, outline, extent: as for `seen_edges.angle_seen`.

@@ -1,4 +1,4 @@
-"""Points that look at edges."""
+"""Viewpoints from which silhouette edges are sampled."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ MOST_DENSE = 1e8  # per steradian, of a lobe; beyond are points in the plane of 
 
 
 class Lobe(NamedTuple):
-    """Directions from which more light comes, or is scattered, than from others; (M,), of an eye each."""
+    """Directions that count more for a viewpoint, as of light or of a glossy lobe; (M,)."""
 
-    d: Vec3  # unit, the middle
-    narrow: Tensor  # over the square of its angular radius; 0: there is none
+    d: Vec3  # unit, centre
+    narrow: Tensor  # weight over squared angular radius; 0: no lobe
 
 
 class Eyes(NamedTuple):
-    """M points that look at edges, or directions towards such; detached, float64."""
+    """M viewpoints from which edges are sampled; detached, float64."""
 
     place: Vec3  # (M,)
-    w: Tensor  # (M,) 1; 0: `place` is a direction towards the eye
-    n: Vec3  # (M,) unit normal of the surface that it lies on, 0: on none; directions count by their cosines,
-    behind: Tensor  # (M,) behind the surface so many times less,
-    even: Tensor  # (M,) and so much, whatever the cosine, but along the surface
-    lobes: tuple[Lobe, ...] = ()  # in which they count more
+    w: Tensor  # (M,) 1; 0: `place` is a direction
+    n: Vec3  # (M,) unit normal of its surface, 0: on none; directions count by their cosine,
+    behind: Tensor  # (M,) behind the surface by this factor less,
+    even: Tensor  # (M,) plus this constant, except along the surface
+    lobes: tuple[Lobe, ...] = ()  # directions that count more
 
 
 def how_much_counts(eye: Eyes, d: Vec3, cosine: Tensor | float = 1.0, sine: Tensor | float = 0.0) -> Tensor:
-    """The most that directions around some count, (N,).
+    """A bound of the weights of directions within a cone, for sampling edges; (N,).
 
     Args:
         eye: (N,).
@@ -49,14 +49,13 @@ def how_much_counts(eye: Eyes, d: Vec3, cosine: Tensor | float = 1.0, sine: Tens
 
 
 def lobe_around(d: Vec3, density: Tensor) -> Lobe:
-    """The lobe of which one direction and its density over solid angle are known, (N,); of more than `MOST_DENSE`, or of 0,
-    there is none."""
+    """The lobe around directions of given solid-angle density, (N,); none above `MOST_DENSE`, or for 0."""
     narrow = torch.where(density < MOST_DENSE, torch.pi * density, 0.0)
     return Lobe(d.map(torch.Tensor.double), narrow.double().clamp(0.0, NARROWEST))
 
 
 def how_much_lobes_count(eye: Eyes, d: Vec3, squared: Tensor) -> Tensor:
-    """How much more directions count for the lobes of eyes, in the mean of cones around them, (N,); 1: no more.
+    """The mean factor by which a viewpoint's lobes raise the weight of a cone of directions, (N,).
 
     Every lobe counts half as much as all other directions.
 

@@ -1,4 +1,4 @@
-"""Where on the film paths begin whose vertices look at edges: more of them where edges are near.
+"""The density on the film of paths whose vertices sample edges: higher near edges.
 
 A vertex that lies r away from an edge sees it turn by 1 / r where either moves by one. Next to the ends of walls, and where
 things touch, few paths so have most of the noise of all. So some paths are tried first. Their edges, each counted by the
@@ -25,7 +25,7 @@ OF_TILE = 16  # places on edges in a tile, in the mean
 
 
 def film_density(view: View, points: Viewpoints, passed: Passed) -> Tensor:
-    """The density of paths over the cells of a view, (cells,) float64, of mean 1.
+    """The relative density of paths over the cells of a view, (cells,) float64, of mean 1.
 
     Args:
         view: whose film it is.

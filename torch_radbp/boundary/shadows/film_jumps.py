@@ -1,4 +1,4 @@
-"""Changes of an image at points of the film."""
+"""Derivatives of an image as deposits at points of the film."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from torch_radbp.tensors.vec import Vec2
 
 
 class FilmJumps(NamedTuple):
-    """K changes, zeros with derivatives."""
+    """K deposits on the film: zeros with derivatives."""
 
     place: Vec2  # (K,) pixels from the upper left corner of the window, float64
-    amount: Tensor  # (3, K) attached, for each square pixel
+    amount: Tensor  # (3, K) attached, per square pixel
 
 
 def attached_geometry(scene: SceneTensors) -> Geometry:
-    """The geometry of an attached scene, into whose gradients much is added up."""
+    """The geometry of an attached scene, prepared for sums of many gradients."""
     geometry = geometry_of(scene)
     return geometry if has_tangents(geometry) else summed(geometry)
 
@@ -40,7 +40,7 @@ def swept_areas(seen: Vec2, normal: Vec2) -> Tensor:
 
 
 def image_of(view: View, jumps: list[FilmJumps], dtype: torch.dtype) -> Tensor:
-    """(3, H, W) what changes add up to in the pixels of a view."""
+    """(3, H, W) the sum of deposits in the pixels of a view."""
     image = torch.zeros(3, view.height * view.width, dtype=dtype, device=view.camera.film.size_x.device)
     for place, amount in jumps:
         around = detached(view.camera).film.around(place)

@@ -1,4 +1,4 @@
-"""Borders of shadows of light without extent, as they are seen in directions that carry derivatives.
+"""Boundary term of sharp shadows seen in scattered directions that carry derivatives.
 
 As in `bounced.py`, places on borders are connected to vertices of paths. The point that a path meets next is not glued
 here: it slides in a direction that moves (`followed_light.py`), and over the border by what the direction towards this moves
@@ -28,18 +28,18 @@ from torch_radbp.tensors.vec import Frame, Vec2, Vec3, dot, normalize, rows
 
 
 class FollowedBorders(NamedTuple):
-    """K places on borders, each seen by a vertex of a path; detached."""
+    """K samples on borders, each seen from a path vertex; detached."""
 
-    points: Viewpoints  # these
+    points: Viewpoints  # the path vertices
     borders: Borders
     basis: tuple[Vec3, Vec3]  # across the line of sight
-    numbers: DirectionNumbers  # for which the vertices draw directions towards the places
-    normal: Vec2  # in coordinates across the line of sight, as long as the piece that a place stands for
-    strength: Tensor  # (3, K) float64, the difference of what the path receives from behind and ahead
+    numbers: DirectionNumbers  # with which the vertices sample the directions towards the samples
+    normal: Vec2  # in coordinates across the line of sight; its length is that of the piece per sample
+    strength: Tensor  # (3, K) float64, radiance from behind less that from ahead
 
 
 def jumps_of_followed_borders(call: RenderCall, number: int, casting: Casting, found: FollowedBorders) -> FilmJumps:
-    """What such borders add to the derivative of view `number`; args as of `border.jumps_of_borders`."""
+    """The boundary term of such borders for view `number`; args as of `border.jumps_of_borders`."""
     geometry = attached_geometry(call.scene)
     rays = arriving(call, number, found.points, all_of_them=True)
     at = vertex_on(geometry, found.points, rays)
@@ -51,13 +51,13 @@ def jumps_of_followed_borders(call: RenderCall, number: int, casting: Casting, f
 
 def _sight_of(scene: SceneTensors, geometry: Geometry, outline: Outline, at: Vec3, borders: Borders,
               basis: tuple[Vec3, Vec3], step: Tensor | float = 0.0, off: Vec3 | None = None) -> Vec2:
-    """Where shadows end as points `at` see it, (N,) coordinates across the lines of sight, attached; args as of `border`."""
+    """Shadow ends as points `at` see them, (N,) coordinates across the lines of sight, attached; args as of `border`."""
     d = normalize(border(scene, geometry, outline, borders, step, off) - at)
     return Vec2(*(dot(d, across) for across in basis))
 
 
 def followed_borders_of_paths(call: RenderCall, number: int, casting: Casting) -> FollowedBorders | None:
-    """Places on borders, each seen by a vertex of a path of view `number`; args as of `border.borders_in_view`."""
+    """Samples borders, each seen from a path vertex of view `number`; args as of `border.borders_in_view`."""
     pairs = pairs_of(call, number, casting, True)
     if pairs is None:
         return None

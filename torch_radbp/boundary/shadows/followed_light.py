@@ -1,4 +1,4 @@
-"""What edges add to derivatives where scattered directions carry derivatives: with attached sampling, and at rough glass.
+"""Boundary terms of scattered directions that carry derivatives (attached sampling, rough glass).
 
 There the next vertex of a path is not glued to its surface. For given random numbers it slides over surfaces in a direction
 d that moves, and from one surface to another where an edge p is met. With e the edge's unit tangent and n normal to e and d,
@@ -63,36 +63,36 @@ TIMES_AS_LARGE = 2  # as other places in memory: how directions move is recorded
 
 
 class FollowedCuts(NamedTuple):
-    """K places where directions that carry derivatives meet edges, and where edges cut off sampled lamps; detached."""
+    """K samples where differentiated directions meet edges, and where edges occlude sampled lamps; detached."""
 
     directions: CutsOfView  # in coordinates across the line of sight
-    numbers: DirectionNumbers  # (K,) for which vertices draw them
+    numbers: DirectionNumbers  # (K,) with which vertices sample the directions
     lamps: CutsOfView
 
 
 class EdgeSide(NamedTuple):
-    """What lies on one side of N edges as vertices see them."""
+    """One side of N edges as path vertices see them."""
 
-    ray: Ray  # from these
+    ray: Ray  # from the vertices
     hit: Hit  # what it meets
 
 
 class Beyond(NamedTuple):
-    """What lies on either side."""
+    """Both sides of edges as path vertices see them."""
 
     front: EdgeSide  # the blocker
     back: EdgeSide  # the background
 
 
 class LightBeside(NamedTuple):
-    """What a view sees of light beside edges, (3, N) float64 each, for each unit of solid angle."""
+    """The light beside edges that reaches a view, (3, N) float64 each, per solid angle."""
 
-    drawn: Tensor  # the background's less the blocker's, by directions that vertices draw
-    picked: Tensor  # the background's, by points of lamps that are picked
+    drawn: Tensor  # background less blocker, by BSDF sampling
+    picked: Tensor  # background, by light sampling
 
 
 def directions_turn(call: RenderCall) -> bool:
-    """True if textures or normals with derivatives turn directions that are drawn by chance, and carry these."""
+    """True if differentiated textures or normals turn sampled directions that carry derivatives."""
     settings = call.integrand.settings
     kinds = [(bsdf.textures(), bsdf.kind()) for bsdf in one_sided(call.module.bsdfs())]
     turned = [source for textures, kind in kinds if kind.smooth and sampling_at(kind, settings.sampling) == "attached"
@@ -102,7 +102,7 @@ def directions_turn(call: RenderCall) -> bool:
 
 
 def jumps_of_followed_cuts(call: RenderCall, number: int, casting: Casting, found: FollowedCuts) -> FilmJumps:
-    """What edges add that directions slide over to the derivative of view `number`; args as of `border.jumps_of_borders`."""
+    """The boundary term of directions that slide over edges, for view `number`; args as of `border.jumps_of_borders`."""
     geometry, own, lamps = attached_geometry(call.scene), found.directions, found.lamps
     points, viewpoint = own.points, own.cuts.viewpoint
     rays = arriving(call, number, points, all_of_them=True)
@@ -116,7 +116,7 @@ def jumps_of_followed_cuts(call: RenderCall, number: int, casting: Casting, foun
 
 
 def moved_directions(call: RenderCall, points: Viewpoints, rays: Ray, numbers: DirectionNumbers) -> Vec3:
-    """(K,) unit, float64, attached: the directions in which viewpoints scatter light by these random numbers.
+    """(K,) unit, float64, attached: the directions that path vertices sample from given random numbers.
 
     Args:
         points: the viewpoints.
@@ -131,7 +131,7 @@ def moved_directions(call: RenderCall, points: Viewpoints, rays: Ray, numbers: D
 
 
 def followed_cuts_of_view(call: RenderCall, number: int, casting: Casting, first: FirstVertex) -> FollowedCuts | None:
-    """Places where edges are met by directions that carry derivatives; None: there are none.
+    """Samples edges that differentiated directions meet; None: there are none.
 
     Args:
         call, casting: as for `border.borders_in_view`.
@@ -170,7 +170,7 @@ def followed_cuts_of_view(call: RenderCall, number: int, casting: Casting, first
 
 
 def _beside(integrand: Integrand, passed: Passed, start: Vec3, off: Tensor) -> Beyond:
-    """What lies on either side of places on edges; `start`: (N,) the vertices that see them, `off`: by which rays pass."""
+    """Traces rays beside samples on edges; `start`: (N,) the path vertices, `off`: distance from the edge."""
     reach = passed.p - start
     distance = torch.sqrt(dot(reach, reach)).clamp_min(TINY)
     dtype = passed.onwards.d.x.dtype
@@ -184,7 +184,7 @@ def _beside(integrand: Integrand, passed: Passed, start: Vec3, off: Tensor) -> B
 
 def light_beside(call: RenderCall, integrand: Integrand, points: Viewpoints, beyond: Beyond, found: Drawn,
                  first: FirstVertex) -> LightBeside:
-    """What a view sees of the light on either side of edges.
+    """The light on either side of edges that reaches a view.
 
     Args:
         integrand: of the view, detached.

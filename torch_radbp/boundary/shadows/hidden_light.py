@@ -1,4 +1,4 @@
-"""What edges add to the derivative of an image by the light that they hide from the surfaces of paths.
+"""Boundary term of light that edges occlude from path vertices (soft shadows and indirect light).
 
 At a vertex x of a path, surfaces around it end at edges, and what lies behind appears. Paths that are scattered there go on
 to points z that are glued to surfaces; as an integral over the surfaces of z,
@@ -78,7 +78,7 @@ EVEN = 0.1  # how much edges count at grazing angles, by the cosine of interpola
 
 
 class FirstVertex(NamedTuple):
-    """Which lights count that the first vertex of a path receives straight."""
+    """The lights that count when a path's first vertex receives them directly."""
 
     surfaces: bool
     surroundings: bool
@@ -90,36 +90,36 @@ class FirstVertex(NamedTuple):
 
 
 def without_extent(scene: SceneTensors) -> Tensor:
-    """For each kind of light in a scene, whether it has none; bool."""
+    """For each kind of light in a scene, whether it is without extent; bool."""
     return torch.tensor([kind.delta for kind in scene.layout.lights], dtype=torch.bool, device=scene.device)
 
 
 class Cuts(NamedTuple):
-    """N places where edges cut off what is seen from viewpoints; detached."""
+    """N samples of edges that occlude what viewpoints see; detached."""
 
     viewpoint: Tensor  # (N,) int32
-    edge: Tensor  # (N,) int32, of the outline
-    along: Tensor  # (N,) share of the way from the edge's a to b; float64
-    hit: Hit  # what lies beyond; triangle -1: nothing
+    edge: Tensor  # (N,) int32, edge of the outline
+    along: Tensor  # (N,) float64, position along the edge, from a to b
+    hit: Hit  # the surface beyond; triangle -1: nothing
     basis: tuple[Vec3, Vec3]  # across the line of sight
 
 
 class CutsOfView(NamedTuple):
-    """K places where edges cut off light from paths of a view; detached."""
+    """K edge samples that occlude light from paths of a view; detached."""
 
-    points: Viewpoints  # of some of which they are
+    points: Viewpoints  # viewpoints, not all of them used
     cuts: Cuts
-    normal: Vec2  # in the coordinates of `cut_at`, as long as the piece that a place stands for
-    strength: Tensor  # (3, K) float64, what is lost where the border moves along that by one
+    normal: Vec2  # in the coordinates of `cut_at`; its length is that of the piece per sample
+    strength: Tensor  # (3, K) float64, light lost per unit of motion of the border
     sweep: Tensor  # as of `border.BordersInView`
 
     def independent(self) -> Tensor:
-        """As of `split.SampledIntegral`: those of each path together."""
+        """The contributions in independent parts, see `split.SampledIntegral`: those of each path together."""
         _, path = self.cuts.viewpoint.unique(return_inverse=True)
         return self.strength.new_zeros(3, int(path.max()) + 1).index_add(1, path, self.strength * self.sweep)
 
     def parted(self) -> tuple[CutsOfView | None, CutsOfView | None]:
-        """Those of paths that are tried, which only tell the noise, and the others; None: there are none."""
+        """Splits into samples of pilot paths, which only estimate noise, and the others; None: there are none."""
         if self.points.tried is None:
             return None, self
         tried, own = rows(self.points.tried, self.cuts.viewpoint), self._replace(points=self.points._replace(tried=None))
@@ -128,7 +128,7 @@ class CutsOfView(NamedTuple):
 
 
 def jumps_of_cuts(call: RenderCall, number: int, casting: Casting, found: CutsOfView) -> FilmJumps:
-    """What edges hide from paths adds to the derivative of view `number`; args as of `border.jumps_of_borders`."""
+    """The boundary term of light that edges occlude from paths, for view `number`; args as of `border.jumps_of_borders`."""
     geometry = attached_geometry(call.scene)
     at, viewpoint = vertex_at(call, geometry, number, found.points), found.cuts.viewpoint
     seen, start = cut_at(geometry, casting.outline, at, found.cuts), rows(at.map(primal), viewpoint)
@@ -137,16 +137,16 @@ def jumps_of_cuts(call: RenderCall, number: int, casting: Casting, found: CutsOf
 
 
 class CutCourse(NamedTuple):
-    """How N borders of cuts run; detached, float64."""
+    """The course of borders at which edges occlude light, at N samples; detached, float64."""
 
     basis: tuple[Vec3, Vec3]  # across the line of sight
-    normal: Vec2  # as of `CutsOfView`; 0 where it is not known
+    normal: Vec2  # as of `CutsOfView`; 0 where unknown
     sweep: Tensor
 
 
 def cut_at(geometry: Geometry, outline: Outline, vertices: Vec3, cuts: Cuts, step: Tensor | float = 0.0,
            off: Vec3 | None = None) -> Vec2:
-    """Where lines from viewpoints through edges meet what lies beyond, (N,) barycentric coordinates there; attached.
+    """Intersections of lines from viewpoints through edges with the surface beyond, (N,) barycentric; attached.
 
     Where nothing lies beyond: the direction of the line, by its coordinates across the line of sight.
 
@@ -164,7 +164,7 @@ def cut_at(geometry: Geometry, outline: Outline, vertices: Vec3, cuts: Cuts, ste
 
 
 def as_worth(first: float, found: Callable[[Amount], CutsOfView | None]) -> CutsOfView | None:
-    """As many cuts of an integral as are worth it; None: there are none.
+    """Takes as many samples of an integral as pay off; None: there are none.
 
     Args:
         first: variance of the first integral, with all of its samples.
@@ -182,7 +182,7 @@ def as_worth(first: float, found: Callable[[Amount], CutsOfView | None]) -> Cuts
 
 def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount = ALL, *,
                  first: FirstVertex) -> CutsOfView | None:
-    """Places where edges cut off light from paths of view `number`; None: there are none.
+    """Samples edges that occlude light from paths of view `number`; None: there are none.
 
     Args:
         call, casting: as for `border.borders_in_view`.
@@ -208,7 +208,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount
 
 def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, looks: EdgeSightings,
                   first: FirstVertex) -> CutsOfView | None:
-    """Those of the places that are seen at which edges cut off light; None: there are none. Args as for `looks_at_edges`."""
+    """Selects the edge samples at which light is occluded; None: there are none. Args as for `looks_at_edges`."""
     geometry, (points, at, passed) = geometry_of(call.scene), looks
     hit = call.integrand.caster.intersect(passed.onwards)
     counts = hit.prim >= 0
@@ -223,7 +223,7 @@ def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, look
 
 
 def fewer(found: CutsOfView, key: SampleKey, begun: int, most: int) -> CutsOfView:
-    """About `most` of the cuts of a round, which stand for all of them; see `thinning.py`.
+    """Thins a round's samples to about `most`, which stand for all of them; see `thinning.py`.
 
     Args:
         key: of random numbers.
@@ -235,7 +235,7 @@ def fewer(found: CutsOfView, key: SampleKey, begun: int, most: int) -> CutsOfVie
 
 
 def joined_cuts(found: Sequence[tuple[CutsOfView, float]]) -> CutsOfView | None:
-    """Several times cuts that stand for the whole, each with the share for which they count; None: there are none."""
+    """Joins sets of samples, each with the weight with which it counts; None: there are none."""
     if not found:
         return None
     before = itertools.accumulate([len(own.points.depth) for own, _ in found], initial=0)
@@ -248,16 +248,16 @@ def joined_cuts(found: Sequence[tuple[CutsOfView, float]]) -> CutsOfView | None:
 
 
 class EdgeSightings(NamedTuple):
-    """What vertices of paths see of edges."""
+    """Edge samples as path vertices see them."""
 
     points: Viewpoints  # (M,)
     at: Vec3  # (M,) where they are
-    passed: Passed  # (N,) places that they see, all of which stand for the same angle
+    passed: Passed  # (N,) samples, each with an equal share of angle
 
 
 def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting: Casting, count: int, first: FirstVertex,
                    density: Tensor | None = None, begun: int = 0, tried: int = 0) -> EdgeSightings | None:
-    """Places on edges that vertices of so many paths see; None: they see none.
+    """Samples edges as seen from vertices of `count` paths; None: they see none.
 
     Args:
         call, number, casting: as for `cuts_of_view`.
@@ -280,7 +280,7 @@ def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting:
 
 
 def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoints, at: Vec3, first: FirstVertex) -> Eyes:
-    """How viewpoints look for edges.
+    """The viewpoints, with weights of directions, from which edges are sampled.
 
     Args:
         call, number: of the view.
@@ -300,13 +300,13 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
 
 
 def number_of_paths(call: RenderCall, view: View, share: float = 1.0, most: int = MOST) -> int:
-    """Of how many paths edges are looked at, with a share of the samples that there are at most; of 0 none."""
+    """The number of paths whose vertices sample edges, for a share of the samples; 0: none."""
     return max(FEWEST_PATHS, int(share * min(most, view.width * view.height * call.spp // SHARE))) if share else 0
 
 
 def cuts_that_matter(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed,
                      hit: Hit, light: Callable[[Cuts], Tensor]) -> CutsOfView | None:
-    """The cuts at which light is lost; None: there are none. Args as for `all_cuts`."""
+    """The samples at which light is lost; None: there are none. Args as for `all_cuts`."""
     found = all_cuts(stages, geometry, casting, points, at, passed, hit, light)
     kept = matter(found)
     return with_used_viewpoints(some_cuts(found, kept)) if len(kept) else None
@@ -314,7 +314,7 @@ def cuts_that_matter(stages: Stages, geometry: Geometry, casting: Casting, point
 
 def all_cuts(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed, hit: Hit,
              light: Callable[[Cuts], Tensor]) -> CutsOfView:
-    """Cuts, those among them at which nothing is lost.
+    """Samples of occluding edges, those included at which nothing is lost.
 
     Args:
         stages, geometry, casting: as for `places_seen`.
@@ -330,18 +330,18 @@ def all_cuts(stages: Stages, geometry: Geometry, casting: Casting, points: Viewp
 
 
 def matter(found: CutsOfView) -> Tensor:
-    """The numbers of those cuts at which light is lost, int64."""
+    """The indices of samples at which an edge occludes any light, int64."""
     return (found.strength != 0).any(0).nonzero().squeeze(1)
 
 
 def some_cuts(found: CutsOfView, kept: Tensor) -> CutsOfView:
-    """The cuts of these numbers."""
+    """Selects samples of occluding edges by index."""
     return found._replace(cuts=rows(found.cuts, kept), normal=rows(found.normal, kept), strength=found.strength[:, kept],
                           sweep=found.sweep[kept])
 
 
 def with_used_viewpoints(found: CutsOfView) -> CutsOfView:
-    """The same cuts, without viewpoints that have none: those that slide are traced once more, attached."""
+    """Drops viewpoints without samples: those that slide are traced once more, attached."""
     used, viewpoint = found.cuts.viewpoint.unique(return_inverse=True)
     cuts = found.cuts._replace(viewpoint=viewpoint.to(found.cuts.viewpoint.dtype))
     return found._replace(points=rows(found.points, used.long()), cuts=cuts)
@@ -349,7 +349,7 @@ def with_used_viewpoints(found: CutsOfView) -> CutsOfView:
 
 @stage("geometry", "outline", "at")
 def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, hit: Hit, extent: Tensor) -> CutCourse:
-    """How the borders of cuts run.
+    """Computes how borders of occluded light run over the surfaces beyond.
 
     Args:
         geometry: of the scene, detached.
@@ -370,7 +370,7 @@ def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, h
 
 def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, beyond: Hit, passed: Passed, at: Vec3,
                  first: FirstVertex) -> Tensor:
-    """(3, N) float64 what the view sees of the light that passes edges, for each unit of `cut_at`'s coordinates.
+    """(3, N) float64 light past the edges that reaches the view, per unit of `cut_at`'s coordinates.
 
     Args:
         points, at: the viewpoints, and where they are.

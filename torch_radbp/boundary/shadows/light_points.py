@@ -1,4 +1,4 @@
-"""Light samples, from which edges are looked at."""
+"""Light samples as viewpoints from which edges are sampled."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ SALT = 0x1F83D9AC  # tells the random numbers of these samples from others
 
 
 class LightPoints(NamedTuple):
-    """M light samples."""
+    """M samples of lights, with the kind of each."""
 
     draw: LightDraw
-    kind: Tensor  # (M,) int64, of the light, its number in `Layout.lights`
+    kind: Tensor  # (M,) int64, kind of light, index into `Layout.lights`
 
 
 def light_points(stages: Stages, scene: SceneTensors, view: View, count: int) -> LightPoints:
-    """So many light samples, picked by the probabilities with which lights are picked that are the same everywhere."""
+    """Light samples with selection probabilities that do not depend on a point."""
     key, number = salted(view, SALT), torch.arange(count, dtype=torch.int32, device=scene.device)
     return stages(light_samples)(scene.lights.choice, scene.lights.kind, key, number)
 
 
 @stage("choice", "kind")
 def light_samples(choice: AliasTable | TreeChoice, kind: Tensor, key: SampleKey, number: Tensor) -> LightPoints:
-    """The light samples of these numbers, (M,) int32.
+    """The light samples of given indices, (M,) int32.
 
     Args:
         choice: of elements of the light table.
@@ -64,7 +64,7 @@ def light_samples(choice: AliasTable | TreeChoice, kind: Tensor, key: SampleKey,
 
 @stage("scene")
 def light_eyes(scene: SceneTensors, draw: LightDraw) -> Eyes:
-    """Where light samples, (M,), look for edges from; `scene`: detached, any part of it."""
+    """The viewpoints of light samples, (M,); `scene`: detached, any part of it."""
     zero = torch.zeros_like(draw.picked.pmf).double()
     nowhere = Vec3(zero, zero, zero)
     aims = aims_at(scene, nowhere, draw)
@@ -74,7 +74,7 @@ def light_eyes(scene: SceneTensors, draw: LightDraw) -> Eyes:
 
 @stage("scene")
 def light_lobes(scene: SceneTensors, p: Vec3, draw: LightDraw) -> Lobe:
-    """The lights of samples, one for each of some points, as they are seen from there.
+    """The lights of samples as lobes seen from given points, one each.
 
     Args:
         scene: detached, any part of it.
@@ -87,7 +87,7 @@ def light_lobes(scene: SceneTensors, p: Vec3, draw: LightDraw) -> Lobe:
 
 @stage("scene")
 def light_line(scene: SceneTensors, p: Vec3, draw: LightDraw) -> tuple[Vec3, Vec3, Tensor]:
-    """Where the light of samples comes from on its way through points p, and the direction in which it goes; attached.
+    """The origin and direction of the light of samples through points p; attached.
 
     (N,) world; the point is p itself where light is parallel, the direction is of any length. And where it is so, (N,) bool.
     """
@@ -95,12 +95,12 @@ def light_line(scene: SceneTensors, p: Vec3, draw: LightDraw) -> tuple[Vec3, Vec
 
 
 def aims_at(scene: SceneTensors, p: Vec3, draw: LightDraw) -> Aims:
-    """The light samples as they are seen from points, (N,) world; attached."""
+    """The light samples as seen from points, (N,) world; attached."""
     return light_aims(scene, scene, p.map(lambda c: c.to(scene.dtype)), draw.numbers, draw.picked)
 
 
 def line_of(aims: Aims, p: Vec3) -> tuple[Vec3, Vec3, Tensor]:
-    """`light_line` of light samples as they are seen from `p`."""
+    """The origin and direction of light, see `light_line`, from light samples seen from `p`."""
     parallel = among(aims.cases, [case.kind.parallel for case in aims.cases], aims.element)
     target, towards = (aims(name) for name in ("target", "d"))
     target = p if target is None else target.map(torch.Tensor.double)
@@ -109,7 +109,7 @@ def line_of(aims: Aims, p: Vec3) -> tuple[Vec3, Vec3, Tensor]:
 
 
 def _normal_of(aims: Aims, p: Vec3) -> Vec3:
-    """The normals of the surfaces that light samples lie on, (N,) unit, world; 0 of those on none."""
+    """The normals of light samples' surfaces, (N,) unit, world; 0 without a surface."""
     n = aims("n")
     if n is None:
         return p * 0.0

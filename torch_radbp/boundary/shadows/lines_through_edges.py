@@ -1,4 +1,4 @@
-"""What viewpoints scatter towards edges, and how large what lies beyond is seen, by the lines from viewpoints through these.
+"""BSDF and solid angle along lines from viewpoints through edges.
 
 Rays that tell what lies right beside an edge pass it a little off. Close to the edge they differ much from the line through
 it, which the border of a cut follows: a plane that the line meets nearly edge-on and far away may be met nearby by the ray.
@@ -23,14 +23,13 @@ from torch_radbp.tensors.vec import TINY, Ray, Vec3, cross, dot, normalize
 
 
 def scattered_towards(call: RenderCall, integrand: Integrand, points: Viewpoints, reach: Vec3) -> Vec3:
-    """BSDF times cosine of viewpoints, (N,), in directions, (N,) of any length, float64; detached."""
+    """BSDF times cosine of viewpoints, (N,), in directions of any length, float64; detached."""
     d = normalize(reach).map(lambda c: c.to(integrand.proposal.dtype).contiguous())
     return scattered_light(integrand, path_of(call, points.ray, points.key), points.hit, d)
 
 
 def solid_angle(scene: SceneTensors, hit: Hit, line: Ray) -> Tensor:
-    """(N,) float64 the solid angle of triangles where lines meet their planes, for each unit of barycentric coordinates; 1
-    where nothing is hit.
+    """(N,) float64 solid angle per unit of barycentric coordinates, where lines meet triangles' planes; 1 without a hit.
 
     From within its own plane, but for rounding, nothing of a triangle is seen. There the line meets the plane nowhere:
     what rounding makes of the angle does not vanish as fast as the speed grows at which the place moves over the plane.

@@ -1,4 +1,4 @@
-"""What borders of projected pictures add to the derivative of an image, on surfaces that the camera sees.
+"""Boundary term of projected images: their borders on surfaces that the camera sees.
 
 The picture of a projector ends with a jump, and there are lines at which it may jump itself. Each is a plane of light, which
 meets a receiver along a curve; there the image changes as at the border of a shadow (`border.py`), by what is lit on either
@@ -37,26 +37,26 @@ BESIDE = 1e-4  # share of the picture by which it is looked at beside a line
 
 
 class PictureLines(NamedTuple):
-    """S segments of pictures at which these jump; float64 but for integers."""
+    """S segments of projected images along which these are discontinuous; float64 but for integers."""
 
-    row: Tensor  # (S,) int32, the light, of the table of its kind
+    row: Tensor  # (S,) int32, light: row of the table of its kind
     element: Tensor  # (S,) int32, of `LightTable`
-    start: Vec2  # (S,) on the picture
+    start: Vec2  # (S,) uv in the image
     end: Vec2
 
 
 class LitCurves(NamedTuple):
-    """N places of pictures whose light meets a receiver; detached."""
+    """N points of projected images whose light hits a receiver; detached."""
 
-    row: Tensor  # (N,) int32, the light, of the table of its kind
+    row: Tensor  # (N,) int32, light: row of the table of its kind
     element: Tensor  # (N,) int32, of `LightTable`
-    at: Vec2  # on its picture
-    along: Vec2  # the segment from its start to its end
+    at: Vec2  # uv in its image
+    along: Vec2  # vector from the segment's start to its end
     receiver: Hit
 
 
 def lines_of_pictures(call: RenderCall) -> dict[int, PictureLines]:
-    """The lines at which pictures of lights jump, by the number of their kind; nothing of kinds that have none."""
+    """The discontinuity lines of projected images, by kind of light; kinds without any are missing."""
     lights, device, found = call.scene.lights, call.scene.device, {}
     for number, kind in enumerate(call.scene.layout.lights):
         emitters = [] if kind.on_surface else [emitter for emitter in call.module.emitters if emitter.kind() == kind]
@@ -72,7 +72,7 @@ def lines_of_pictures(call: RenderCall) -> dict[int, PictureLines]:
 
 
 def in_picture(lines: JumpLines, whole: bool, device: torch.device) -> tuple[Vec2, Vec2]:
-    """The segments of lines in the unit square, (S,) their ends; float64.
+    """Clips lines to the unit square: (S,) end points; float64.
 
     Args:
         lines: of the unit square's coordinates.
@@ -94,18 +94,18 @@ def in_picture(lines: JumpLines, whole: bool, device: torch.device) -> tuple[Vec
 
 
 class PictureBorders(NamedTuple):
-    """K places of curves that a view sees; detached."""
+    """K samples on borders of projected images that a view sees; detached."""
 
     curves: LitCurves
     place: Vec2  # on the film
     aperture: Vec2 | None  # of the rays that see them
-    normal: Vec2  # of the curve on the film, as long as the piece that a place stands for
-    strength: Tensor  # (3, K) float64, what is lost where the curve moves along that by one
+    normal: Vec2  # normal of the curve on the film; its length is that of the piece per sample
+    strength: Tensor  # (3, K) float64, light lost per unit of motion of the curve
 
 
 def picture_borders_in_view(call: RenderCall, number: int, casting: Casting, kind: int,
                             lines: PictureLines) -> PictureBorders | None:
-    """Places of borders of pictures on surfaces that view `number` sees; None: there are none.
+    """Samples borders of projected images that view `number` sees; None: there are none.
 
     Args:
         call: without derivatives.
@@ -118,7 +118,7 @@ def picture_borders_in_view(call: RenderCall, number: int, casting: Casting, kin
 
 
 def jumps_of_pictures(call: RenderCall, number: int, casting: Casting, found: PictureBorders, kind: int) -> FilmJumps:
-    """What borders of pictures add to the derivative of a view; `call`: something of it moves, others as for the search."""
+    """The boundary term of projected images for a view; `call`: with derivatives, other args as for the search."""
     on_curve = lit_at(call.scene, attached_geometry(call.scene), kind, found.curves)
     on_view = on_film(call.views[number].camera, on_curve, found.aperture)
     return FilmJumps(found.place, found.strength * swept_areas(on_view, found.normal))
@@ -126,7 +126,7 @@ def jumps_of_pictures(call: RenderCall, number: int, casting: Casting, found: Pi
 
 def lit_at(scene: SceneTensors, geometry: Geometry, kind: int, curves: LitCurves, step: Tensor | float = 0.0,
            aside: float = 0.0) -> Vec3:
-    """Where light through places of pictures meets the planes of receivers, (N,) world, attached.
+    """The points at which light from image points hits the planes of receivers, (N,) world, attached.
 
     Args:
         scene, geometry: attached.
@@ -140,7 +140,7 @@ def lit_at(scene: SceneTensors, geometry: Geometry, kind: int, curves: LitCurves
 
 
 def light_of(scene: SceneTensors, kind: int, curves: LitCurves, step: Tensor | float = 0.0, aside: float = 0.0) -> Ray:
-    """The light that leaves through places of pictures, attached, float64; args as for `lit_at`."""
+    """The rays of light from image points, attached, float64; args as for `lit_at`."""
     run = curves.along
     length = torch.hypot(run.x, run.y)
     across = Vec2(-run.y / length, run.x / length)
@@ -152,8 +152,7 @@ def light_of(scene: SceneTensors, kind: int, curves: LitCurves, step: Tensor | f
 
 def curves_lit(call: RenderCall, number: int, kind: int,
                lines: PictureLines) -> tuple[LitCurves, Tensor, LaneKey] | None:
-    """Places whose light meets a receiver, how many lines each stands for, and the random numbers of each; args as for
-    `picture_borders_in_view`."""
+    """Samples image lines whose light hits a receiver, weights and keys; args as for `picture_borders_in_view`."""
     view, scene = call.views[number], call.scene
     run = lines.end + lines.start * -1.0
     weight = torch.hypot(run.x, run.y)
@@ -174,7 +173,7 @@ def curves_lit(call: RenderCall, number: int, kind: int,
 
 def borders_seen(call: RenderCall, number: int, kind: int, curves: LitCurves, times: Tensor,
                  key: LaneKey) -> PictureBorders | None:
-    """Places on curves that a view sees; args as for `picture_borders_in_view` and of `curves_lit`."""
+    """Selects samples on curves that a view sees; args as for `picture_borders_in_view` and of `curves_lit`."""
     view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
     integrand, camera = integrand_of(call, call.integrand, number), view.camera
     aperture, one = aperture_of(view, key), torch.ones_like(curves.receiver.t)

@@ -1,4 +1,4 @@
-"""Silhouettes as seen from points in the scene, and what lies beyond them."""
+"""Silhouettes as seen from points in the scene, and the surfaces beyond."""
 
 from __future__ import annotations
 
@@ -41,29 +41,29 @@ FAR = 1e10  # the distance of what is a direction
 
 
 class Casting(NamedTuple):
-    """What casts shadows; detached."""
+    """The edges that cast shadows; detached."""
 
     outline: Outline
     tree: EdgeTree  # over its edges
 
 
 class Passed(NamedTuple):
-    """N places on edges as eyes see them, float64 but for integers."""
+    """N samples on edges as viewpoints see them, float64 but for integers."""
 
     edge: Tensor  # int32
-    eye: Tensor  # int32
-    along: Tensor  # share of the way from the edge's a to b
-    times: Tensor  # how many edges, over their probability to be among those looked at, a place stands for
-    p: Vec3  # the place
-    outwards: Vec3  # unit, across the edge and the line of sight, to where something lies beyond
-    back: Ray  # from right beside the edge to the eye
+    eye: Tensor  # int32, viewpoint
+    along: Tensor  # position along the edge, from a to b
+    times: Tensor  # weight: edges that a sample stands for, divided by their selection probability
+    p: Vec3  # the sampled point
+    outwards: Vec3  # unit, across the edge and the line of sight, to the background
+    back: Ray  # from right beside the edge to the viewpoint
     onwards: Ray  # and away from it
-    distance: Tensor  # of the eye, but for a little
+    distance: Tensor  # of the viewpoint, slightly shortened
     key: LaneKey  # of random numbers
 
 
 def angle_seen(geometry: Geometry, outline: Outline, edge: Tensor, eye: Eyes, extent: Tensor) -> Tensor:
-    """The angles under which edges are seen that are silhouettes, 0 for others; times how much they count; (N,) float64.
+    """The angles that silhouette edges subtend, 0 for other edges; times their weight; (N,) float64.
 
     From a direction lengths across it are seen instead, as shares of the extent.
 
@@ -79,14 +79,14 @@ def angle_seen(geometry: Geometry, outline: Outline, edge: Tensor, eye: Eyes, ex
 
 
 def angle_of_edge(geometry: Geometry, slot: EdgeSlots, eye: Eyes, extent: Tensor) -> Tensor:
-    """As `angle_seen`; `slot`: (N,) the edges."""
+    """The angles that edges subtend, see `angle_seen`; `slot`: (N,) the edges."""
     a, b, *opposite = in_world(geometry, slot.vertices, slot.instance)
     silhouette = is_silhouette(a, b, opposite, a * eye.w - eye.place)
     return torch.where((slot.edge >= 0) & silhouette, angle_of(a, b, eye, extent), 0.0)
 
 
 def angle_of(a: Vec3, b: Vec3, eye: Eyes, extent: Tensor) -> Tensor:
-    """The angles under which lines from a to b, (N,) each, are seen, as of `angle_seen`."""
+    """The angles that segments from a to b subtend, (N,), see `angle_seen`."""
     from_a, from_b = (end * eye.w - eye.place for end in (a, b))
     to_a, to_b, across = normalize(from_a), normalize(from_b), cross(b - a, eye.place)
     apart = to_a - to_b
@@ -99,7 +99,7 @@ def angle_of(a: Vec3, b: Vec3, eye: Eyes, extent: Tensor) -> Tensor:
 
 @stage("geometry", "slots", "eyes")
 def edge_found(geometry: Geometry, slots: EdgeSlots, eyes: Eyes, at: Descent, extent: Tensor) -> PickedEdges:
-    """Silhouettes below the last nodes of the tree, in proportion to their angles.
+    """Samples silhouettes below the last nodes of the tree, in proportion to their angles.
 
     Args:
         geometry, extent: as for `angle_seen`.
@@ -115,7 +115,7 @@ def edge_found(geometry: Geometry, slots: EdgeSlots, eyes: Eyes, at: Descent, ex
 @stage("geometry", "outline", "eyes", "lot", "found", "eye")
 def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, found: PickedEdges, eye: Tensor, seed: SampleKey,
                 extent: Tensor, place: Tensor) -> Passed:
-    """Places on some of the edges that were found.
+    """Samples points on the silhouette edges that viewpoints have selected.
 
     Args:
         geometry, outline, extent: as for `angle_seen`.
@@ -145,22 +145,21 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, foun
 
 
 def numbers_of_places(seed: SampleKey, place: Tensor) -> tuple[LaneKey, Tensor, Tensor]:
-    """The random numbers of places, (N,) int32: their keys, what they are picked by, and where on it they lie."""
+    """The random numbers of samples, (N,) int32: keys, one for selection, one for the position along the edge."""
     key = lane_key(seed, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
     numbers = bounce_key(key, CAMERA_COUNTER)
     return key, fine_unit(random_bits(numbers, 1)), fine_unit(random_bits(numbers, 0))
 
 
 def place_between(a: Vec3, b: Vec3, eye: Eyes, turn: Tensor, times: Tensor) -> tuple[Tensor, Tensor, Vec3]:
-    """Places of lines from a to b that eyes see after so many turns: shares of the way, for how many lines they stand, and
-    the places; (N,) each. Args as for `evenly_seen`, and `times`: what was picked stands for so many."""
+    """Points of segments from a to b at a fraction `turn` of the angle: position along, weight, and point; (N,) each."""
     along, density = evenly_seen(a * eye.w - eye.place, b * eye.w - eye.place, turn)
     along, times = torch.where(eye.w > 0.0, along, turn), torch.where(eye.w > 0.0, times / density, times)
     return along, times, a + (b - a) * along
 
 
 def passed_at(own: Eyes, place: Passed, extent: Tensor, dtype: torch.dtype) -> Passed:
-    """Places with the rays that pass there; `own`: (N,) the eye of each, `dtype`: of rays."""
+    """Adds to samples the rays that pass there; `own`: (N,) their viewpoints, `dtype`: of rays."""
     start = place.p + place.outwards * (BESIDE * extent)
     away = start * own.w - own.place
     length = torch.sqrt(dot(away, away)).clamp_min(TINY)
@@ -170,8 +169,8 @@ def passed_at(own: Eyes, place: Passed, extent: Tensor, dtype: torch.dtype) -> P
 
 
 def evenly_seen(a: Vec3, b: Vec3, turn: Tensor) -> tuple[Tensor, Tensor]:
-    """Places of lines from a to b that are seen from the origin after so many turns from one to the other, and the density
-    that they have if turns are uniform: near an eye light turns much over short ways. (N,) each.
+    """Points of segments at a fraction of the angle seen from the origin: position along, and its density for uniform
+    fractions.
 
     Args:
         a, b: (N,) float64.
@@ -189,7 +188,7 @@ def evenly_seen(a: Vec3, b: Vec3, turn: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def density_seen(a: Vec3, b: Vec3, along: Tensor) -> Tensor:
-    """The density that places of `evenly_seen` have at shares of the way, (N,)."""
+    """The density of `evenly_seen` at positions along segments, (N,)."""
     p, normal = a + (b - a) * along, cross(a, b)
     angle, squared = angle_between(normalize(a), normalize(b)), dot(normal, normal)
     return torch.where(squared > 0.0, torch.sqrt(squared) / (dot(p, p) * angle).clamp_min(TINY), 1.0)
@@ -197,7 +196,7 @@ def density_seen(a: Vec3, b: Vec3, along: Tensor) -> Tensor:
 
 def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes, seed: SampleKey, each: int, count: int,
                 tried: Tensor | None = None) -> Passed | None:
-    """Places on edges that eyes see as silhouettes, in proportion to the angles of these; None: they see none.
+    """Samples silhouettes as seen from viewpoints, in proportion to their angles; None: there are none.
 
     Args:
         stages: of the call.
@@ -220,7 +219,7 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
 
 def places_on(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey,
               found: PickedOnes | None) -> Passed | None:
-    """Places on edges that were `found`; None: there are none. The other args as for `places_seen`."""
+    """Samples points on edges that were `found`; None: there are none. The other args as for `places_seen`."""
     if found is None:
         return None
     return stages(edge_passed)(geometry, outline, eyes, found.lot, found.found, found.eye, seed, extent_of(geometry),
@@ -228,30 +227,30 @@ def places_on(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, 
 
 
 def salted(view: View, salt: int) -> SampleKey:
-    """Of random numbers of a view's derivative that have a salt of their own."""
+    """The key of a view's derivative random numbers with a salt."""
     key = view.sample_keys[1]
     return SampleKey(hash32(key.seed ^ salt), key.shared)
 
 
 def uniform_numbers(key: SampleKey, lane: Tensor, counter: Tensor | int, dtype: torch.dtype) -> Tensor:
-    """A uniform number in [0, 1) for each of some lanes, (N,) int32."""
+    """A uniform random number in [0, 1) per lane, (N,) int32."""
     return uniform(bounce_key(LaneKey(hash32(lane + key.seed), torch.zeros_like(lane)), counter), 0, dtype)
 
 
 def extent_of(geometry: Geometry) -> Tensor:
-    """() float64, the longest side of the box around the vertices."""
+    """() float64, the longest side of the vertices' bounding box."""
     ends = [part.aminmax() for part in geometry.triangles.vertices.p]
     return torch.stack([end.max - end.min for end in ends]).amax().double()
 
 
 def onto_surfaces(integrand: Integrand, passed: Passed) -> tuple[Passed, Hit]:
-    """Places on edges right beside which a surface lies beyond, and that; the edges may be hidden from the eyes."""
+    """Selects samples with a surface right beyond the edge, with the hits; edges may be hidden from the viewpoints."""
     hit = integrand.caster.intersect(passed.onwards)
     return rows((passed, hit), (hit.prim >= 0).nonzero().squeeze(1))
 
 
 def unhidden(integrand: Integrand, passed: Passed) -> Tensor:
-    """Numbers of those of N places on edges that nothing hides from the eyes, (K,) int64."""
+    """The indices of samples on edges that nothing hides from the viewpoints, (K,) int64."""
     return (~integrand.caster.occluded(passed.back, passed.distance)).nonzero().squeeze(1)
 
 
@@ -269,19 +268,19 @@ def point_of_edge(geometry: Geometry, outline: Outline, edge: Tensor, along: Ten
 
 
 def corners_of(geometry: Geometry, hit: Hit) -> tuple[Vec3, Vec3, Vec3]:
-    """The corners of the triangles that are hit, in the world, attached; float64. Of any where nothing is hit."""
+    """The corners of hit triangles in the world, attached; float64. Of any triangle for a miss."""
     return positions(geometry, Between(*lookup(geometry.triangles.corners, hit.prim.clamp_min(0))), hit.instance)
 
 
 def crossed_at(corners: tuple[Vec3, Vec3, Vec3], line: Ray) -> Vec2:
-    """Where lines, (N,), meet the planes of triangles, barycentric coordinates there; attached."""
+    """Intersections of lines, (N,), with the planes of triangles, barycentric; attached."""
     volume, of_u, of_v = crossing(line, corners[0], corners[1] - corners[0], corners[2] - corners[0])
     volume = torch.where(volume != 0.0, volume, 1.0)
     return Vec2(of_u / volume, of_v / volume)
 
 
 def finite_normal(along: Vec2, times: Tensor) -> Vec2:
-    """Across curves, as long as the pieces that places stand for; 0 where they run too fast to be counted; (N,) each.
+    """Normals of curves whose length is that of the piece per sample; 0 where too long to be counted; (N,) each.
 
     Args:
         along: (N,) how fast places move along their edges, of `pace`.
@@ -293,7 +292,7 @@ def finite_normal(along: Vec2, times: Tensor) -> Vec2:
 
 
 def pace(seen: Callable[[Tensor], Vec2], like: Tensor) -> tuple[Vec2, Vec2]:
-    """Where places are that follow from the way along edges, and how fast they move along; (N,) each, detached.
+    """The image of samples, and its derivative along the edges; (N,) each, detached.
 
     Args:
         seen: gives them, of (N,) steps from where they are, shares of the edges' lengths.

@@ -1,4 +1,4 @@
-"""What edges add to the derivative of an image that vertices of paths see through surfaces which let light pass straight on.
+"""Boundary term of edges that path vertices see through surfaces with null scattering (masks, thin panes).
 
 Holes of a `mask`, a `null` surface and a thin pane let light pass as it came. Next-event estimation does not look through
 them, so that the shadows of cut-outs are made of paths x, m, z: scattered at x, straight through m, on to a lamp or another
@@ -65,13 +65,12 @@ MOST_SURFACES = 4  # that light passes on the way from an edge
 
 
 def passes_straight(scene: SceneTensors) -> bool:
-    """True if a material of the scene lets light pass in the direction in which it came."""
+    """True if a material of the scene lets light pass in the direction in which it came (null scattering)."""
     return any(look.kind.straight for look in scene.layout.appearances)
 
 
 def cuts_seen_through(call: RenderCall, number: int, casting: Casting, amount: Amount = ALL) -> CutsOfView | None:
-    """Places where lines to edges pass straight through surfaces that paths of a view meet, of which they are cuts; None:
-    there are none. Args as for `hidden_light.cuts_of_view`."""
+    """Samples edges seen through null-scattering surfaces; None: none. Args as for `hidden_light.cuts_of_view`."""
     geometry, begun = geometry_of(call.scene), number_of_paths(call, call.views[number], amount.before)
     integrand = integrand_of(call, call.integrand, number)
     points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1),
@@ -107,11 +106,11 @@ class Through(NamedTuple):
 
     ray: Ray
     hit: Hit  # the first surface
-    reaches: Tensor  # (N,) bool: light comes this way from where the ray is aimed at
-
+    reaches: Tensor  # of the first surface
+  # (N,) bool: light reaches the origin from the target
 
 def through(integrand: Integrand, start: Vec3, target: Vec3) -> Through:
-    """The rays from some points, (N,) float64 world, to others that something hides."""
+    """Traces rays from points, (N,) float64 world, straight through surfaces to occluded targets."""
     dtype, reach = integrand.proposal.dtype, target - start
     distance = torch.sqrt(dot(reach, reach)).clamp_min(TINY)
     d = reach * (1.0 / distance)
@@ -132,7 +131,7 @@ def through(integrand: Integrand, start: Vec3, target: Vec3) -> Through:
 
 
 def lets_pass(integrand: Integrand, ray: Ray, hit: Hit) -> Tensor:
-    """(N,) bool, whether rays meet surfaces that let light pass straight."""
+    """(N,) bool: rays that hit null-scattering surfaces."""
     found = torch.zeros_like(hit.prim, dtype=torch.bool)
     _, order, queues = queued(integrand, ray, hit, False)
     for queue in queues:
@@ -143,8 +142,7 @@ def lets_pass(integrand: Integrand, ray: Ray, hit: Hit) -> Tensor:
 
 def _difference(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, passed: Passed,
                 ways: Sequence[Through]) -> Tensor:
-    """(3, N) float64 what the view sees of the difference of what lies beside edges and on them, for each unit of
-    `cut_at`'s coordinates.
+    """(3, N) float64 light beside edges less light on them that reaches the view, per unit of `cut_at`'s coordinates.
 
     Args:
         points, at: the viewpoints, of which `passed.eye` are meant, and where they are.

@@ -1,4 +1,4 @@
-"""A tree over the segments along which surfaces pass through each other, and places on them that points in the scene see.
+"""A tree over intersection segments, for sampling them as seen from a point.
 
 It is one of edges (`edge_tree.py`) of which no direction across is left out: on either side of a segment another surface is
 seen, from wherever it is seen.
@@ -35,14 +35,14 @@ from torch_radbp.tensors.vec import Vec3, dot, interpolated, normalize, rows, un
 
 
 class SegmentTree(NamedTuple):
-    """Segments, and a tree over them; detached."""
+    """Intersection segments, and a tree over them; detached."""
 
     segments: Segments
     tree: EdgeTree
 
 
 def segment_tree(stages: Stages, geometry: Geometry, segments: Segments) -> SegmentTree:
-    """The tree over some segments; `geometry`: of the scene, detached."""
+    """Builds the tree over segments; `geometry`: of the scene, detached."""
     start, _ = ends_of(geometry, segments)
     slots = slots_of(torch.zeros_like(segments.triangle), start.stack())
     bounds = stages(segment_bounds)(geometry, segments, slots, numbers_to(len(slots), slots))
@@ -50,14 +50,14 @@ def segment_tree(stages: Stages, geometry: Geometry, segments: Segments) -> Segm
 
 
 def ends_of(geometry: Geometry, segments: Segments) -> tuple[Vec3, Vec3]:
-    """Where segments begin and end, (S,) world."""
+    """The end points of segments, (S,) world."""
     corners = segments.corners(geometry)
     return tuple(interpolated(corners, end.x, end.y) for end in (segments.start, segments.end))
 
 
 @stage("geometry", "segments", "slots")
 def segment_bounds(geometry: Geometry, segments: Segments, slots: Tensor, slot: Tensor) -> EdgeNodes:
-    """The bounds of single segments.
+    """The bounds of leaf nodes of the tree, one segment each.
 
     Args:
         geometry: of the scene, detached.
@@ -80,7 +80,7 @@ def segment_bounds(geometry: Geometry, segments: Segments, slots: Tensor, slot: 
 @stage("geometry", "segments", "slots", "eyes")
 def segment_found(geometry: Geometry, segments: Segments, slots: Tensor, eyes: Eyes, at: Descent,
                   extent: Tensor) -> PickedEdges:
-    """Segments below the last nodes of the tree, in proportion to the angles under which they are seen.
+    """Samples segments below the last nodes of the tree, in proportion to the angles that they subtend.
 
     Args:
         geometry: of the scene, detached.
@@ -105,7 +105,7 @@ def segment_found(geometry: Geometry, segments: Segments, slots: Tensor, eyes: E
 @stage("geometry", "segments", "eyes", "lot", "found", "eye")
 def segment_passed(geometry: Geometry, segments: Segments, eyes: Eyes, lot: Lot, found: PickedEdges, eye: Tensor,
                    seed: SampleKey, extent: Tensor, place: Tensor) -> Passed:
-    """Places on some of the segments that were found, `outwards` to between the surfaces that eyes see there.
+    """Samples points on found segments, with `outwards` between the two surfaces.
 
     Args:
         geometry, segments, eyes, extent: as for `segment_found`.
@@ -123,10 +123,10 @@ def segment_passed(geometry: Geometry, segments: Segments, eyes: Eyes, lot: Lot,
 
 
 def surfaces_along(segments: Segments) -> list[tuple[Tensor, Tensor | None]]:
-    """The triangles that meet along segments, and what shows them."""
+    """The two intersecting triangles of each segment, with instances."""
     return [(segments.triangle, segments.instance), (segments.through, segments.shown_by)]
 
 
 def _facing(corners: Corners, eye: Vec3) -> Vec3:
-    """Unit normals of triangles, (N,), on the side from which they are seen; 0 in their planes."""
+    """Unit normals of triangles, (N,), on the visible side; 0 in their planes."""
     return unit_normal(corners[1] - corners[0], corners[2] - corners[0]) * torch.sign(height_above(corners, eye))

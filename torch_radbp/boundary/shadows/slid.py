@@ -1,4 +1,4 @@
-"""How points slide over triangles that lie close to the vertices of paths from which they are seen; see `scene.nearby`.
+"""The sliding of points over triangles close to the path vertices that see them; see `scene.nearby`.
 
 The borders at which light on such a triangle ends move over its points by what they move over the triangle, less what the
 points do. In barycentric coordinates the latter is a share of the way of a point that stays in a fixed direction from the
@@ -23,7 +23,7 @@ from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, ro
 
 def less_what_slides(call: RenderCall, number: int, geometry: Geometry, points: Viewpoints, start: Vec3, met: Hit,
                      seen: Vec2) -> Vec2:
-    """Places on borders, less what the points of the triangles slide that lie there; (N,) barycentric coordinates, attached.
+    """Subtracts how triangles' points slide from attached border positions; (N,) barycentric.
 
     Args:
         call, number: of the view.
@@ -38,7 +38,7 @@ def less_what_slides(call: RenderCall, number: int, geometry: Geometry, points: 
 
 def what_slides(call: RenderCall, number: int, geometry: Geometry, points: Viewpoints, start: Vec3, met: Hit,
                 place: Vec2) -> tuple[Tensor, Vec2]:
-    """Which points slide over their triangles, (K,) int64 of N, and what their barycentric coordinates change by; attached.
+    """Indices of points that slide over triangles, (K,) int64, and the change of their barycentric coordinates; attached.
 
     Args:
         call, number, geometry, points, start, met: as for `less_what_slides`.
@@ -54,7 +54,7 @@ def what_slides(call: RenderCall, number: int, geometry: Geometry, points: Viewp
 
 
 def share_of_slide(geometry: Geometry, standing: Hit, start: Vec3, met: Hit, place: Vec2) -> tuple[Tensor, Vec3]:
-    """The share by which points slide, (N,), and the unit directions in which they are seen; all detached.
+    """The share of sliding of points, (N,), and the unit directions in which they are seen; all detached.
 
     Args:
         standing: the triangles of the vertices, which lie at `start`.

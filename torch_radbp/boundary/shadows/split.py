@@ -1,4 +1,4 @@
-"""How samples are split between the integrals that borders of shadows cut off.
+"""Divides samples among the boundary integrals of shadows by the noise that they remove.
 
 Samples are worth taking where they lower the noise of the whole. Of the first integral all are taken. Of each of the others
 a few tell how much noise there is. They are not used otherwise: were their numbers to decide how many others they are added
@@ -27,37 +27,36 @@ SALT = 0x5851F42D  # tells the random numbers of what is tried from others
 
 
 class SampledIntegral(Protocol):
-    """Samples of one of the integrals."""
+    """Samples of one boundary integral."""
 
     def independent(self) -> Tensor:
-        """(3, N) what changes in the image where all edges move outwards by a step that is the same for all integrals, in
-        parts of which none depends on another: the variance of their sum is the sum of their squares."""
+        """(3, N) image changes for equal motion of all edges, in independent parts: the variance is the sum of squares."""
 
 
 class Amount(NamedTuple):
-    """How many of its samples an integral takes, as shares of the most."""
+    """The number of samples of an integral, as shares of the most."""
 
     counted: float = 1.0
-    tried: float = 0.0  # beside these, by random numbers of their own: they only tell the noise
-    before: float = 0.0  # how many counted ones there are already
+    tried: float = 0.0  # additional pilot samples with other random numbers, which only estimate noise
+    before: float = 0.0  # samples taken before
 
 
 ALL = Amount()
 
 
 def trying(call: RenderCall) -> RenderCall:
-    """The call with random numbers of its own for what is tried."""
+    """The call with separate random numbers for pilot samples."""
     return with_numbers(call, SALT)
 
 
 def with_numbers(call: RenderCall, salt: int) -> RenderCall:
     """The call with other random numbers."""
-    return call._replace(views=[view._replace(sample_keys=tuple(
+    return call.with_views([view._replace(sample_keys=tuple(
         SampleKey(hash32(key.seed ^ salt), key.shared) for key in view.sample_keys)) for view in call.views])
 
 
 def is_worth_trying(call: RenderCall, number: int) -> bool:
-    """True if view `number` has so many samples that it pays to split them.
+    """True if view `number` has so many samples that dividing them pays off.
 
     Borders of light without extent are single curves, on which places are spread so evenly that their sum has far less noise
     than independent ones: where there are any, all samples are taken.
@@ -67,17 +66,17 @@ def is_worth_trying(call: RenderCall, number: int) -> bool:
 
 
 def variance(found: SampledIntegral | None) -> float:
-    """That of the sum of samples, where all edges move by the same; None: there are none."""
+    """The variance of an integral's sum for equal motion of all edges; 0 for None."""
     return 0.0 if found is None else squares(found.independent())
 
 
 def squares(amounts: Tensor) -> float:
-    """The sum of the squares of those that are finite, (3, N)."""
+    """The sum of squares of an integral's finite contributions, (3, N)."""
     return float(torch.where(torch.isfinite(amounts), amounts, 0.0).square().sum())
 
 
 def effort(first: float, tried: SampledIntegral | None) -> float:
-    """The share of its samples that an integral is worth.
+    """The share of its samples that pays off for an integral.
 
     Args:
         first: variance of the first integral, with all of its samples.

@@ -1,4 +1,4 @@
-"""Places on borders of shadows, spread as vertices of paths see them.
+"""Samples on shadow borders, distributed as path vertices see them.
 
 What a vertex x of a path receives from a piece of a border falls with the square of its distance. Were places spread along
 an edge as its light has it, those whose border comes close to x would be rare and large: their variance is infinite. So one
@@ -42,41 +42,41 @@ ENDS = 0.02, 0.98  # shares of the way along an edge at which it is asked where 
 
 
 class LightOfEdges(NamedTuple):
-    """The light that passes the ends of N edges; float64."""
+    """The light that passes both ends of N edges; float64."""
 
-    a: Ray  # with directions from where the light comes from, if that is a point
+    a: Ray  # starts at the light, unless that is parallel
     b: Ray
     parallel: Tensor  # (N,) bool
 
     def density(self, along: Tensor) -> Tensor:
-        """Of places that are spread as the light has it, p_0."""
+        """The density along edges of samples that are distributed as the light sees them, p_0."""
         return torch.where(self.parallel, 1.0, density_seen(self.a.d, self.b.d, along))
 
 
 class EdgeShadow(NamedTuple):
-    """Where the light of N edges meets planes, from points."""
+    """The shadows of N edges on planes, relative to a point."""
 
-    a: Vec3  # from the point to where the light of the edge's a does
+    a: Vec3  # vector from the point to the shadow of the edge's a
     b: Vec3
-    height_a: Tensor  # of the edge's a over where the light comes from, across the plane
+    height_a: Tensor  # height of the edge's a over the light's origin, across the plane
     height_b: Tensor
     exists: Tensor  # (N,) bool
 
     def along(self, turn: Tensor) -> Tensor:
-        """Shares of the way along edges whose shadows are seen after shares of the turn from one end to the other."""
+        """Positions along edges whose shadows are at a fraction `turn` of the angle seen from the point."""
         met, _ = evenly_seen(self.a, self.b, turn)
         one, other = met * self.height_a, (1.0 - met) * self.height_b
         return torch.where(self.exists, one / torch.where(self.exists, one + other, 1.0), turn)
 
     def density(self, along: Tensor) -> Tensor:
-        """That such places have, over shares of the way."""
+        """The density along edges of these positions for uniform fractions."""
         one, other = along * self.height_b, (1.0 - along) * self.height_a
         total = torch.where(self.exists, one + other, 1.0)
         return density_seen(self.a, self.b, one / total) * (self.height_a * self.height_b / (total * total))
 
 
 def spread_borders(call: RenderCall, outline: Outline, lit: LitEdges, start: Vec3, choice: Tensor, turn: Tensor) -> Passed:
-    """Places on the edges of others, moved along them; (N,), detached.
+    """Moves samples along their edges, towards those whose borders are close to path vertices; (N,), detached.
 
     Args:
         call: detached.
@@ -102,14 +102,14 @@ def spread_borders(call: RenderCall, outline: Outline, lit: LitEdges, start: Vec
 
 def light_of_edges(scene: SceneTensors, geometry: Geometry, outline: Outline, passed: Passed,
                    draw: LightDraw) -> LightOfEdges:
-    """The light of samples, (N,), that passes the ends of the edges of places."""
+    """The light of samples, (N,), that passes both ends of the sampled edges."""
     ends = [point_of_edge(geometry, outline, passed.edge, torch.full_like(passed.along, end)) for end in (0.0, 1.0)]
     (start_a, to_a, parallel), (start_b, to_b, _) = (light_line(scene, end, draw) for end in ends)
     return LightOfEdges(Ray(start_a, to_a), Ray(start_b, to_b), parallel)
 
 
 def planes_met(call: RenderCall, geometry: Geometry, outline: Outline, lit: LitEdges) -> list[tuple[Corners, Tensor]]:
-    """Triangles on which shadows of edges fall right beside their ends, and whether there are any, (N,) bool."""
+    """The triangles on which shadows fall right beside both ends of edges, and whether there are any, (N,) bool."""
     own, found = rows(lit.eyes, lit.passed.eye), []
     for end in ENDS:
         p = point_of_edge(geometry, outline, lit.passed.edge, torch.full_like(lit.passed.along, end))
@@ -120,8 +120,7 @@ def planes_met(call: RenderCall, geometry: Geometry, outline: Outline, lit: LitE
 
 
 def span_on(corners: Corners, exists: Tensor, light: LightOfEdges, start: Vec3) -> EdgeShadow:
-    """Where light meets the planes of triangles; it does in a piece of a line if both ends lie on the same side of where it
-    comes from."""
+    """The shadows of edges on planes; they exist if both ends lie on the same side of the light's origin."""
     n = cross(corners[1] - corners[0], corners[2] - corners[0])
     heights = [dot(n, ray.d) for ray in (light.a, light.b)]
     exists = exists & (heights[0] * heights[1] > 0.0)

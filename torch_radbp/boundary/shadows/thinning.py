@@ -1,4 +1,4 @@
-"""Some of many samples, which stand for all of them.
+"""Unbiased thinning of samples: some are kept and stand for all.
 
 Each is kept with a probability in proportion to what it counts for, and counts as much more as it was unlikely to be kept:
 sums keep their expectation. Large ones, which make the noise, are all kept.
@@ -17,7 +17,7 @@ TURNS = 4  # of looking for the probability of small ones: more large ones are c
 
 
 def chances(size: Tensor, most: int) -> Tensor:
-    """The probabilities with which to keep about `most` of more than that; those of 0 are never kept.
+    """The probabilities with which to keep about `most` samples; those of size 0 are never kept.
 
     Args:
         size: (N,) float64, not negative.
@@ -36,8 +36,7 @@ def chances(size: Tensor, most: int) -> Tensor:
 
 
 def thinned(chance: Tensor, u: Tensor) -> Tensor:
-    """The numbers of those that are kept, int64: each with its probability, and of any that follow each other as many as
-    their probabilities sum up to, to within 1.
+    """The indices of kept samples, int64, by systematic sampling with given probabilities.
 
     Args:
         chance: (N,) float64.

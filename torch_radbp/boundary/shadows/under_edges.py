@@ -1,4 +1,4 @@
-"""What light does in the strips that come into view where bodies part that touched: direct light, seen by the camera.
+"""Boundary term of strips that become visible where touching bodies part: direct light, seen by the camera.
 
 An edge lies on a surface, and rises from it by h. In the plane across it let the camera lie in the direction (c_x, c_y) and
 a light sample in (l_x, l_y), y along the surface's normal and x away from the body. On the surface the camera sees past the
@@ -37,17 +37,17 @@ from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpola
 
 
 class Strips(NamedTuple):
-    """K places on edges that lie on surfaces, each with a light sample; detached."""
+    """K samples on edges that lie on surfaces, each with a light sample; detached."""
 
     places: Places  # on the triangles at the edges
     draw: LightDraw
-    surface: Hit  # what the edges lie on, there
-    normal: Vec2  # to where x grows, on the film, as long as the piece of the edge that a place stands for
-    strength: Tensor  # (3, K) float64, what the strip has more, for each x_l - x_c
+    surface: Hit  # on what the edges lie, there
+    normal: Vec2  # direction in which x grows on the film; its length is that of the piece per sample
+    strength: Tensor  # (3, K) float64, gain of the strip per unit of x_l - x_c
 
 
 def jumps_of_strips(call: RenderCall, number: int, strips: Strips) -> FilmJumps:
-    """What such strips add to the derivative of view `number`; `call`: of which something moves."""
+    """The boundary term of such strips for view `number`; `call`: with derivatives."""
     geometry, camera, places = attached_geometry(call.scene), call.views[number].camera, strips.places
     p = places.at(geometry)
     light_ends = on_film(camera, shadow_of(call.scene, geometry, strips, p), places.aperture)
@@ -57,14 +57,14 @@ def jumps_of_strips(call: RenderCall, number: int, strips: Strips) -> FilmJumps:
 
 
 def shadow_of(scene: SceneTensors, geometry: Geometry, strips: Strips, p: Vec3) -> Vec3:
-    """Where the light of samples that passes points p, (N,), meets the planes of what these lie on; (N,) world, attached."""
+    """The points at which light through p, (N,), meets the plane of the surface below; (N,) world, attached."""
     start, d, _ = light_line(scene, p, strips.draw)
     corners = place_of(geometry, strips.surface.prim, strips.surface.instance)
     return interpolated(corners, *crossed_at(corners, Ray(start, d)))
 
 
 def strips_in_view(call: RenderCall, number: int, contacts: Segments) -> Strips | None:
-    """Strips of surfaces that view `number` would see; None: there are none.
+    """Samples edges that rest on surfaces in view, for the strips that open below them; None: there are none.
 
     Args:
         call: detached.
@@ -106,17 +106,17 @@ def strips_in_view(call: RenderCall, number: int, contacts: Segments) -> Strips 
 
 
 class AcrossEdge(NamedTuple):
-    """The plane across edges at N places; detached."""
+    """The plane perpendicular to edges at N samples; detached."""
 
-    outwards: Vec3  # unit, along the surface, away from the body, on the side of the camera
+    outwards: Vec3  # unit, along the surface, away from the body, towards the camera
     upwards: Vec3  # unit normal of the surface
-    aside: Vec3  # unit, along the surface to the side from which light comes
-    counts: Tensor  # (N,) bool: the border of the shadow is seen beside the edge if it rises
-    through: Tensor  # (N,) bool: light comes from the other side of the triangle at the edge
+    aside: Vec3  # unit, along the surface towards the light
+    counts: Tensor  # (N,) bool: the shadow border becomes visible beside the edge when it rises
+    through: Tensor  # (N,) bool: light comes from behind the edge's triangle
 
 
 def across_edge(geometry: Geometry, sight: Sight, places: Places, to_light: Vec3) -> AcrossEdge:
-    """What lies across edges that rest on surfaces; `to_light`: (N,) from the places, of any length."""
+    """The frame across edges that rest on surfaces; `to_light`: (N,) from the samples, of any length."""
     corners = positions(geometry, places.between, places.instance)
     passed = place_of(geometry, places.through, places.shown_by)
     to_camera = sight.camera.kind.towards(sight.camera.lens, places.p, places.aperture)
@@ -132,12 +132,12 @@ def across_edge(geometry: Geometry, sight: Sight, places: Places, to_light: Vec3
 
 
 def _beside(sight: Sight, places: Places, outwards: Vec3, extent: Tensor) -> Vec2:
-    """Points of the film right beside places, where the surface is seen."""
+    """Points of the film right beside samples, where the surface is visible."""
     return on_film(sight.camera, places.p + outwards * (BESIDE * extent), places.aperture)
 
 
 def lit(call: RenderCall, places: Places, across: AcrossEdge, line: tuple[Vec3, Vec3, Tensor], extent: Tensor) -> Tensor:
-    """(N,) bool: nothing hides lights from places right beside the edges, on the side from which the light comes."""
+    """(N,) bool: lights are visible from points right beside the edges, on the lit side."""
     start, d, parallel = line
     length = torch.sqrt(dot(d, d)).clamp_min(TINY)
     o = places.p + (across.aside + across.upwards) * (BESIDE * extent)

@@ -1,4 +1,4 @@
-"""Vertices of paths, from which edges are looked at."""
+"""Path vertices as viewpoints from which edges are sampled."""
 
 from __future__ import annotations
 
@@ -35,47 +35,47 @@ OF_TRIED = 0x2F6E2B17  # and those of paths that are tried
 
 
 class Viewpoints(NamedTuple):
-    """M vertices of paths; detached."""
+    """M path vertices; detached."""
 
-    pixel: Tensor  # (M,) int32, the number of the pixel that the path began in
+    pixel: Tensor  # (M,) int32, pixel of the path
     sample: Tensor  # (M,) int32
-    place: Vec2  # of the path on the film, pixels from the upper left corner of the window; float64
-    depth: Tensor  # (M,) int64, from 0; -1: the path has none
+    place: Vec2  # position of the path on the film, pixels from the window's upper left corner; float64
+    depth: Tensor  # (M,) int64, from 0; -1: the path has no such vertex
     ray: Ray  # that meets it
     hit: Hit
-    slides: Tensor  # (M,) bool: not all of the ray's direction is left to chance, so that the vertex slides
-    beta: Vec3  # throughput before it, over the probability of this vertex
+    slides: Tensor  # (M,) bool: the ray's direction is not entirely random, so that the vertex slides
+    beta: Vec3  # throughput before it, divided by the vertex's selection probability
     key: LaneKey
-    lobe: Lobe  # around a direction in which light is scattered
-    tried: Tensor | None  # (M,) bool: what it sees only tells how much noise there is; None: of none
+    lobe: Lobe  # around a scattered direction
+    tried: Tensor | None  # (M,) bool: pilot samples, which only estimate noise; None: none are
 
 
 class Begun(NamedTuple):
-    """N paths that begin at cells of the film."""
+    """N camera paths that start in cells of the film, for selecting viewpoints."""
 
     pixel: Tensor  # as of `Viewpoints`
     sample: Tensor
     place: Vec2
-    area: Tensor  # (N,) float64, of the film, for which each stands
+    area: Tensor  # (N,) float64, area of the film per path
     camera: CameraSample
 
 
 class Picked(NamedTuple):
-    """The vertices of M paths that are picked so far, and what they are picked by."""
+    """One selected vertex for each of M paths, for reservoir sampling."""
 
-    total: Tensor  # (M,) throughput of all vertices that might be picked, summed
-    promise: Tensor  # (M,) throughput of the vertex that is; 0: there is none yet
+    total: Tensor  # (M,) sum of the throughputs of candidates
+    promise: Tensor  # (M,) throughput of the selected vertex; 0: none yet
     depth: Tensor  # (M,) int32; -1: likewise
-    slides: Tensor  # (M,) bool: not all of the ray's direction is left to chance
-    onwards: Vec3  # (M,) the direction that is scattered
-    density: Tensor  # (M,) its; 0: the path ends there
-    ray: Ray  # that meets it
+    slides: Tensor  # (M,) bool: the ray's direction is not entirely random
+    onwards: Vec3  # (M,) scattered direction
+    density: Tensor  # (M,) its density; 0: the path ends there
+    ray: Ray  # hits the vertex
     beta: Vec3  # throughput before it
     hit: Hit
 
     @staticmethod
     def nothing(state: PathState, instanced: bool) -> Picked:
-        """No vertices of the paths that start; `instanced`: whether hits tell instances."""
+        """The reservoir before any vertex was selected; `instanced`: hits have instances."""
         none = torch.full_like(state.lane, -1)
         zero, vector = partial(torch.zeros_like, state.pdf), partial(Vec3.buffer, state.pdf)
         hit = Hit(none.clone(), zero(), zero(), zero(), none.clone() if instanced else None)
@@ -84,18 +84,18 @@ class Picked(NamedTuple):
 
 
 class PathsAtBounce(NamedTuple):
-    """What happens to the paths that reach a bounce: of `wavefront.Step` and `wavefront.Onward`."""
+    """The paths at a bounce, with parts of `wavefront.Step` and `wavefront.Onward`."""
 
     state: PathState  # (N,)
     hit: Hit  # (N,)
     order: Tensor  # int32, the path of each vertex
-    survives: Tensor  # bool, whether it goes on from there,
-    onwards: PathState  # and how
+    survives: Tensor  # bool: it goes on,
+    onwards: PathState  # with these states
 
 
 def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, following: bool = False,
                density: Tensor | None = None, begun: int = 0, tried: int = 0) -> Viewpoints:
-    """One vertex each of so many camera paths, picked in proportion to their throughput; of those that have one.
+    """Samples one vertex per camera path, in proportion to throughput; paths without candidates are dropped.
 
     Args:
         call, number: of the view.
@@ -128,7 +128,7 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, 
 
 
 def paths_begun(call: RenderCall, number: int, key: SampleKey, count: int, density: Tensor | None, begun: int) -> Begun:
-    """Paths that are spread over the film; args as for `viewpoints`, `key`: of random numbers."""
+    """Starts paths that are distributed over the film; args as for `viewpoints`, `key`: of random numbers."""
     view, grid = call.views[number], call.views[number].grid
     sample = torch.arange(begun, begun + count, dtype=torch.int32, device=call.scene.device)
     jitter = uniform_numbers(key, sample, SALT, torch.float64)
@@ -142,7 +142,7 @@ def paths_begun(call: RenderCall, number: int, key: SampleKey, count: int, densi
 
 
 def cells_begun(along: Tensor, count: int, cells: int, density: Tensor | None) -> tuple[Tensor, Tensor]:
-    """The cells of the film in which paths begin, (N,) int32, and the areas for which these stand, (N,) or () float64.
+    """The film cells in which paths start, (N,) int32, and the film area per path, (N,) or () float64.
 
     Args:
         along: (N,) float64 from 0 to `count`, the number of all paths.
@@ -157,7 +157,7 @@ def cells_begun(along: Tensor, count: int, cells: int, density: Tensor | None) -
 
 
 def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, following: bool) -> Picked:
-    """One vertex each of some paths; where the last rays end is no vertex.
+    """Samples one vertex of each path; the last hit is no candidate.
 
     Args:
         integrand: of the detached scene.
@@ -184,7 +184,7 @@ def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, foll
 @stage("picked", "reached")
 def picked_vertex(picked: Picked, reached: PathsAtBounce, vertex: Tensor, key: SampleKey, counter: Tensor,
                   attached: bool) -> tuple[Tensor, Picked]:
-    """The paths of some vertices of a bounce, (N,) int32, and what is picked of them then.
+    """Updates the selection with the vertices of one bounce: their paths, (N,) int32, and the new selection.
 
     Args:
         picked: of all paths.
@@ -208,24 +208,23 @@ def picked_vertex(picked: Picked, reached: PathsAtBounce, vertex: Tensor, key: S
 
 
 def hits_plain(geometry: Geometry, hit: Hit) -> Tensor:
-    """True where a triangle is hit that is plain, (N,) bool; see `scene.nearby`."""
+    """(N,) bool: hits on triangles with plain materials; see `scene.nearby`."""
     return (hit.prim >= 0) & lookup(geometry.triangles.plain, hit.prim.clamp_min(0))
 
 
 def scatters_as(integrand: Integrand, event: Scatters, following: bool) -> bool:
-    """True if paths are scattered by chance so that their directions carry derivatives, or else so that the points that they
-    meet next are glued to surfaces."""
+    """True if an event's scattering has differentiated directions (`following`), or else hits that are fixed to surfaces."""
     kind, settings = integrand.scatterer(event).kind, integrand.settings
     return kind.smooth and (settings.sampling == "attached" or settings.following and kind.follows) == following
 
 
 def vertex_at(call: RenderCall, geometry: Geometry, number: int, points: Viewpoints) -> Vec3:
-    """The viewpoints, (M,) world, attached: they slide along their rays, or are glued."""
+    """The viewpoints, (M,) world, attached: they slide along their rays, or are fixed to triangles."""
     return vertex_on(geometry, points, arriving(call, number, points))
 
 
 def vertex_on(geometry: Geometry, points: Viewpoints, ray: Ray) -> Vec3:
-    """As `vertex_at`; `ray`: (M,) that meet them, attached."""
+    """The viewpoints, (M,) world, from rays `ray` (M,) that hit them, attached."""
     corners = corners_of(geometry, points.hit)
     glued = interpolated(corners, points.hit.u.double(), points.hit.v.double())
     ray = Ray(*(part.map(torch.Tensor.double) for part in ray))
@@ -237,7 +236,7 @@ def vertex_on(geometry: Geometry, points: Viewpoints, ray: Ray) -> Vec3:
 
 
 def arriving(call: RenderCall, number: int, points: Viewpoints, all_of_them: bool = False) -> Ray:
-    """The rays that meet the viewpoints, attached where they are not left to chance, or `all_of_them`."""
+    """The rays that hit the viewpoints, attached if not random, or if `all_of_them`."""
     view, cones = call.views[number], call.scene.layout.traces_cones
 
     def begun(chosen: Viewpoints) -> CameraSample:
@@ -256,7 +255,7 @@ def arriving(call: RenderCall, number: int, points: Viewpoints, all_of_them: boo
 
 
 def path_of(call: RenderCall, ray: Ray, key: LaneKey) -> PathState:
-    """Paths that begin with rays whose directions are not left to chance."""
+    """Path states that start with rays whose directions are not random."""
     cone = None
     if call.scene.layout.traces_cones:
         cone = Cone(torch.zeros_like(ray.d.x), torch.zeros_like(ray.d.x))

@@ -1,4 +1,4 @@
-"""Ways down a tree over edges, or over segments, and what they find."""
+"""Descents of a tree over edges or segments, and the samples that they yield."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SALT = 0x6A09E667  # tells the random numbers of eyes that are tried from others
 
 def ways_down(stages: Stages, tree: EdgeTree, eyes: Eyes, seed: SampleKey, each: int, extent: Tensor,
               tried: Tensor | None = None) -> Descent:
-    """Ways down the tree to the last nodes; args as for `seen_edges.places_seen`, and `extent`: () of the scene."""
+    """Descends the tree to the last nodes; args as for `seen_edges.places_seen`, and `extent`: () of the scene."""
     way = numbers_to(each * len(eyes.w), tree.slots)
     eye, shift = torch.div(way, each, rounding_mode="floor"), hash32(seed.seed)
     if tried is not None:
@@ -41,16 +41,16 @@ def ways_down(stages: Stages, tree: EdgeTree, eyes: Eyes, seed: SampleKey, each:
 
 
 class PickedOnes(NamedTuple):
-    """What K ways down the tree have found, and what places on it are picked by."""
+    """The edges that K descents have found, and the distribution for samples on them."""
 
     found: PickedEdges
-    eye: Tensor  # (K,) int32, that sees each
+    eye: Tensor  # (K,) int32, viewpoint of each
     lot: Lot
-    count: int  # of the places
+    count: int  # number of samples
 
 
 def picked_ones(found: PickedEdges, eye: Tensor, each: int, count: int, tried: Tensor | None = None) -> PickedOnes | None:
-    """What ways have found, so many from each eye, in order, for so many places; None: nothing.
+    """The distribution of `count` samples over found edges, `each` descents per viewpoint; None: nothing was found.
 
     Args:
         tried: as for `seen_edges.places_seen`.
@@ -69,8 +69,7 @@ def picked_ones(found: PickedEdges, eye: Tensor, each: int, count: int, tried: T
 
 
 def weights_apart(weight: Tensor, tried: Tensor, count: int, share: float) -> tuple[Tensor, int]:
-    """Weights by which what is tried and the rest are picked each by places of their own, as many as the weights sum up to,
-    which neither share a step of the sum nor a sequence of random numbers; and how many places there are then.
+    """Scales weights so that pilot and other samples have separate numbers of samples; and the new number.
 
     Args:
         weight: (N,) as it is.
@@ -90,15 +89,15 @@ def weights_apart(weight: Tensor, tried: Tensor, count: int, share: float) -> tu
 
 
 class PickedEdges(NamedTuple):
-    """What N ways down the tree have found."""
+    """The edges that N descents have found."""
 
     edge: Tensor  # (N,) int32; -1: no silhouette
-    times: Tensor  # (N,) float64, how many edges it stands for
-    angle: Tensor  # (N,) float64, under which it is seen
+    times: Tensor  # (N,) float64, weight: number of edges that it stands for
+    angle: Tensor  # (N,) float64, angle that it subtends
 
 
 def found_among(slots: Tensor, at: Descent, first: Tensor, angles: Sequence[Tensor]) -> PickedEdges:
-    """What ways down have found below the last nodes, of `GROUP` slots each, from `first` on, with these angles."""
+    """The edges found by descents in the slots of the last nodes, `GROUP` from `first` on, with their angles."""
     place, share, _ = picked_by_weight(angles, at.u)
     angle = torch.zeros_like(share)
     for number, its in enumerate(angles):

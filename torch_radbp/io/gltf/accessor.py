@@ -1,4 +1,4 @@
-"""Buffers, and the arrays that accessors see in them."""
+"""Buffers of a glTF document, and the arrays ("accessors") in them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MAX_RESOURCE = 2**30  # bytes of an image's file
 
 
 class Buffers:
-    """The bytes that a document refers to.
+    """The buffers of a glTF document.
 
     Args:
         document: the file's.
@@ -34,12 +34,12 @@ class Buffers:
 
     def __init__(self, document: Document, binary: bytes | None, folder: Path, allow_outside: bool = False):
         self.document, self.binary, self.folder, self.allow_outside = document, binary, folder, allow_outside
-        self.known: dict[int, bytes] = {}
+        self.cached: dict[int, bytes] = {}
         self.numbers = self.zeros = 0  # claimed so far
 
     def buffer(self, index: int, user: DocumentPart) -> bytes:
-        """The bytes of a buffer: those inside the GLB file, of a data URI or of a file beside it."""
-        if index not in self.known:
+        """Reads a buffer: from the GLB file, a data URI or a file beside it."""
+        if index not in self.cached:
             part = self.document.of("buffers", index, user, "buffer")
             length, uri = part.integer("byteLength"), part.text("uri", None)
             if uri is not None:
@@ -50,12 +50,11 @@ class Buffers:
                 raise part.fail("it has no uri, and the file has no binary chunk that it could stand for")
             if len(content) < length:
                 raise part.fail(f"byteLength is {length}, but there are {len(content)} bytes; is the file cut short?")
-            self.known[index] = content[:length]
-        return self.known[index]
+            self.cached[index] = content[:length]
+        return self.cached[index]
 
     def resource(self, uri: str, user: DocumentPart, length: int = -1) -> bytes:
-        """The bytes behind a URI: a data URI, or the name of a file relative to the document, of which the first `length`
-        bytes are read; -1: all."""
+        """Reads the first `length` bytes behind a URI, a data URI or a relative file name; -1: all."""
         if uri[:5].lower() == "data:":
             head, comma, body = uri.partition(",")
             if not comma or not head.lower().endswith(";base64"):
@@ -76,7 +75,7 @@ class Buffers:
             raise user.fail(str(error)) from error
 
     def path(self, uri: str, user: DocumentPart) -> Path:
-        """The file that a URI names, relative to the document; whether it is there, is not looked at.
+        """The path of the file that a URI names, relative to the document; it need not exist.
 
         Raises:
             SceneError: if it is no file name, or leads out of the folder without leave.
@@ -110,7 +109,7 @@ class Buffers:
         return memoryview(content)[start:start + length], part.integer("byteStride", None, low=1, high=252)
 
     def array(self, index: int, user: DocumentPart, entry: str, types: tuple[str, ...]) -> np.ndarray:
-        """The elements of an accessor.
+        """Reads the array of an accessor.
 
         Args:
             index: its number.
@@ -127,21 +126,21 @@ class Buffers:
         count, width = part.integer("count"), TYPES[kind]
         self.claim(part, count * width)
         if count == 0:
-            found = np.zeros((0, width), dtype)
+            elements = np.zeros((0, width), dtype)
         elif part.has("bufferView"):
-            found = self.elements(part, part.integer("bufferView"), count, width, dtype)
+            elements = self.elements(part, part.integer("bufferView"), count, width, dtype)
         else:
-            found = self.blank(part, count, width, dtype)
+            elements = self.blank(part, count, width, dtype)
         if part.has("sparse"):
-            found = self.substituted(found.copy(), part.part("sparse"))
+            elements = self.substituted(elements.copy(), part.part("sparse"))
         if dtype.kind == "f":
-            return found.astype(np.float64)
+            return elements.astype(np.float64)
         if not part.flag("normalized"):
-            return found.astype(np.int64)
-        return np.maximum(found / np.float64(np.iinfo(dtype).max), -1.0)
+            return elements.astype(np.int64)
+        return np.maximum(elements / np.float64(np.iinfo(dtype).max), -1.0)
 
     def claim(self, part: DocumentPart, numbers: int) -> None:
-        """Counts numbers that the scene takes for a part of the document.
+        """Counts numbers that are read for a part of the document, and limits their sum.
 
         Raises:
             SceneError: if these are too many.
@@ -152,7 +151,7 @@ class Buffers:
                             "nodes use them")
 
     def blank(self, part: DocumentPart, count: int, width: int, dtype: np.dtype) -> np.ndarray:
-        """(count, width) zeros, of an accessor without a buffer view."""
+        """(count, width) zeros, for an accessor without a buffer view."""
         self.zeros += count * width
         if self.zeros > MAX_ZEROS:
             raise part.fail(f"it has no bufferView, so that its {count} elements are zeros that the file does not hold; of "
@@ -160,7 +159,7 @@ class Buffers:
         return np.zeros((count, width), dtype)
 
     def elements(self, part: DocumentPart, view: int, count: int, width: int, dtype: np.dtype) -> np.ndarray:
-        """(count, width) elements of a buffer view."""
+        """Reads (count, width) elements of a buffer view."""
         content, stride = self.view(view, part)
         start, size = part.integer("byteOffset", 0), width * dtype.itemsize
         stride = size if stride is None else stride
@@ -171,13 +170,13 @@ class Buffers:
             raise part.fail(f"its {count} elements end at byte {end} of bufferViews[{view}], which has {len(content)}")
         return np.ndarray((count, width), dtype, content, start, (stride, dtype.itemsize))
 
-    def substituted(self, found: np.ndarray, sparse: DocumentPart) -> np.ndarray:
-        """`found` with the elements that a sparse accessor replaces."""
-        count = sparse.integer("count", low=1, high=len(found))
+    def substituted(self, elements: np.ndarray, sparse: DocumentPart) -> np.ndarray:
+        """`elements` with those replaced that a sparse accessor lists."""
+        count = sparse.integer("count", low=1, high=len(elements))
         where, what = sparse.part("indices"), sparse.part("values")
         dtype = np.dtype(where.choice("componentType", {key: COMPONENTS[key] for key in (5121, 5123, 5125)}))
         rows = self.elements(where, where.integer("bufferView"), count, 1, dtype)[:, 0].astype(np.int64)
-        if (np.diff(rows) <= 0).any() or rows[-1] >= len(found):
-            raise where.fail(f"indices must increase and be less than {len(found)}")
-        found[rows] = self.elements(what, what.integer("bufferView"), count, found.shape[1], found.dtype)
-        return found
+        if (np.diff(rows) <= 0).any() or rows[-1] >= len(elements):
+            raise where.fail(f"indices must increase and be less than {len(elements)}")
+        elements[rows] = self.elements(what, what.integer("bufferView"), count, elements.shape[1], elements.dtype)
+        return elements

@@ -1,4 +1,4 @@
-"""The materials of shapes, with what they hold and what they emit, as materials of glTF."""
+"""Writes the materials of shapes, with all that is nested in them and what they emit, as glTF materials."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from torch_radbp.scene.scene import name_in
 
 
 class Peeled(NamedTuple):
-    """A material without those around it."""
+    """A material, with what the materials around it (mask, two-sided, normal map) add."""
 
     inner: BSDF
     opacity: Texture | None
@@ -27,14 +27,14 @@ class Peeled(NamedTuple):
 
 
 class PrimitiveMaterial(NamedTuple):
-    """What a primitive needs to know of its material."""
+    """The glTF material of a primitive, and what the primitive's mesh must store for it."""
 
     material: int
     colours: tuple[str, float] | None  # attribute of vertices or faces that is the base colour, and a factor
 
 
 class Appearances:
-    """Writes materials; one for each that looks different.
+    """Writes glTF materials, one for each distinct look.
 
     Args:
         root: the scene, or a shape by itself, whose materials are named by their places in it.
@@ -47,44 +47,44 @@ class Appearances:
         for name, _ in root.named_children():  # so that none comes back as another
             self.names.free(name)
         self.named: set[str] = set()
-        self.known: dict[tuple[int, int, bool], PrimitiveMaterial] = {}
+        self.cached: dict[tuple[int, int, bool], PrimitiveMaterial] = {}
 
     def of(self, shape: Shape, mirrored: bool) -> PrimitiveMaterial:
-        """The material of a shape; `mirrored`: its image lies the other way round, see `read.is_mirrored`."""
+        """Writes the material of a shape and returns its record; `mirrored`: its uv are mirrored, see `read.is_mirrored`."""
         peeled = self.peeled(shape.bsdf)
         key = id(shape.bsdf), id(shape.emitter), mirrored and peeled.normals is not None
-        if key not in self.known:
-            self.known[key] = self.written(shape, peeled, key[2])
-        return self.known[key]
+        if key not in self.cached:
+            self.cached[key] = self.written(shape, peeled, key[2])
+        return self.cached[key]
 
     def peeled(self, bsdf: BSDF) -> Peeled:
-        """The material inside, and what those around it add."""
-        found, name = Peeled(bsdf, None, False, None, False), name_in(self.root, bsdf)
+        """Separates a material from the materials around it (mask, two-sided, normal map)."""
+        peeled, name = Peeled(bsdf, None, False, None, False), name_in(self.root, bsdf)
         while True:
-            outer = found.inner
+            outer = peeled.inner
             if not isinstance(outer, Plugin) or not outer.type:
                 raise SceneError(f"{name}: a {type(outer).__name__} cannot be written as glTF, only Mitsuba's plugins can")
             if outer.type == "twosided":
                 if len(outer.brdf) > 1:
                     self.losses.add(name, "the material of its back is not written")
-                found = found._replace(inner=outer.brdf[0], double_sided=True)
-            elif outer.type == "mask" and found.opacity is None:
-                found = found._replace(inner=outer.nested_bsdf, opacity=outer.opacity)
-            elif outer.type == "normalmap" and found.normals is None:
-                found = found._replace(inner=outer.nested_bsdf, normals=outer.normalmap)
+                peeled = peeled._replace(inner=outer.brdf[0], double_sided=True)
+            elif outer.type == "mask" and peeled.opacity is None:
+                peeled = peeled._replace(inner=outer.nested_bsdf, opacity=outer.opacity)
+            elif outer.type == "normalmap" and peeled.normals is None:
+                peeled = peeled._replace(inner=outer.nested_bsdf, normals=outer.normalmap)
             elif outer.type == "null":
-                return found._replace(invisible=True)
+                return peeled._replace(invisible=True)
             elif outer.type == "blendbsdf":
                 self.losses.add(name, "of a blendbsdf the first material is written alone")
-                found = found._replace(inner=outer.bsdf_0)
+                peeled = peeled._replace(inner=outer.bsdf_0)
             elif hasattr(outer, "nested_bsdf"):
                 self.losses.add(name, f"what {outer.type} adds to its material is not written")
-                found = found._replace(inner=outer.nested_bsdf)
+                peeled = peeled._replace(inner=outer.nested_bsdf)
             else:
-                return found
+                return peeled
 
     def written(self, shape: Shape, peeled: Peeled, mirrored: bool) -> PrimitiveMaterial:
-        """A new material."""
+        """Writes a new glTF material."""
         full = name_in(self.root, peeled.inner)
         surface = GltfSurface() if peeled.invisible else surface_of(peeled.inner, full, self.losses)
         entries: dict[str, Any] = {"name": self.names.free(full) if full in self.named else full}
@@ -102,8 +102,8 @@ class Appearances:
             entries["doubleSided"] = True
         for kind, values in (("transmission", surface.transmission), ("clearcoat", surface.clearcoat)):
             if values.values.any():
-                own = extensions.setdefault(f"KHR_materials_{kind}", {})
-                own |= self.scalar(f"{entries['name']}_{kind}", kind, values)
+                extension = extensions.setdefault(f"KHR_materials_{kind}", {})
+                extension |= self.scalar(f"{entries['name']}_{kind}", kind, values)
         if shape.emitter is not None:
             self.emission(entries, extensions, shape)
         if extensions:
@@ -127,11 +127,11 @@ class Appearances:
             factor = [*base.constant.clip(0, 1).tolist(), min(1.0, max(0.0, opacity.number()))]
             is_cut = factor[3] == 0
         else:
-            found, reading = image
-            height, width = np.broadcast_shapes(*(values.shape for values in found.values()))[:2]
-            parts = [np.broadcast_to(found["base_color"], (height, width, 3))]
+            slots, reading = image
+            height, width = np.broadcast_shapes(*(values.shape for values in slots.values()))[:2]
+            parts = [np.broadcast_to(slots["base_color"], (height, width, 3))]
             if peeled.opacity is not None:
-                parts.append(np.broadcast_to(found["opacity"][..., :1], (height, width, 1)))
+                parts.append(np.broadcast_to(slots["opacity"][..., :1], (height, width, 1)))
             values = np.concatenate(parts, axis=2).clip(0.0, 1.0)
             pixels, scale = quantised(values, srgb=True)
             factor = [*scale.tolist(), 1.0][:4]
@@ -143,7 +143,7 @@ class Appearances:
             entries["alphaMode"] = "MASK" if is_cut else "BLEND"
 
     def metallic_roughness(self, name: str, surface: GltfSurface) -> dict[str, Any]:
-        """Roughness and metallic share an image, in its green and blue channels."""
+        """Writes roughness and metallic, which share an image, in its green and blue channels."""
         slots = {"roughness": surface.roughness, "metallic": surface.metallic}
         image = joined_slots(slots, name, self.losses)
         numbers = {key: min(1.0, max(0.0, each.number())) for key, each in slots.items()}
@@ -151,9 +151,9 @@ class Appearances:
             self.lose_beyond(f"{name}: its {key}", each.values)
         if image is None:
             return {f"{key}Factor": number for key, number in numbers.items()}
-        found, reading = image
+        images, reading = image
         # A constant is a factor of white, so that it keeps all its digits.
-        whole = {key: np.ones_like(found[key]) if each.is_constant else found[key] for key, each in slots.items()}
+        whole = {key: np.ones_like(images[key]) if each.is_constant else images[key] for key, each in slots.items()}
         height, width = np.broadcast_shapes(*(values.shape for values in whole.values()))[:2]
         pixels = np.ones((height, width, 3))
         pixels[..., 1:2], pixels[..., 2:3] = (values[..., :1].clip(0.0, 1.0) for values in whole.values())
@@ -164,12 +164,12 @@ class Appearances:
         return {**factors, "metallicRoughnessTexture": info}
 
     def lose_beyond(self, what: str, values: np.ndarray) -> None:
-        """Notes values outside of [0, 1], where glTF ends."""
+        """Notes values outside of [0, 1], which glTF cannot represent."""
         if values.min() < 0 or values.max() > 1:
             self.losses.add(what, f"{values.min():.4g} to {values.max():.4g}, is cut to [0, 1]")
 
     def scalar(self, name: str, kind: str, values: Slot) -> dict[str, Any]:
-        """A factor, and an image whose red channel it multiplies."""
+        """Writes a scalar: a factor, and an image whose red channel it multiplies."""
         if values.is_constant:
             return {f"{kind}Factor": min(1.0, max(0.0, values.number()))}
         pixels, scale = quantised(values.values.clip(0.0, 1.0), srgb=False)
@@ -177,9 +177,9 @@ class Appearances:
                 f"{kind}Texture": texture_info(self.out, pixels, values.reading, name, self.losses)}
 
     def normals(self, name: str, texture: Texture, mirrored: bool) -> dict[str, Any]:
-        """The texture info of a normal map: unit normals, unless 8 bits hold them as they are."""
-        found = slot(texture, f"{name}.normalmap", self.losses)
-        values = found.values.copy()
+        """Writes a normal map and returns its texture info: unit normals, unless 8 bits represent them exactly."""
+        normals = slot(texture, f"{name}.normalmap", self.losses)
+        values = normals.values.copy()
         if mirrored:
             values[..., 1] = 1.0 - values[..., 1]
         if np.abs(values * 255 - np.round(values * 255)).max() > 1e-2 or values.min() < 0 or values.max() > 1:
@@ -190,22 +190,22 @@ class Appearances:
                 self.losses.add(name, "normals of its normal map that point inwards are not as glTF wants them")
             values = 0.5 * vectors + 0.5
         pixels = np.round(values * 255).clip(0, 255).astype(np.uint8)
-        return texture_info(self.out, pixels, found.reading or Reading(), f"{name}_normal", self.losses)
+        return texture_info(self.out, pixels, normals.reading or Reading(), f"{name}_normal", self.losses)
 
     def emission(self, entries: dict[str, Any], extensions: dict[str, Any], shape: Shape) -> None:
-        """Writes what a shape emits."""
+        """Writes the emission of a shape."""
         name = f"{name_in(self.root, shape)}.emitter"
         if shape.emitter.type != "area":
             self.losses.add(name, f"a {shape.emitter.type} emitter is written as one that shines into all directions alike")
         if entries.get("doubleSided"):
             self.losses.add(name, "it shines from both sides in glTF")
-        found = slot(shape.emitter.radiance, f"{name}.radiance", self.losses)
-        if found.is_constant:
-            factor = found.constant
+        radiance = slot(shape.emitter.radiance, f"{name}.radiance", self.losses)
+        if radiance.is_constant:
+            factor = radiance.constant
         else:
-            pixels, factor = quantised(found.values, srgb=True)
+            pixels, factor = quantised(radiance.values, srgb=True)
             title = f"{entries['name']}_emissive"
-            entries["emissiveTexture"] = texture_info(self.out, pixels, found.reading, title, self.losses)
+            entries["emissiveTexture"] = texture_info(self.out, pixels, radiance.reading, title, self.losses)
         strength = max(1.0, float(factor.max()))
         entries["emissiveFactor"] = (factor / strength).tolist()
         if strength > 1:

@@ -18,7 +18,7 @@ HEADER, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 
 
 class Container(NamedTuple):
-    """The content of a file."""
+    """The JSON document and the binary buffer of a glTF file."""
 
     document: dict[str, Any]
     binary: bytes | None  # the buffer inside a GLB file
@@ -46,14 +46,14 @@ def read_container(path: str | os.PathLike) -> Container:
 
 
 def _check_json(length: int, file: str) -> None:
-    """Raises SceneError if a document is longer than what is read."""
+    """Raises SceneError if a JSON document is too long to be read."""
     if length > LONGEST_JSON:
         raise SceneError(f"{file}: its JSON has {length} bytes, more than {LONGEST_JSON}; keep buffers in files of their "
                          "own")
 
 
 def _from_chunks(source: BinaryIO, file: str) -> Container:
-    """The chunks of a GLB file; those of unknown kinds are skipped, as the specification asks."""
+    """Reads the chunks of a GLB file; unknown kinds are skipped, as the specification asks."""
     held = os.fstat(source.fileno()).st_size
     if held < HEADER.size:
         raise SceneError(f"{file}: cut short, a GLB file has a header of {HEADER.size} bytes, this one {held}")
@@ -82,7 +82,7 @@ def _from_chunks(source: BinaryIO, file: str) -> Container:
 
 
 def parse_json(content: bytes, file: str) -> dict[str, Any]:
-    """The object in a JSON document; numbers that are not finite are refused.
+    """Parses a JSON document that is an object; numbers that are not finite are refused.
 
     Raises:
         SceneError: names the file and the line.
@@ -108,7 +108,7 @@ def parse_json(content: bytes, file: str) -> dict[str, Any]:
 
 
 def glb(document: dict[str, Any], binary: bytes) -> bytes:
-    """A GLB file of a document and its buffer."""
+    """The bytes of a GLB file with a document and its buffer."""
     text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
     binary += b"\0" * (-len(binary) % 4)

@@ -1,4 +1,4 @@
-"""The values of a glTF document, each checked where it is read, with its place for messages."""
+"""Checked access to the values of a glTF document, with their places for messages."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class GltfWarning(UserWarning):
 
 
 class Losses(Repairs):
-    """What is left out or changed on the way, by kind, in the order in which it is met."""
+    """Collects what is left out or changed on the way, by kind, for one warning."""
 
 
 def without_nulls(document: dict[str, Any], losses: Losses) -> dict[str, Any]:
-    """A document without the entries that are null, which glTF does not have; those of `extras` may be anything."""
+    """Removes null entries, which glTF does not have, from a document; `extras` stay as they are."""
     waiting: list[tuple[str, Any]] = [("", document)]
     while waiting:
         place, value = waiting.pop()
@@ -41,7 +41,7 @@ def without_nulls(document: dict[str, Any], losses: Losses) -> dict[str, Any]:
 
 
 class DocumentPart:
-    """An object of a document, such as `materials[2] 'gold'`."""
+    """An object in a glTF document, such as `materials[2] 'gold'`."""
 
     def __init__(self, file: str, place: str, value: Any):
         self.file, self.place, self.value = file, place, value
@@ -49,29 +49,29 @@ class DocumentPart:
             raise self.fail(f"must be an object, got {value_text(value)}")
 
     def fail(self, message: str) -> SceneError:
-        """An error about this object, for the caller to raise."""
+        """An error about this object, to be raised."""
         return SceneError(f"{self.file}: {self.place}: {message}" if self.place else f"{self.file}: {message}")
 
     def inside(self, name: str) -> str:
-        """The place of the entry `name`."""
+        """The place of the entry `name`, for messages."""
         return f"{self.place}.{name}" if self.place else name
 
     def has(self, name: str) -> bool:
         return name in self.value
 
     def entry(self, name: str, default: Any) -> Any:
-        """The entry as it is in the document."""
+        """An entry as it is in the document, or its default."""
         if name not in self.value and default is REQUIRED:
             raise self.fail(f"{name!r} is missing")
         return self.value.get(name, default)
 
     def number(self, name: str, default: Any = REQUIRED, low: float = -math.inf, high: float = math.inf) -> float:
-        """A number from `low` to `high`."""
+        """Reads a number from `low` to `high`."""
         value = self.entry(name, default)
         return default if value is default else self.checked(name, value, low, high)
 
     def checked(self, name: str, value: Any, low: float = -math.inf, high: float = math.inf) -> float:
-        """`value` as a float within bounds."""
+        """Converts `value` to a float within bounds."""
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.fail(f"{name} must be a number, got {value_text(value)}")
         if not (low <= value <= high and abs(value) < 1e300):
@@ -81,14 +81,14 @@ class DocumentPart:
 
     def numbers(self, name: str, count: int, default: Any = REQUIRED, low: float = -math.inf,
                 high: float = math.inf) -> list[float]:
-        """A list of `count` numbers."""
+        """Reads a list of `count` numbers."""
         value = self.entry(name, default)
         if not isinstance(value, (list, tuple)) or len(value) != count:
             raise self.fail(f"{name} must be a list of {count} numbers, got {value_text(value)}")
         return [self.checked(name, item, low, high) for item in value]
 
     def integer(self, name: str, default: Any = REQUIRED, low: int = 0, high: int = 2**53) -> int:
-        """An integer from `low` to `high`; some writers give it as 3.0."""
+        """Reads an integer from `low` to `high`; some writers give it as 3.0."""
         value = self.entry(name, default)
         if value is default:
             return default
@@ -97,38 +97,38 @@ class DocumentPart:
         return int(value)
 
     def text(self, name: str, default: Any = REQUIRED) -> str:
-        """A string."""
+        """Reads a string."""
         value = self.entry(name, default)
         if value is not default and not isinstance(value, str):
             raise self.fail(f"{name} must be a string, got {value_text(value)}")
         return value
 
-    def choice(self, name: str, known: dict[Any, Any], default: Any = REQUIRED) -> Any:
-        """What `known` has for the entry."""
+    def choice(self, name: str, choices: dict[Any, Any], default: Any = REQUIRED) -> Any:
+        """Looks the entry up in the dict `choices`."""
         value = self.entry(name, default)
         try:
-            return known[value]
+            return choices[value]
         except (KeyError, TypeError):
-            raise self.fail(f"{name} {value_text(value)} is not known; {nearest(str(value), map(str, known))}") from None
+            raise self.fail(f"{name} {value_text(value)} is not known; {nearest(str(value), map(str, choices))}") from None
 
     def flag(self, name: str, default: bool = False) -> bool:
-        """True or false."""
+        """Reads a boolean."""
         value = self.entry(name, default)
         if not isinstance(value, bool):
             raise self.fail(f"{name} must be true or false, got {value_text(value)}")
         return value
 
     def part(self, name: str) -> DocumentPart:
-        """The object `name`, without entries if it is missing."""
+        """The nested object `name`, without entries if it is missing."""
         return DocumentPart(self.file, self.inside(name), self.entry(name, {}))
 
     def parts(self, name: str) -> list[DocumentPart]:
-        """The objects of a list."""
+        """The nested objects in a list."""
         return [DocumentPart(self.file, f"{self.inside(name)}[{number}]", item)
                 for number, item in enumerate(self.items(name))]
 
     def items(self, name: str) -> list[Any]:
-        """A list; the empty one if it is missing."""
+        """Reads a list; the empty one if it is missing."""
         value = self.entry(name, [])
         if not isinstance(value, list):
             raise self.fail(f"{name} must be a list, got {value_text(value)}")
@@ -141,7 +141,7 @@ class DocumentPart:
 
 
 class Document(DocumentPart):
-    """The whole document."""
+    """The root object of a glTF document."""
 
     def __init__(self, file: str, value: Any):
         super().__init__(file, "", value)
@@ -150,7 +150,7 @@ class Document(DocumentPart):
             raise self.fail(f"glTF version {version!r} is not supported; supported: 2.0")
 
     def of(self, name: str, index: int, user: DocumentPart, entry: str) -> DocumentPart:
-        """The object number `index` of the list `name`, to which the entry of another refers."""
+        """The object number `index` of the list `name`, to which the entry of another object refers."""
         items = self.items(name)
         if not 0 <= index < len(items):
             last = f"0 to {len(items) - 1}" if items else "none"
@@ -160,6 +160,6 @@ class Document(DocumentPart):
         return DocumentPart(self.file, f"{part.place} {value_text(title)}", part.value) if title else part
 
     def referred(self, name: str, user: DocumentPart, entry: str, default: Any = REQUIRED) -> DocumentPart | None:
-        """The object of the list `name` that an entry of `user` refers to; None if there is no such entry."""
+        """The object of the list `name` to which an entry of `user` refers; None if there is no such entry."""
         index = user.integer(entry, default)
         return None if index is None else self.of(name, index, user, entry)

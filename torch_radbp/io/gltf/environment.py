@@ -1,4 +1,4 @@
-"""Environment maps, of which glTF has none: an EXR file beside the document, named by `extras` of a node.
+"""Environment maps, which glTF lacks: an EXR file beside the document, named by `extras` of a node.
 
     {"name": "sky", "extras": {"environment": {"uri": "asset_sky.exr"}}, "matrix": [...]}
 
@@ -43,7 +43,7 @@ def written_environment(emitter: Envmap, name: str, target: Path, losses: Losses
 
 
 def environment(node: DocumentPart, to_world: np.ndarray, buffers: Buffers, losses: Losses) -> Envmap | None:
-    """The environment map that a node names; None if it names none, or its file is gone.
+    """Reads the environment map that a node names; None if it names none, or its file is gone.
 
     Raises:
         SceneError: if the file lies outside of the folder of the document, or is damaged.

@@ -1,4 +1,4 @@
-"""The extensions of glTF: which are known, and what those of materials mean for `principled`.
+"""The extensions of glTF: which are read, and what those of materials become in `principled`.
 
 | extension | becomes |
 |---|---|
@@ -43,7 +43,7 @@ SMALLEST_IOR = 1.0
 
 
 def check_extensions(document: Document, losses: Losses) -> None:
-    """Notes the extensions that a document uses and that are not read.
+    """Notes the extensions of a document that are not read.
 
     Raises:
         SceneError: if it requires one.
@@ -59,7 +59,7 @@ def check_extensions(document: Document, losses: Losses) -> None:
 
 
 def reflection(material: DocumentPart, losses: Losses) -> dict[str, float]:
-    """`eta` or `specular` of the boundary; neither if it has the default of both."""
+    """Reads `eta` or `specular` of the boundary; neither if it has the default of both."""
     ior, specular = material.extension("KHR_materials_ior"), material.extension("KHR_materials_specular")
     index = 1.5 if ior is None else ior.number("ior", 1.5, low=0.0)
     if index < SMALLEST_IOR:
@@ -80,7 +80,7 @@ def reflection(material: DocumentPart, losses: Losses) -> dict[str, float]:
 
 
 def is_diffuse(material: DocumentPart, metallic: float) -> bool:
-    """True if nothing is left but the diffuse base: no metal, no reflections, no layer."""
+    """True if only the diffuse base has an effect: no metal, no reflections, no layer."""
     specular = material.extension("KHR_materials_specular")
     layers = ("KHR_materials_transmission", "KHR_materials_clearcoat", "KHR_materials_sheen")
     return (metallic == 0 and specular is not None and specular.number("specularFactor", 1.0) == 0
@@ -88,7 +88,7 @@ def is_diffuse(material: DocumentPart, metallic: float) -> bool:
 
 
 def anisotropy(material: DocumentPart, roughness: float | None, losses: Losses) -> dict[str, float]:
-    """`anisotropic`, and the `roughness` that goes with it; nothing if the material is isotropic.
+    """Reads `anisotropic`, and the `roughness` that goes with it; nothing if the material is isotropic.
 
     Along and across the direction, microfacets have the roughness a + (1 - a) s^2 and a there, with a = roughness^2 and the
     strength s; here roughness^2 / w and roughness^2 w, with w^2 = 1 - 0.9 anisotropic.
@@ -112,7 +112,7 @@ def anisotropy(material: DocumentPart, roughness: float | None, losses: Losses) 
 
 
 def transmission(material: DocumentPart, losses: Losses) -> DocumentPart | None:
-    """The extension KHR_materials_transmission, if it says that light passes."""
+    """The extension KHR_materials_transmission, or None if it transmits no light."""
     extension, volume = (material.extension(f"KHR_materials_{name}") for name in ("transmission", "volume"))
     if extension is None or extension.number("transmissionFactor", 0.0, low=0.0, high=1.0) == 0:
         return None
@@ -124,7 +124,7 @@ def transmission(material: DocumentPart, losses: Losses) -> DocumentPart | None:
 
 
 def clearcoat(material: DocumentPart, losses: Losses) -> DocumentPart | None:
-    """The extension KHR_materials_clearcoat, if there is such a layer."""
+    """The extension KHR_materials_clearcoat, or None if it has no effect."""
     extension = material.extension("KHR_materials_clearcoat")
     if extension is None or extension.number("clearcoatFactor", 0.0, low=0.0, high=1.0) == 0:
         return None
@@ -136,17 +136,17 @@ def clearcoat(material: DocumentPart, losses: Losses) -> DocumentPart | None:
 
 
 def gloss_of(roughness: float) -> float:
-    """`clearcoat_gloss` of a roughness as glTF counts it."""
+    """`clearcoat_gloss` for a roughness of glTF's."""
     return min(1.0, max(0.0, (DULLEST - roughness * roughness) / (DULLEST - SHARPEST)))
 
 
 def roughness_of(gloss: float) -> float:
-    """The inverse of `gloss_of`."""
+    """glTF's roughness for a `clearcoat_gloss`: the inverse of `gloss_of`."""
     return math.sqrt(DULLEST + (SHARPEST - DULLEST) * gloss)
 
 
 def sheen(material: DocumentPart, losses: Losses) -> dict[str, Any]:
-    """`sheen` and `sheen_tint`."""
+    """Reads `sheen` and `sheen_tint`."""
     extension = material.extension("KHR_materials_sheen")
     colour = [0.0] if extension is None else extension.numbers("sheenColorFactor", 3, [0, 0, 0], low=0.0, high=1.0)
     if max(colour) == 0:

@@ -1,4 +1,4 @@
-"""Textures of a scene as what glTF has: factors and 8-bit images."""
+"""Converts textures of a scene to what glTF has: factors and 8-bit images."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ SHEAR = 1e-5
 
 
 class Reading(NamedTuple):
-    """How an image is read."""
+    """The wrap mode, filter and uv transform of an image."""
 
     wrap: str = "repeat"
     nearest: bool = False
-    to_uv: tuple[float, ...] = (1, 0, 0, 0, 1, 0)  # the rows that give u and v
+    to_uv: tuple[float, ...] = (1, 0, 0, 0, 1, 0)  # rows of the transform that give u and v
 
 
 class Slot(NamedTuple):
-    """What a texture of a material holds, linear."""
+    """The linear values of a texture, and how they are looked up."""
 
     values: np.ndarray  # (H, W, 3) float64
     reading: Reading | None  # None: a constant, of 1 x 1 texels
@@ -43,16 +43,16 @@ class Slot(NamedTuple):
 
     @property
     def constant(self) -> np.ndarray:
-        """(3,) the mean colour."""
+        """(3,) the mean colour of the texture."""
         return self.values.mean((0, 1))
 
     def number(self) -> float:
-        """The mean of the first channel."""
+        """The mean of the texture's first channel."""
         return float(self.values[:, :, 0].mean())
 
 
 def slot(texture: Texture, name: str, losses: Losses, as_number: bool = False) -> Slot:
-    """The values of a texture; of what glTF has no word for, a mean.
+    """The values of a texture; the mean of one that glTF cannot represent.
 
     Args:
         texture: of a material.
@@ -88,7 +88,7 @@ def slot(texture: Texture, name: str, losses: Losses, as_number: bool = False) -
 
 
 def checked_values(values: Tensor, name: str) -> np.ndarray:
-    """`values` as float64.
+    """Converts values to float64, checked to be finite.
 
     Raises:
         SceneError: if one is not finite.
@@ -100,13 +100,13 @@ def checked_values(values: Tensor, name: str) -> np.ndarray:
 
 
 def _rows(to_uv: Tensor) -> tuple[float, ...]:
-    """The six numbers of a transform of surface coordinates."""
+    """The six numbers of a uv transform."""
     matrix = to_uv.detach().cpu().double().numpy()
     return tuple(float(matrix[row, column]) for row in (0, 1) for column in (0, 1, 3))
 
 
 def quantised(values: np.ndarray, srgb: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Values as bytes times a factor of each channel: 1 if they fit 8 bits, else one that makes the most of them.
+    """Quantises values to bytes times a factor for each channel: 1 if they fit 8 bits, else the best one.
 
     Args:
         values: (H, W, 3 or 4) of at least 0; a fourth channel is alpha, which is linear.
@@ -123,7 +123,7 @@ def quantised(values: np.ndarray, srgb: bool) -> tuple[np.ndarray, np.ndarray]:
 
 
 def levels_of(values: np.ndarray, factor: np.ndarray, srgb: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Values as bytes times a given factor of each channel, and the largest error in each, (C,)."""
+    """Quantises values to bytes for given factors, and the largest error in each channel, (C,)."""
     shares = torch.from_numpy((values / factor).clip(0.0, 1.0))
     coded = torch.cat([linear_to_srgb(shares[..., :3]), shares[..., 3:]], 2) if srgb else shares
     levels = (coded * 255.0).round()
@@ -133,7 +133,7 @@ def levels_of(values: np.ndarray, factor: np.ndarray, srgb: bool) -> tuple[np.nd
 
 
 def texture_info(out: Written, pixels: np.ndarray, reading: Reading, name: str, losses: Losses) -> dict[str, Any]:
-    """The texture info of an image."""
+    """Writes an image and returns its texture info."""
     mode = WRAPS[reading.wrap]
     sampler = out.once("samplers", {"wrapS": mode, "wrapT": mode, "magFilter": NEAREST if reading.nearest else LINEAR})
     texture = out.once("textures", {"sampler": sampler, "source": out.image(pixels, name)})
@@ -143,7 +143,7 @@ def texture_info(out: Written, pixels: np.ndarray, reading: Reading, name: str, 
 
 
 def _uv_transform(to_uv: tuple[float, ...], name: str, losses: Losses) -> dict[str, Any]:
-    """The entries of KHR_texture_transform; none of the identity. See `texture.uv_transform`."""
+    """The entries of KHR_texture_transform; none for the identity. See `texture.uv_transform`."""
     a, b, x, c, d, y = to_uv
     if to_uv == Reading().to_uv:
         return {}
@@ -157,7 +157,7 @@ def _uv_transform(to_uv: tuple[float, ...], name: str, losses: Losses) -> dict[s
 
 
 def joined_slots(slots: dict[str, Slot], name: str, losses: Losses) -> tuple[dict[str, np.ndarray], Reading] | None:
-    """Slots that go into the channels of one image, as arrays of one size; None if all are constant.
+    """Merges textures into channels of one image, as arrays of one size; None if all are constant.
 
     The first that is an image says how it is read. Constants become 1 x 1 arrays. What is read in another way is a loss and
     becomes its mean; what has another size is resampled.
@@ -167,7 +167,7 @@ def joined_slots(slots: dict[str, Slot], name: str, losses: Losses) -> tuple[dic
         return None
     reading = next(iter(images.values())).reading
     height, width = (max(each.values.shape[axis] for each in images.values()) for axis in (0, 1))
-    found = {}
+    arrays = {}
     for key, each in slots.items():
         values = each.values
         if not each.is_constant and each.reading != reading:
@@ -179,5 +179,5 @@ def joined_slots(slots: dict[str, Slot], name: str, losses: Losses) -> tuple[dic
             mode = "nearest" if reading.nearest else "bilinear"
             planes = torch.from_numpy(values).permute(2, 0, 1)[None]
             values = torch.nn.functional.interpolate(planes, (height, width), mode=mode)[0].permute(1, 2, 0).numpy()
-        found[key] = values
-    return found, reading
+        arrays[key] = values
+    return arrays, reading

@@ -1,4 +1,4 @@
-"""Lights and cameras of a glTF document.
+"""Reads the lights and cameras of a glTF document.
 
 glTF's photometric units count as radiometric ones, number for number: candela as W / sr, lux as W / m^2, nits as
 W / (m^2 sr), so that images are in nits. `lumens_per_watt` divides the intensities of lights, and not what surfaces emit:
@@ -34,7 +34,7 @@ VIEWPOINT = (0.55, 0.45, 1.0)  # direction from which it looks at the scene; its
 
 
 def emitter_of_light(part: DocumentPart, to_world: np.ndarray, lumens_per_watt: float, losses: Losses) -> Emitter:
-    """The emitter of a light of KHR_lights_punctual; inside a spot's penumbra it falls off linearly with the angle.
+    """Reads a light of KHR_lights_punctual; inside a spot's penumbra it falls off linearly with the angle.
 
     Args:
         part: the light.
@@ -60,7 +60,7 @@ def emitter_of_light(part: DocumentPart, to_world: np.ndarray, lumens_per_watt: 
 
 
 def _rigid(part: DocumentPart, to_world: np.ndarray) -> Tensor:
-    """(4, 4) pose of what looks along -z there and +z here: the rotation and place of a transform, float64."""
+    """(4, 4) float64 rotation and translation of a transform, from glTF's axes (along -z) to ours (along +z)."""
     up, ahead = to_world[:3, 1], -to_world[:3, 2]
     left = np.cross(up, ahead)
     if not np.linalg.norm(left) > 1e-9 * np.linalg.norm(up) * np.linalg.norm(ahead):
@@ -72,7 +72,7 @@ def _rigid(part: DocumentPart, to_world: np.ndarray) -> Tensor:
 
 
 def sensor_of_camera(part: DocumentPart, to_world: np.ndarray, resolution: int | None, spp: int, reach: float) -> Sensor:
-    """The sensor of a camera.
+    """Reads a camera as a sensor.
 
     Args:
         part: the camera.
@@ -102,7 +102,7 @@ def sensor_of_camera(part: DocumentPart, to_world: np.ndarray, resolution: int |
 
 
 def film(aspect: float, resolution: int | None, pixels: tuple[int, ...]) -> HDRFilm:
-    """A film of an aspect ratio width / height: of these `pixels` if they have it and nothing else is asked for."""
+    """A film of an aspect ratio width / height: of size `pixels` if that has it and no resolution is given."""
     width, height = pixels
     if resolution is None and min(pixels) > 0 and abs(width / height - aspect) < 1e-3 * aspect:
         return HDRFilm(width=width, height=height)

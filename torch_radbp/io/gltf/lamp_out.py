@@ -1,4 +1,4 @@
-"""Lights and cameras of a scene as those of glTF; see `lamp` for units and axes."""
+"""Writes the lights and cameras of a scene as those of glTF; see `lamp` for units and axes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CENTRED = 1e-6  # of the size of an image, that its principal point may be off t
 
 
 def matrix_of(pose: Tensor) -> np.ndarray:
-    """(4, 4) float64."""
+    """A pose as a (4, 4) float64 array."""
     return pose.detach().cpu().double().numpy()
 
 
@@ -29,17 +29,17 @@ def column_major(matrix: np.ndarray) -> dict[str, list[float]]:
 
 
 def _rigid(pose: np.ndarray) -> np.ndarray:
-    """The node of what looks along +z of a pose, without its scale."""
+    """The node transform, without scale, of an object that looks along +z of a pose."""
     ahead, up = pose[:3, 2] / np.linalg.norm(pose[:3, 2]), pose[:3, 1]
     left = np.cross(up, ahead)
     left /= np.linalg.norm(left)
-    found = np.eye(4)
-    found[:3] = np.stack([left, np.cross(ahead, left), ahead, pose[:3, 3]], axis=1)
-    return found @ HALF_TURN
+    matrix = np.eye(4)
+    matrix[:3] = np.stack([left, np.cross(ahead, left), ahead, pose[:3, 3]], axis=1)
+    return matrix @ HALF_TURN
 
 
 def _brightness(colour: Texture) -> dict[str, Any]:
-    """Colour and intensity."""
+    """The entries for a light's colour and intensity."""
     values = colour.texels().detach().cpu().double().reshape(3).numpy()
     intensity = float(values.max())
     return {"color": (values / intensity if intensity > 0 else np.ones(3)).tolist(), "intensity": intensity}
@@ -70,7 +70,7 @@ LIGHTS: dict[str, Light] = {"point": point, "directional": directional, "spot": 
 
 
 def light_of_emitter(emitter: Emitter, name: str, losses: Losses) -> tuple[dict[str, Any], np.ndarray] | None:
-    """A light of KHR_lights_punctual and its node's transform; None if glTF has none of this kind."""
+    """Converts an emitter to a light of KHR_lights_punctual and its node's transform; None if glTF has no such kind."""
     if emitter.type not in LIGHTS:
         losses.add(name, f"a {emitter.type} emitter has no counterpart in glTF, and is not written; those that have one: "
                          f"area, {', '.join(sorted(LIGHTS))}")
@@ -79,13 +79,13 @@ def light_of_emitter(emitter: Emitter, name: str, losses: Losses) -> tuple[dict[
 
 
 def _unknown(sensor: Sensor, name: str, losses: Losses) -> None:
-    """Notes that there is no such camera."""
+    """Notes that glTF has no such camera."""
     losses.add(name, f"a {sensor.type} sensor has no counterpart in glTF, and is not written; those that have one: "
                      "orthographic, perspective")
 
 
 def camera_of_sensor(sensor: Sensor, name: str, losses: Losses) -> tuple[dict[str, Any], np.ndarray] | None:
-    """A camera and its node's transform; None if glTF has none of this kind."""
+    """Converts a sensor to a camera and its node's transform; None if glTF has no such kind."""
     if not (hasattr(sensor, "film") and hasattr(sensor, "to_world")):
         return _unknown(sensor, name, losses)
     if isinstance(sensor, Calibrated) and not sensor.is_fisheye:

@@ -1,4 +1,4 @@
-"""The materials of a glTF document: metallic-roughness as `principled`, inside of what turns normals, has sides, is cut out.
+"""Reads glTF materials: metallic-roughness as `principled`, nested in normal map, two-sided and mask as needed.
 
 A material called gold becomes `gold`, a `principled` (or `diffuse`), and as far as it asks for them, each around the one
 before: `gold_normalmap`, `gold_twosided`, `gold_mask`.
@@ -29,29 +29,29 @@ VERTEX_COLOUR = "vertex_color"
 
 
 class Look(NamedTuple):
-    """How a surface looks."""
+    """The material, emission and texture coordinates of a surface."""
 
     bsdf: BSDF
-    radiance: Texture | None  # that it emits
-    uv_set: int | None  # number of the surface coordinates that its textures read; None: it has none
-    factor: tuple[float, float, float]  # of the colours of vertices, which are its base colour; (1, 1, 1) if they are not
+    radiance: Texture | None  # emitted radiance
+    uv_set: int | None  # index of the uv set that its textures read; None: they read none
+    factor: tuple[float, float, float]  # factor of vertex colours, if these are its base colour; else (1, 1, 1)
 
 
 class GltfMaterials:
-    """The looks that a scene's surfaces have, made when they are first asked for."""
+    """Reads the looks of a scene's surfaces, each at its first use."""
 
     def __init__(self, document: Document, textures: GltfTextures, losses: Losses, names: Names,
                  children: dict[str, Plugin]):
         self.document, self.textures, self.losses, self.names, self.children = document, textures, losses, names, children
-        self.known: dict[tuple[int | None, str | None, bool], Look] = {}
+        self.cached: dict[tuple[int | None, str | None, bool], Look] = {}
 
     def material(self, primitive: DocumentPart) -> DocumentPart:
-        """The material of a primitive, as the document has it."""
+        """The material of a primitive, in the document."""
         part = self.document.referred("materials", primitive, "material", None)
         return DocumentPart(self.document.file, "the default material", {}) if part is None else part
 
     def look(self, primitive: DocumentPart, colours: str | None, mirrored: bool) -> Look:
-        """The look of a primitive.
+        """Reads the look of a primitive.
 
         Args:
             primitive: which refers to the material.
@@ -60,13 +60,13 @@ class GltfMaterials:
         """
         number, part = primitive.integer("material", None), self.material(primitive)
         key = number, colours, mirrored
-        if key not in self.known:
+        if key not in self.cached:
             name = "default" if number is None else part.text("name", "") or f"material_{number}"
-            self.known[key] = self.made(part, name, colours, mirrored)
-        return self.known[key]
+            self.cached[key] = self.made(part, name, colours, mirrored)
+        return self.cached[key]
 
     def made(self, part: DocumentPart, name: str, colours: str | None, mirrored: bool) -> Look:
-        """A look; its plugins are added to the scene."""
+        """Makes a new look, and adds its plugins to the scene."""
         sets: list[int] = []
         rough = part.part("pbrMetallicRoughness")
         image = self.textures.image(part, rough, "baseColorTexture", sets)
@@ -79,12 +79,12 @@ class GltfMaterials:
             self.losses.add(part.place, "occlusionTexture is not read: light finds its way by itself")
         by_attribute = colours is not None and image is None
         base = MeshAttribute(name=colours) if by_attribute else tinted(image, factor)
-        own = self.names.free(name)
-        bsdf = self.children[own] = self.principled(part, rough, base, sets)
-        bsdf = self.turned(part, bsdf, own, sets, mirrored)
+        unique = self.names.free(name)
+        bsdf = self.children[unique] = self.principled(part, rough, base, sets)
+        bsdf = self.turned(part, bsdf, unique, sets, mirrored)
         if part.flag("doubleSided") and not bsdf.kind().transmits:
-            bsdf = self.add(f"{own}_twosided", TwoSided(brdf=[bsdf]))
-        bsdf = self.masked(part, bsdf, own, alpha, image)
+            bsdf = self.add(f"{unique}_twosided", TwoSided(brdf=[bsdf]))
+        bsdf = self.masked(part, bsdf, unique, alpha, image)
         radiance = self.radiance(part, sets)
         return Look(bsdf, radiance, sets[0] if sets else None, tuple(factor) if by_attribute else (1.0, 1.0, 1.0))
 
@@ -93,29 +93,30 @@ class GltfMaterials:
         return bsdf
 
     def principled(self, part: DocumentPart, rough: DocumentPart, base: Texture, sets: list[int]) -> BSDF:
-        """The material itself, seen from its front."""
+        """Makes the innermost material, as seen from its front."""
         image = self.textures.image(part, rough, "metallicRoughnessTexture", sets)
         numbers = {name: rough.number(f"{name}Factor", 1.0, low=0.0, high=1.0) for name in ("roughness", "metallic")}
         if extension.is_diffuse(part, numbers["metallic"]):
             return Diffuse(reflectance=base)
-        found: dict[str, Any] = {"roughness": _scaled(image, 1, numbers["roughness"]),
-                                 "metallic": _scaled(image, 2, numbers["metallic"])}
-        found |= extension.reflection(part, self.losses) | extension.sheen(part, self.losses)
-        found |= extension.anisotropy(part, numbers["roughness"] if image is None else None, self.losses)
+        arguments: dict[str, Any] = {"roughness": _scaled(image, 1, numbers["roughness"]),
+                                     "metallic": _scaled(image, 2, numbers["metallic"])}
+        arguments |= extension.reflection(part, self.losses) | extension.sheen(part, self.losses)
+        arguments |= extension.anisotropy(part, numbers["roughness"] if image is None else None, self.losses)
         passes, coat = extension.transmission(part, self.losses), extension.clearcoat(part, self.losses)
         if passes is not None:
             image = self.textures.image(part, passes, "transmissionTexture", sets)
-            found["spec_trans"] = _scaled(image, 0, passes.number("transmissionFactor"))
-            if "specular" not in found:
-                found.setdefault("eta", 1.5)
+            arguments["spec_trans"] = _scaled(image, 0, passes.number("transmissionFactor"))
+            if "specular" not in arguments:
+                arguments.setdefault("eta", 1.5)
         if coat is not None:
             image = self.textures.image(part, coat, "clearcoatTexture", sets)
-            found["clearcoat"] = _scaled(image, 0, coat.number("clearcoatFactor"))
-            found["clearcoat_gloss"] = extension.gloss_of(coat.number("clearcoatRoughnessFactor", 0.0, low=0.0, high=1.0))
-        return Principled(base_color=base, **found)
+            arguments["clearcoat"] = _scaled(image, 0, coat.number("clearcoatFactor"))
+            coat_roughness = coat.number("clearcoatRoughnessFactor", 0.0, low=0.0, high=1.0)
+            arguments["clearcoat_gloss"] = extension.gloss_of(coat_roughness)
+        return Principled(base_color=base, **arguments)
 
     def turned(self, part: DocumentPart, bsdf: BSDF, name: str, sets: list[int], mirrored: bool) -> BSDF:
-        """The material with the normals of its normalTexture, whose y points to where v falls, and here across u."""
+        """Wraps the material in a normal map for its normalTexture, converted from glTF's y axis."""
         image = self.textures.image(part, part, "normalTexture", sets)
         if image is None:
             return bsdf
@@ -125,7 +126,7 @@ class GltfMaterials:
         return self.add(f"{name}_normalmap", NormalMap(normalmap=image.bitmap(0.5 * normals + 0.5), nested_bsdf=bsdf))
 
     def masked(self, part: DocumentPart, bsdf: BSDF, name: str, alpha: float, image: Image | None) -> BSDF:
-        """The material where it is opaque."""
+        """Wraps the material in an opacity mask."""
         mode = part.text("alphaMode", "OPAQUE")
         if mode not in ("OPAQUE", "MASK", "BLEND"):
             raise part.fail(f"alphaMode must be OPAQUE, MASK or BLEND, got {mode!r:.60}")
@@ -138,7 +139,7 @@ class GltfMaterials:
         return self.add(f"{name}_mask", Mask(nested_bsdf=bsdf, opacity=texture))
 
     def radiance(self, part: DocumentPart, sets: list[int]) -> Texture | None:
-        """What the surface emits; glTF's nits (cd / m^2) count as W / (m^2 sr)."""
+        """Reads the emitted radiance; glTF's nits (cd / m^2) count as W / (m^2 sr)."""
         strength = part.extension("KHR_materials_emissive_strength")
         factor = [component * (1.0 if strength is None else strength.number("emissiveStrength", 1.0, low=0.0))
                   for component in part.numbers("emissiveFactor", 3, [0, 0, 0], low=0.0)]
@@ -155,7 +156,7 @@ class GltfMaterials:
 
 
 def tinted(image: Image | None, factor: list[float]) -> Texture:
-    """A colour, or an image in sRGB times a colour."""
+    """A texture of a colour, or of an sRGB image times a colour."""
     colour = torch.tensor(factor, dtype=torch.float64)
     return RGB(value=colour) if image is None else image.bitmap(image.colour() * colour)
 

@@ -6,19 +6,19 @@ from torch import nn
 
 
 class Names:
-    """The names that a scene has given away."""
+    """Gives out names of a scene's objects, each once."""
 
     def __init__(self) -> None:
-        self.taken: dict[str, int] = {}  # with the last number that was appended
+        self.used: dict[str, int] = {}  # with the last number that was appended
 
     def free(self, name: str) -> str:
-        """`name`, with dots replaced, or name_1, name_2, ... if it is taken."""
+        """A free name: `name`, with dots replaced, or name_1, name_2, ..."""
         name = name.replace(".", "_") or "unnamed"
         if hasattr(nn.Module, name) or name in ("shapes", "sensors", "emitters", "integrator"):
             name += "_"
         free = name
-        while free in self.taken:
-            self.taken[name] += 1
-            free = f"{name}_{self.taken[name]}"
-        self.taken[free] = 0
+        while free in self.used:
+            self.used[name] += 1
+            free = f"{name}_{self.used[name]}"
+        self.used[free] = 0
         return free

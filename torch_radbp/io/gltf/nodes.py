@@ -1,4 +1,4 @@
-"""The nodes of a glTF scene with their places in the world."""
+"""The nodes of a glTF scene with their transforms to the world."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ MAX_NODES = 100_000
 
 
 class PlacedNode(NamedTuple):
-    """A node and where it is."""
+    """A node with its transform to the world."""
 
     node: DocumentPart
     to_world: np.ndarray  # (4, 4) float64, column vectors
-    visible: bool  # False: by KHR_node_visibility, with all below; cameras do not care
+    visible: bool  # False if it or an ancestor is hidden by KHR_node_visibility; cameras ignore this
 
 
 def placed_nodes(document: Document, scene: int | None) -> Iterator[PlacedNode]:
-    """The nodes of a scene, each after its parent.
+    """Yields the nodes of a scene, each after its parent.
 
     Args:
         document: the whole of it.
@@ -51,7 +51,7 @@ def placed_nodes(document: Document, scene: int | None) -> Iterator[PlacedNode]:
 
 
 def roots(document: Document, scene: int | None) -> list[tuple[int, DocumentPart]]:
-    """The numbers of the nodes at the top, each with what refers to it."""
+    """The indices of the top-level nodes, each with the object that refers to it."""
     number = document.integer("scene", 0) if scene is None else scene
     if scene is None and not document.items("scenes"):
         children = {child for node in document.parts("nodes") for child in indices(node, "children")}
@@ -61,7 +61,7 @@ def roots(document: Document, scene: int | None) -> list[tuple[int, DocumentPart
 
 
 def indices(part: DocumentPart, name: str) -> list[int]:
-    """A list of numbers of other objects."""
+    """Reads a list of indices of other objects."""
     items = part.items(name)
     for item in items:
         if isinstance(item, bool) or not isinstance(item, int) or item < 0:
@@ -70,7 +70,7 @@ def indices(part: DocumentPart, name: str) -> list[int]:
 
 
 def local_transform(node: DocumentPart) -> np.ndarray:
-    """(4, 4) the node's own transform: its matrix, or translation times rotation times scale."""
+    """(4, 4) the node's local transform: its matrix, or translation times rotation times scale."""
     if node.has("matrix"):
         matrix = np.reshape(node.numbers("matrix", 16), (4, 4)).T  # column after column
         if not np.allclose(matrix[3], (0, 0, 0, 1)):
@@ -81,7 +81,7 @@ def local_transform(node: DocumentPart) -> np.ndarray:
 
 
 def instance_transforms(place: PlacedNode, buffers: Buffers) -> list[np.ndarray]:
-    """The (4, 4) places at which the mesh of a node stands: its own, or those of EXT_mesh_gpu_instancing."""
+    """The (4, 4) transforms at which a node's mesh is shown: its own, or those of EXT_mesh_gpu_instancing."""
     instancing = place.node.extension("EXT_mesh_gpu_instancing")
     if instancing is None:
         return [place.to_world]
@@ -100,7 +100,7 @@ def instance_transforms(place: PlacedNode, buffers: Buffers) -> list[np.ndarray]
 
 
 def _rotation(part: DocumentPart, quaternion: np.ndarray) -> np.ndarray:
-    """(4, 4) the rotation of a quaternion x, y, z, w of any length."""
+    """The (4, 4) rotation of a quaternion x, y, z, w of any length."""
     length = np.linalg.norm(quaternion)
     if not length > 1e-12:
         raise part.fail(f"rotation must be a quaternion of length 1, got {quaternion.tolist()}")

@@ -1,4 +1,4 @@
-"""The images of a glTF document: PNG and JPEG, in files, data URIs and buffers."""
+"""Reads the images of a glTF document: PNG and JPEG, in files, data URIs and buffers."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ MAX_TEXELS = 2**28  # of all images together
 
 
 class Pictures:
-    """The decoded images of a document."""
+    """The images of a document, decoded once."""
 
     def __init__(self, document: Document, buffers: Buffers):
         self.document, self.buffers = document, buffers
-        self.known: dict[int, np.ndarray] = {}
+        self.cached: dict[int, np.ndarray] = {}
         self.texels = 0  # so far
 
     def pixels(self, index: int, user: DocumentPart) -> np.ndarray:
         """(H, W, 4) bytes of an image as they are coded, alpha last; row 0 is at the top."""
-        if index not in self.known:
+        if index not in self.cached:
             part = self.document.of("images", index, user, "source")
             uri = part.text("uri", None)
             content = (self.buffers.resource(uri, part) if uri is not None
                        else bytes(self.buffers.view(part.integer("bufferView"), part)[0]))
-            self.known[index] = self.decoded(content, part)
-        return self.known[index]
+            self.cached[index] = self.decoded(content, part)
+        return self.cached[index]
 
     def decoded(self, content: bytes, part: DocumentPart) -> np.ndarray:
-        """(H, W, 4) bytes; of 16 bits the high ones."""
+        """Decodes a PNG or JPEG to (H, W, 4) bytes, the high ones of 16 bits."""
         kind = next((kind for kind in KINDS if content.startswith(SIGNATURES[kind])), None)
         if kind is None:
             raise part.fail(f"an image must be PNG or JPEG, this one begins with {content[:8]!r}")
@@ -60,7 +60,7 @@ class Pictures:
 
 
 def bytes_of(image: Image.Image) -> np.ndarray:
-    """(H, W, 4) bytes of a picture as they are coded, alpha last; of 16 bits the high ones."""
+    """(H, W, 4) bytes of an image as they are coded, alpha last; the high ones of 16 bits."""
     if image.mode.startswith("I"):  # 16 bits of grey, which `convert` would cut off
         grey = (np.array(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
         return np.stack([grey, grey, grey, np.full_like(grey, 255)], axis=2)

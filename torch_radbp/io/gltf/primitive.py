@@ -1,4 +1,4 @@
-"""The primitives of a glTF mesh, as triangles."""
+"""Reads the primitives of a glTF mesh as triangles."""
 
 from __future__ import annotations
 
@@ -19,43 +19,43 @@ ROUNDING = 1e-5  # by which colours may leave [0, 1] unsaid
 
 
 class Primitive(NamedTuple):
-    """Triangles in the node's own frame, float64 and int64."""
+    """A glTF primitive as triangles in the node's frame, float64 and int64."""
 
     positions: np.ndarray  # (V, 3)
     faces: np.ndarray  # (F, 3)
     normals: np.ndarray | None  # (V, 3)
     uv: tuple[np.ndarray | None, ...]  # (V, 2) of each set
     colour: np.ndarray | None  # (V, 3) linear RGB
-    own: dict[str, np.ndarray]  # (V, 1 or 3) attributes that begin with an underscore, by lower-case names without it
+    custom: dict[str, np.ndarray]  # (V, 1 or 3) custom attributes, by their lower-case names without the leading underscore
 
     def numbers(self) -> int:
-        """How many numbers it has."""
-        arrays = (self.positions, self.faces, self.normals, self.colour, *self.uv, *self.own.values())
+        """The number of scalars in all its arrays."""
+        arrays = (self.positions, self.faces, self.normals, self.colour, *self.uv, *self.custom.values())
         return sum(array.size for array in arrays if array is not None)
 
 
 class Primitives:
-    """The primitives of a document, read once however many nodes show them."""
+    """Reads the primitives of a document, once however many nodes show them."""
 
     def __init__(self, buffers: Buffers, losses: Losses):
         self.buffers, self.losses = buffers, losses
-        self.known: dict[str, Primitive | None] = {}
+        self.cached: dict[str, Primitive | None] = {}
 
     def of(self, part: DocumentPart) -> Primitive | None:
-        """The triangles of a primitive; None of points and lines.
+        """Reads the triangles of a primitive; None for points and lines.
 
         Raises:
             SceneError: if it is damaged, or the scene has too many numbers with it.
         """
-        if part.place not in self.known:
-            self.known[part.place] = read_primitive(part, self.buffers, self.losses)
-        elif self.known[part.place] is not None:
-            self.buffers.claim(part, self.known[part.place].numbers())
-        return self.known[part.place]
+        if part.place not in self.cached:
+            self.cached[part.place] = read_primitive(part, self.buffers, self.losses)
+        elif self.cached[part.place] is not None:
+            self.buffers.claim(part, self.cached[part.place].numbers())
+        return self.cached[part.place]
 
 
 def read_primitive(part: DocumentPart, buffers: Buffers, losses: Losses) -> Primitive | None:
-    """The triangles of a primitive; None, and a loss, of points and lines, and where there are no triangles."""
+    """Reads the triangles of a primitive; None, with a note, for points and lines, and without triangles."""
     mode = part.integer("mode", TRIANGLES, high=6)
     if mode in MODES:
         losses.add(part.place, f"{MODES[mode]} are not read")
@@ -66,10 +66,10 @@ def read_primitive(part: DocumentPart, buffers: Buffers, losses: Losses) -> Prim
         return None
 
     def array(name: str, *types: str) -> np.ndarray | None:
-        found = buffers.array(attributes.integer(name), attributes, name, types) if attributes.has(name) else None
-        if found is not None and len(found) != len(positions):
-            raise attributes.fail(f"{name} has {len(found)} elements, POSITION has {len(positions)}")
-        return found
+        elements = buffers.array(attributes.integer(name), attributes, name, types) if attributes.has(name) else None
+        if elements is not None and len(elements) != len(positions):
+            raise attributes.fail(f"{name} has {len(elements)} elements, POSITION has {len(positions)}")
+        return elements
 
     positions = buffers.array(attributes.integer("POSITION"), attributes, "POSITION", ("VEC3",)).astype(np.float64)
     corners = np.arange(len(positions))
@@ -94,8 +94,8 @@ def read_primitive(part: DocumentPart, buffers: Buffers, losses: Losses) -> Prim
         colour = colour.clip(0, 1)
         if colour.shape[1] == 4 and (colour[:, 3] != 1).any():
             losses.add(part.place, "the opacity of vertices (alpha of COLOR_0) is not read")
-    own = {name[1:].lower(): array(name, "SCALAR", "VEC3").astype(np.float64) for name in attributes.value
-           if name.startswith("_") and is_own(name)}
+    custom = {name[1:].lower(): array(name, "SCALAR", "VEC3").astype(np.float64) for name in attributes.value
+              if name.startswith("_") and is_own(name)}
     for name in attributes.value:
         if name.startswith(("JOINTS_", "COLOR_")) and name != "COLOR_0" or name in ("TEXCOORD_2", "TEXCOORD_3"):
             losses.add(part.place, f"{name} is not read")
@@ -103,16 +103,16 @@ def read_primitive(part: DocumentPart, buffers: Buffers, losses: Losses) -> Prim
         losses.add(part.place, "morph targets are not read: the mesh has its basic form")
     uv = tuple(finite_uv(array(f"TEXCOORD_{number}", "VEC2"), part, losses) for number in range(SETS))
     return Primitive(positions, faces, usable(array("NORMAL", "VEC3"), positions, faces, part, losses), uv,
-                     None if colour is None else colour[:, :3], own)
+                     None if colour is None else colour[:, :3], custom)
 
 
 def is_own(name: str) -> bool:
-    """True for the name of an attribute of an application that can be the name of a parameter here."""
+    """True for the name of a custom attribute that can be the name of a parameter here."""
     return name[1:].isidentifier() and name[1:].lower() not in ("positions", "normals", "texcoords", "color")
 
 
 def finite_uv(uv: np.ndarray | None, part: DocumentPart, losses: Losses) -> np.ndarray | None:
-    """Surface coordinates, (0, 0) where they are not finite."""
+    """Texture coordinates, (0, 0) where they are not finite."""
     bad = np.zeros(0, bool) if uv is None else ~np.isfinite(uv).all(axis=1)
     if not bad.any():
         return uv
@@ -121,7 +121,7 @@ def finite_uv(uv: np.ndarray | None, part: DocumentPart, losses: Losses) -> np.n
 
 
 def triangles(corners: np.ndarray, mode: int) -> np.ndarray:
-    """(F, 3) of a list, a strip or a fan of triangles."""
+    """(F, 3) corners of triangles from a list, a strip or a fan."""
     if mode == TRIANGLES:
         return corners.reshape(-1, 3)
     if mode == FAN:
@@ -133,7 +133,7 @@ def triangles(corners: np.ndarray, mode: int) -> np.ndarray:
 
 def usable(normals: np.ndarray | None, positions: np.ndarray, faces: np.ndarray, part: DocumentPart,
            losses: Losses) -> np.ndarray | None:
-    """The normals, with those of the triangles around a vertex where one has no direction."""
+    """The normals; those without a direction are computed from the triangles around the vertex."""
     if normals is None:
         return None
     length = np.linalg.norm(normals.astype(np.float64), axis=1)

@@ -34,14 +34,14 @@ LISTED = 20  # losses in a message
 
 
 class Options(NamedTuple):
-    """What a glTF file leaves open."""
+    """Settings for what a glTF file does not contain."""
 
     resolution: int | None = None  # pixels of the longer side of the image; None: as `save` has noted, or 512
     spp: int = 16  # samples per pixel
     max_depth: int = -1  # see the integrator `path`
-    light: float | None = None  # radiance from all around; None: that of the file, or 1 if it has no light at all
-    camera: bool = True  # False: leave the file's cameras out, and look at the scene
-    scene: int | None = None  # number of the scene in the file
+    light: float | None = None  # radiance of a constant environment; None: the file's lights, or 1 if it has none at all
+    camera: bool = True  # False: ignore the file's cameras, and frame the scene
+    scene: int | None = None  # index of the scene in the file
     lumens_per_watt: float = 1.0  # see `lamp`
 
 
@@ -61,7 +61,7 @@ def gltf_options(file: str, given: dict[str, Any]) -> Options:
 
 
 def option(file: str, name: str, value: Any) -> Any:
-    """One option."""
+    """Converts one option of a glTF reader from text, or checks its type."""
     if name == "camera":
         words = {"true": True, "false": False}
         value = words.get(value, value) if isinstance(value, str) else value
@@ -82,7 +82,7 @@ def option(file: str, name: str, value: Any) -> Any:
 
 
 def read_gltf(path: str | os.PathLike, given: dict[str, Any], allow_outside: bool = False, strict: bool = False) -> Scene:
-    """The scene in a glTF file.
+    """Reads a scene from a glTF file.
 
     Args:
         path: the .glb or .gltf file.
@@ -113,7 +113,7 @@ class _Reader:
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
 
     def scene(self) -> Scene:
-        """All of it; what is missing is added, and what is lost is said in one warning."""
+        """Reads the scene; adds what is missing, and warns of what is lost."""
         placed = [place for place in placed_nodes(self.document, self.options.scene) if not self.is_hidden(place)]
         for place in placed:
             if place.visible:
@@ -140,7 +140,7 @@ class _Reader:
             raise SceneError(f"{self.file}: {error}") from error
 
     def is_hidden(self, place: PlacedNode) -> bool:
-        """True if a node flattens space, as some writers do to hide what hangs on it."""
+        """True if a node's transform is singular, by which some writers hide its subtree."""
         linear = place.to_world[:3, :3]
         flat = abs(np.linalg.det(linear)) <= 1e-30 or not np.isfinite(linear).all()
         if flat:
@@ -148,11 +148,11 @@ class _Reader:
         return flat
 
     def name(self, part: DocumentPart, other: DocumentPart, fallback: str) -> str:
-        """A free name for what a node holds: the node's, or that of what it refers to."""
+        """A free name for an object at a node: the node's, or that of what it refers to."""
         return self.names.free(part.text("name", "") or other.text("name", "") or fallback)
 
     def add_shapes(self, place: PlacedNode) -> None:
-        """One shape for each primitive of the node's mesh. A mesh of several nodes is copied: each has its vertices."""
+        """Adds a shape for each primitive of the node's mesh; a mesh of several nodes is copied."""
         mesh = self.document.referred("meshes", place.node, "mesh", None)
         if mesh is None:
             return
@@ -189,12 +189,12 @@ class _Reader:
             self.low, self.high = np.minimum(self.low, corners.min(0)), np.maximum(self.high, corners.max(0))
 
     def has_area(self, primitive: Primitive, to_world: np.ndarray) -> bool:
-        """True if a triangle has an area in the world, in the precision of the scene, or has corners that are not finite."""
+        """True if a triangle has an area in the world, in the scene's precision, or corners that are not finite."""
         world = torch.from_numpy(primitive.positions @ to_world[:3, :3].T + to_world[:3, 3]).to(torch.get_default_dtype())
         return not bool(world.isfinite().all()) or has_area(world, torch.from_numpy(np.ascontiguousarray(primitive.faces)))
 
     def shape(self, primitive: Primitive, to_world: np.ndarray, uv: np.ndarray | None, bsdf: Plugin) -> Mesh:
-        """A mesh."""
+        """Makes a mesh from a primitive."""
         moved = not np.array_equal(to_world, np.eye(4))
         shape = TensorMesh(
             vertex_positions=torch.from_numpy(primitive.positions),
@@ -202,12 +202,12 @@ class _Reader:
             vertex_normals=None if primitive.normals is None else torch.from_numpy(primitive.normals),
             vertex_texcoords=None if uv is None else torch.from_numpy(np.asarray(uv, dtype=np.float64)),
             to_world=torch.from_numpy(to_world) if moved else None, bsdf=bsdf)
-        for name, values in primitive.own.items():
+        for name, values in primitive.custom.items():
             shape.add_attribute(f"vertex_{name}", torch.from_numpy(values))
         return shape
 
     def coordinates(self, part: DocumentPart, primitive: Primitive, number: int | None) -> np.ndarray | None:
-        """The surface coordinates of a primitive: the set that its textures read, or the first if it has no textures."""
+        """The texture coordinates of a primitive: the set that its textures read, or the first without textures."""
         uv = primitive.uv[number or 0] if (number or 0) < len(primitive.uv) else None
         if uv is None and number is not None:
             lacks = "which it does not have" if number < SETS else f"of which only the first {SETS} are read"
@@ -217,7 +217,7 @@ class _Reader:
         return uv
 
     def is_mirrored(self, part: DocumentPart, primitive: Primitive) -> bool:
-        """True if the normal map of a primitive lies mirrored on most of its triangles.
+        """True if the normal map of a primitive is mirrored on most of its triangles.
 
         The y of a normal map points to where v falls in glTF, and across the direction of u here: that is the same where
         corners that are counter-clockwise on the surface are so in the image.
@@ -230,7 +230,7 @@ class _Reader:
         return lies_mirrored(uv, primitive.faces, part.place, self.losses)
 
     def add_light(self, place: PlacedNode) -> None:
-        """The light of a node, or the environment map that it names."""
+        """Adds the light of a node, or the environment map that it names."""
         if self.options.light is None:
             sky = self.checked(place.node, environment, place.to_world, self.buffers, self.losses)
             if sky is not None:
@@ -240,15 +240,15 @@ class _Reader:
             return
         if lights is None:
             raise place.node.fail("it refers to a light, but the document has no KHR_lights_punctual")
-        number, known = reference.integer("light"), lights.items("lights")
-        if number >= len(known):
-            raise reference.fail(f"light {number} does not exist; there are {len(known)}")
-        part = DocumentPart(self.file, f"{lights.inside('lights')}[{number}]", known[number])
+        number, entries = reference.integer("light"), lights.items("lights")
+        if number >= len(entries):
+            raise reference.fail(f"light {number} does not exist; there are {len(entries)}")
+        part = DocumentPart(self.file, f"{lights.inside('lights')}[{number}]", entries[number])
         name = self.name(place.node, part, f"light_{number}")
         self.children[name] = self.checked(part, emitter_of_light, place.to_world, self.options.lumens_per_watt, self.losses)
 
     def add_camera(self, place: PlacedNode) -> None:
-        """The camera of a node."""
+        """Adds the camera of a node."""
         part = self.document.referred("cameras", place.node, "camera", None)
         if part is None:
             return
@@ -258,7 +258,7 @@ class _Reader:
                                            reach)
 
     def checked(self, part: DocumentPart, make, *arguments) -> Plugin:
-        """The plugin that `make` makes of a part; its errors name the place."""
+        """Calls `make` for a part of the document; errors get its place."""
         try:
             return make(part, *arguments)
         except SceneError:
@@ -268,7 +268,7 @@ class _Reader:
 
 
 def lies_mirrored(uv: np.ndarray, faces: np.ndarray, place: str, losses: Losses) -> bool:
-    """True if a normal map read at (V, 2) surface coordinates, v down, is mirrored on most triangles; others are a loss."""
+    """True if a normal map read at (V, 2) uv, v down, is mirrored on most triangles; notes the others."""
     first, second, third = (uv[faces[:, corner]] for corner in range(3))
     (a, b), (c, d) = (second - first).T, (third - first).T
     mirrored = a * d - b * c > 0
@@ -282,7 +282,7 @@ def lies_mirrored(uv: np.ndarray, faces: np.ndarray, place: str, losses: Losses)
 
 def complete(children: dict[str, Plugin], names: Names, corners: tuple[np.ndarray, np.ndarray],
              options: Options) -> list[str]:
-    """Adds the light and the camera that a scene needs and that are not there; says what that is.
+    """Adds the light and the camera that a scene lacks; returns sentences about these.
 
     Args:
         children: of the scene; filled in.
@@ -290,14 +290,14 @@ def complete(children: dict[str, Plugin], names: Names, corners: tuple[np.ndarra
         corners: (3,) least and (3,) greatest coordinates of the scene.
         options: whether and how.
     """
-    found, added = {child.category for child in children.values()}, []
-    emits = "emitter" in found or any(getattr(child, "emitter", None) is not None for child in children.values())
+    categories, added = {child.category for child in children.values()}, []
+    emits = "emitter" in categories or any(getattr(child, "emitter", None) is not None for child in children.values())
     if options.light is not None or not emits:
         radiance = 1.0 if options.light is None else options.light
         children[names.free("sky")] = Constant(radiance=radiance)
         if options.light is None:
             added.append(f"it has no light: a constant light of radiance {radiance:g} is added (option light)")
-    if "sensor" not in found:
+    if "sensor" not in categories:
         name = names.free("camera")
         children[name] = overview(*corners, options.resolution, options.spp)
         if options.camera:
@@ -306,6 +306,6 @@ def complete(children: dict[str, Plugin], names: Names, corners: tuple[np.ndarra
 
 
 def said(losses: list[str]) -> str:
-    """One message of several, cut where it gets long."""
+    """Joins messages to one, shortened if long."""
     more = f"; and {len(losses) - LISTED} more" if len(losses) > LISTED else ""
     return "; ".join(losses[:LISTED]) + more

@@ -1,4 +1,4 @@
-"""Materials of a scene in the words of glTF: metallic-roughness and its extensions, each kind in its own function.
+"""Converts materials to glTF's metallic-roughness and its extensions, each kind by its own function.
 
 | material | is written as | what differs |
 |---|---|---|
@@ -30,16 +30,16 @@ SOLID = {"thicknessFactor": 1.0}  # of KHR_materials_volume; any that is not 0
 
 
 def constant_slot(value: float) -> Slot:
-    """A number as a slot."""
+    """A constant as the values of a texture."""
     return Slot(np.full((1, 1, 3), float(value)), None)
 
 
 @dataclass
 class GltfSurface:
-    """A material in the words of glTF."""
+    """A material in glTF's terms: metallic-roughness with extensions."""
 
     base: Slot = field(default_factory=lambda: constant_slot(1.0))
-    colours: str | None = None  # the attribute of vertices or faces that is the base colour
+    colours: str | None = None  # attribute of vertices or faces that is the base colour
     roughness: Slot = field(default_factory=lambda: constant_slot(1.0))
     metallic: Slot = field(default_factory=lambda: constant_slot(0.0))
     transmission: Slot = field(default_factory=lambda: constant_slot(0.0))
@@ -52,7 +52,7 @@ class GltfSurface:
 
 
 class SurfaceTextures:
-    """The textures of one material.
+    """Reads the textures of one material as values for glTF.
 
     Args:
         bsdf: the material.
@@ -64,25 +64,25 @@ class SurfaceTextures:
         self.bsdf, self.name, self.losses = bsdf, name, losses
 
     def colour(self, attribute: str) -> Slot:
-        """A colour."""
+        """The values of a colour texture."""
         return slot(getattr(self.bsdf, attribute), f"{self.name}.{attribute}", self.losses)
 
     def number(self, attribute: str) -> Slot:
-        """A number."""
+        """The values of a scalar texture."""
         return slot(getattr(self.bsdf, attribute), f"{self.name}.{attribute}", self.losses, as_number=True)
 
     def mean(self, attribute: str) -> float:
-        """A number that glTF wants to be the same everywhere."""
-        found = self.number(attribute)
-        if not found.is_constant:
+        """The mean of a scalar texture that glTF wants to be constant."""
+        scalar = self.number(attribute)
+        if not scalar.is_constant:
             self.losses.add(f"{self.name}.{attribute}", "is written as its mean")
-        return found.number()
+        return scalar.number()
 
     def lose(self, what: str) -> None:
         self.losses.add(self.name, what)
 
     def base(self, surface: GltfSurface, attribute: str) -> None:
-        """Takes the base colour from a texture, or from vertices or faces."""
+        """Sets the base colour from a texture, or from a mesh attribute."""
         texture = getattr(self.bsdf, attribute)
         if texture.type == "mesh_attribute":
             surface.colours, surface.base = texture.name, constant_slot(float(texture.scale.detach()))
@@ -111,7 +111,7 @@ def principled(read: SurfaceTextures) -> GltfSurface:
 
 
 def stretched(surface: GltfSurface, read: SurfaceTextures) -> None:
-    """Writes `anisotropic`; see `extension.anisotropy`."""
+    """Converts `anisotropic`; see `extension.anisotropy`."""
     anisotropic = read.mean("anisotropic")
     if anisotropic == 0:
         return
@@ -123,7 +123,7 @@ def stretched(surface: GltfSurface, read: SurfaceTextures) -> None:
 
 
 def along_and_across(surface: GltfSurface, along: float, across: float, rotation: float) -> None:
-    """Writes the roughness of microfacets along a direction, the greater one, and across it."""
+    """Sets anisotropic roughness: that along a direction, the greater one, and that across it."""
     strength = math.sqrt(max(0.0, min(1.0, (along - across) / max(1.0 - across, 1e-6))))
     surface.roughness = constant_slot(math.sqrt(across))
     surface.extensions["KHR_materials_anisotropy"] = {"anisotropyStrength": strength,
@@ -131,7 +131,7 @@ def along_and_across(surface: GltfSurface, along: float, across: float, rotation
 
 
 def cloth(surface: GltfSurface, read: SurfaceTextures) -> None:
-    """Writes `sheen`."""
+    """Converts `sheen`."""
     sheen = read.mean("sheen")
     if sheen == 0:
         return
@@ -148,7 +148,7 @@ def diffuse(read: SurfaceTextures) -> GltfSurface:
 
 
 def metal(read: SurfaceTextures) -> GltfSurface:
-    """The reflectance from straight above as base colour. Reference: Born and Wolf, section 14.2."""
+    """A metal, with its reflectance at normal incidence as base colour. Reference: Born and Wolf, section 14.2."""
     surface = GltfSurface(metallic=constant_slot(1.0), roughness=constant_slot(0.0))
     eta, k, factor = (read.colour(name) for name in ("eta", "k", "specular_reflectance"))
     textured = next((each for each in (factor, eta, k) if not each.is_constant), None)
@@ -166,7 +166,7 @@ def metal(read: SurfaceTextures) -> GltfSurface:
 
 
 def rough(surface: GltfSurface, read: SurfaceTextures) -> None:
-    """Writes the roughness of what has `alpha`, or `alpha_u` and `alpha_v`; else it is 0."""
+    """Sets the roughness from `alpha`, or `alpha_u` and `alpha_v`; without these it is 0."""
     bsdf = read.bsdf
     if getattr(bsdf, "distribution", "ggx") != "ggx":
         read.lose(f"its {bsdf.distribution} microfacets are written as ggx")
@@ -231,7 +231,7 @@ KINDS: dict[str, Callable[[SurfaceTextures], GltfSurface]] = {
 
 
 def surface_of(bsdf: BSDF, name: str, losses: Losses) -> GltfSurface:
-    """A material that holds no other in the words of glTF; grey if it has none."""
+    """Converts a material without nested ones to glTF's terms; to grey if glTF has no such kind."""
     if bsdf.type not in KINDS:
         losses.add(name, f"a {bsdf.type} has no counterpart in glTF, and is written as grey; those that have one: "
                          f"{', '.join(sorted(KINDS))}")

@@ -1,4 +1,4 @@
-"""The textures of a glTF document, as bitmaps."""
+"""Reads the textures of a glTF document as bitmaps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NEAREST = 9728
 
 
 class Image(NamedTuple):
-    """The texels that a texture info refers to, and how they are read."""
+    """The texels of a glTF texture, and how they are looked up."""
 
     texels: np.ndarray  # (H, W, 4) bytes as they are coded
     filter_type: str
@@ -28,27 +28,27 @@ class Image(NamedTuple):
     to_uv: Tensor | None  # (4, 4)
 
     def bitmap(self, data: Tensor, filter_type: str | None = None) -> Bitmap:
-        """A bitmap that is read in the same way, of (H, W, C) linear values."""
+        """A bitmap of (H, W, C) linear values that is looked up in the same way."""
         return Bitmap(data=data.to(torch.get_default_dtype()), filter_type=filter_type or self.filter_type,
                       wrap_mode=self.wrap_mode, to_uv=self.to_uv)
 
     def colour(self) -> Tensor:
-        """(H, W, 3) linear values of texels in sRGB, float64."""
+        """(H, W, 3) linear values, float64, of texels in sRGB."""
         return srgb_to_linear(torch.from_numpy(self.texels[:, :, :3] / 255.0))
 
     def channel(self, number: int) -> Tensor:
-        """(H, W, 1) one channel of texels that are linear, float64; 3 is alpha, which always is."""
+        """(H, W, 1) one channel, float64, of linear texels; 3 is alpha, which always is linear."""
         return torch.from_numpy(self.texels[:, :, number:number + 1] / 255.0)
 
 
 class GltfTextures:
-    """Makes bitmaps of texture infos. One material reads one set of surface coordinates, since meshes here have one."""
+    """Reads texture infos as bitmaps; all textures of one material must read the same uv set."""
 
     def __init__(self, document: Document, pictures: Pictures, losses: Losses):
         self.document, self.pictures, self.losses = document, pictures, losses
 
     def image(self, material: DocumentPart, owner: DocumentPart, name: str, sets: list[int]) -> Image | None:
-        """The image of the texture info `name` of `owner`; None if there is none, or it cannot be read.
+        """Reads the texture info `name` of `owner`; None if there is none, or it cannot be read.
 
         Args:
             material: for messages.

@@ -30,7 +30,7 @@ SHEAR = 1e-5  # cosine between axes: what glTF's nodes cannot say
 
 
 def gltf_files(scene: Scene, target: Path, strict: bool) -> list[Path]:
-    """Writes a scene; a `.gltf` has its buffer in a `.bin` beside it, environment maps are beside either.
+    """Writes a scene as glTF; a `.gltf` has its buffer in a `.bin` beside it, and environment maps are files beside either.
 
     See `torch_radbp.save`.
 
@@ -71,9 +71,9 @@ class _Writer:
             if not isinstance(child, Plugin) or not child.type:
                 raise SceneError(f"{name}: a {type(child).__name__} cannot be written as glTF, only Mitsuba's plugins can")
             if isinstance(child, Instance):
-                for own, shape in child.shapegroup.shapes.items():
-                    self.losses.add(f"{name}.{own}", "is written as a copy: instances are not shared")
-                    self.add_shape(f"{name}_{own}", shape, child)
+                for leaf, shape in child.shapegroup.shapes.items():
+                    self.losses.add(f"{name}.{leaf}", "is written as a copy: instances are not shared")
+                    self.add_shape(f"{name}_{leaf}", shape, child)
             elif child.category == "shape" and not isinstance(child, ShapeGroup):
                 self.add_shape(name, child)
             elif child.category == "emitter":
@@ -82,7 +82,7 @@ class _Writer:
                 self.add_camera(name, child)
 
     def add_shape(self, name: str, shape: Shape, instance: Instance | None = None) -> None:
-        """A node with a mesh, in the frame that the shape's pose gives; where an instance shows it, if it does."""
+        """Adds a node with a mesh, in the frame of the shape's pose, or where an instance shows it."""
         surface = shape.oriented()
         if surface.ball is not None:
             self.losses.add(name, f"a {shape.type} is written as {len(surface.faces)} triangles")
@@ -101,41 +101,41 @@ class _Writer:
         self.out.add("nodes", {"name": name, "mesh": mesh, **column_major(pose)})
 
     def geometry(self, name: str, surface: Triangles, pose: np.ndarray) -> dict[str, int]:
-        """Positions, normals and surface coordinates."""
+        """Writes positions, normals and texture coordinates of a mesh."""
         inverse = np.linalg.inv(pose)
         positions = checked_values(surface.vertices, f"{name}.vertex_positions") @ inverse[:3, :3].T + inverse[:3, 3]
-        found = {"POSITION": self.out.vertices(positions, bounds=True)}
+        accessors = {"POSITION": self.out.vertices(positions, bounds=True)}
         if surface.normals is not None:
             normals = checked_values(surface.normals, f"{name}.vertex_normals") @ pose[:3, :3]
             length = np.linalg.norm(normals, axis=1, keepdims=True)
-            found["NORMAL"] = self.out.vertices(normals / np.where(length > 0, length, 1.0))
+            accessors["NORMAL"] = self.out.vertices(normals / np.where(length > 0, length, 1.0))
         if surface.uv is not None:
-            found["TEXCOORD_0"] = self.out.vertices(checked_values(surface.uv, f"{name}.vertex_texcoords"))
-        return found
+            accessors["TEXCOORD_0"] = self.out.vertices(checked_values(surface.uv, f"{name}.vertex_texcoords"))
+        return accessors
 
     def attributes(self, name: str, surface: Triangles, colours: tuple[str, float] | None) -> dict[str, int]:
-        """The attributes of vertices: the base colour, and others under names of an application."""
-        found: dict[str, int] = {}
+        """Writes mesh attributes: the base colour, and others under custom names."""
+        accessors: dict[str, int] = {}
         for attribute, tensor in surface.attributes:
             values = checked_values(tensor, f"{name}.{attribute}")
-            own = attribute.removeprefix("vertex_")
+            short = attribute.removeprefix("vertex_")
             if colours is not None and attribute == colours[0]:
                 if attribute.startswith("face_"):
                     self.losses.add(f"{name}.{attribute}", "is written as means around vertices: glTF has none of faces")
                     values = means_around(values, surface)
                 linear = np.broadcast_to(values * colours[1], (len(values), 3))
                 self.appearances.lose_beyond(f"{name}.{attribute}", linear)
-                found["COLOR_0"] = self.out.vertices(linear.clip(0.0, 1.0))
-            elif attribute.startswith("vertex_") and own == own.lower() and own != "color" and own.isidentifier():
-                found[f"_{own.upper()}"] = self.out.vertices(values)
+                accessors["COLOR_0"] = self.out.vertices(linear.clip(0.0, 1.0))
+            elif attribute.startswith("vertex_") and short == short.lower() and short != "color" and short.isidentifier():
+                accessors[f"_{short.upper()}"] = self.out.vertices(values)
             else:
                 self.losses.add(f"{name}.{attribute}", "is not written: glTF has attributes of vertices, in capital letters")
-        if colours is not None and "COLOR_0" not in found:
+        if colours is not None and "COLOR_0" not in accessors:
             raise SceneError(f"{name}: it has no attribute {colours[0]!r}, which its material reads")
-        return found
+        return accessors
 
     def add_light(self, name: str, emitter: Plugin) -> None:
-        """A node with a light, or with the name of the file of an environment map."""
+        """Adds a node with a light, or with the file name of an environment map."""
         if isinstance(emitter, Envmap):
             file, extras = written_environment(emitter, name, self.target, self.losses)
             self.files.append(file)
@@ -148,7 +148,7 @@ class _Writer:
             self.out.add("nodes", {"name": name, "extensions": extensions, **column_major(place)})
 
     def add_camera(self, name: str, sensor: Plugin) -> None:
-        """A node with a camera."""
+        """Adds a node with a camera."""
         written = lamp_out.camera_of_sensor(sensor, name, self.losses)
         if written is not None:
             entries, place = written
@@ -157,14 +157,14 @@ class _Writer:
 
 
 def means_around(values: np.ndarray, surface: Triangles) -> np.ndarray:
-    """(V, C) means of (F, C) values of faces over those around each vertex; 0 at a vertex without a face."""
+    """(V, C) averages of (F, C) face values over the faces around each vertex; 0 at a vertex without a face."""
     corners, total = surface.faces.cpu().numpy(), np.zeros((len(surface.vertices), values.shape[1]))
     np.add.at(total, corners.reshape(-1), values.repeat(3, axis=0))
     return total / np.bincount(corners.reshape(-1), minlength=len(total)).clip(1)[:, None]
 
 
 def is_sheared(pose: np.ndarray) -> bool:
-    """True if a transform is no scale, rotation and translation, which is what a node may have."""
+    """True if a transform cannot be written as scale, rotation and translation of a node."""
     columns = pose[:3, :3] / np.linalg.norm(pose[:3, :3], axis=0)
     return bool(np.abs(columns.T @ columns - np.eye(3)).max() > SHEAR)
 

@@ -1,0 +1,209 @@
+"""On a GPU a bounce is one sequence of launches, forwards and backwards, in which the host waits for nothing.
+
+No GPU is needed: kernels run on the processor (`tests/jit/emulated.py`), and rays are cast by Warp's CPU device.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.deep import deep, deep_but
+from tests.gradients import cotangent, image_and_gradients, relative_error, unwarned_renderer
+from tests.jit.emulated import Emulated
+from tests.jit.interpreter import interpreted, needs_interpreter
+from tests.rendering.host import exchanges
+from tests.rendering.on_gpu import render_on
+from tests.rendering.taped import SCENES, SETTINGS, rendered, singly
+from tests.scenes import CASES, cornell, load
+from tests.scenes.mirrors import BALL, CUBE, MIRROR, SKY, VIEWED
+from tests.scenes.networks import room
+from torch_radbp.adjoint.function import RenderFunction
+from torch_radbp.jit.gpu import Gpu
+from torch_radbp.jit.run import LaneFunction
+from torch_radbp.path.lane_room import ASKED, room_for
+
+pytest.importorskip("warp")
+pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
+SMALL = SETTINGS | {"spp": 2, "max_depth": 4, "caster": "warp"}
+
+
+
+@pytest.fixture
+def gpu(monkeypatch) -> Gpu:
+    """A GPU on which compiled renderings run during the test; it begins with nothing compiled."""
+    device = Gpu(Emulated())
+    render_on(device, monkeypatch, taped=True)
+    return device
+
+
+def assert_same_bits(build, gpu: Gpu, monkeypatch, **settings) -> int:
+    """Recorded or not, images and gradients are the same, and tell something; returns the number of sequences."""
+    settings = SMALL | settings
+    before = gpu.launcher.sequences
+    image, gradients = rendered(build(), **settings)
+    found = gpu.launcher.sequences - before
+    singly(monkeypatch)
+    expected, others = rendered(build(), **settings)
+    assert gpu.launcher.sequences == before + found
+    assert expected.std() > 0 and max(float(other.abs().max()) for other in others.values()) > 1e-3
+    assert torch.equal(image, expected) and gradients.keys() == others.keys()
+    for name, other in others.items():
+        assert torch.isfinite(other).all() and torch.equal(gradients[name], other), name
+    return found
+
+
+@pytest.mark.parametrize("sampling", deep_but(["detached", "attached"], ["detached", "hybrid", "attached"]))
+@pytest.mark.parametrize("name", SCENES)
+def test_images_and_gradients_have_the_bits_of_single_calls(name, sampling, gpu, monkeypatch):
+    found = assert_same_bits(lambda: SCENES[name](torch.float32), gpu, monkeypatch, sampling=sampling)
+    assert found == 2 * SMALL["max_depth"]  # one for each bounce, forwards and backwards
+
+
+@pytest.mark.parametrize("settings", [{"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)}, {"share_samples": True},
+                                      {"adjoint": rb.MemoizedAdjoint("log")},
+                                      {"max_depth": 1}, *map(deep, [
+                                          {"adjoint": rb.ReplayAdjoint()}, {"adjoint": rb.QuadraticAdjoint()},
+                                          {"hide_emitters": True}, {"nee": False}, {"chunk": 50}])], ids=str)
+def test_so_they_have_with_other_settings(settings, gpu, monkeypatch):
+    found = assert_same_bits(lambda: SCENES["two sides"](torch.float32), gpu, monkeypatch, **settings)
+    assert found >= 2 * settings.get("max_depth", SMALL["max_depth"])
+
+
+
+def test_paths_that_are_asked_for_only_now_and_then_are_those_that_go_on(gpu, monkeypatch):
+    found = assert_same_bits(lambda: SCENES["closed box"](torch.float32), gpu, monkeypatch, max_depth=3 * ASKED, rr_depth=2)
+    assert ASKED < found < 4 * ASKED  # who asks finds that no path is left
+
+
+def test_room_is_that_for_all_until_the_device_is_asked():
+    assert room_for([1.0] + [0.3] * ASKED + [0.2]) == [1.0] * ASKED + [0.6] * ASKED
+    assert room_for([0.5]) == [1.0] * ASKED
+
+
+def test_sums_are_in_order_where_torch_is_deterministic(gpu, monkeypatch):
+    """Also after bounces have been recorded whose numbers are added in any order."""
+    def scattered() -> bool:
+        first = len(gpu.launcher.launches)
+        rendered(SCENES["two sides"](torch.float32), **SMALL)
+        return "scatter" in {launch.name for launch in gpu.launcher.launches[first:]}
+
+    assert scattered()
+    monkeypatch.setattr(torch, "are_deterministic_algorithms_enabled", lambda: True)
+    assert not scattered()
+
+
+def test_memory_is_planned_for_all_lanes_of_a_bounce(gpu, monkeypatch):
+    """Of which on the processor only those count that reach it."""
+    renderer = unwarned_renderer(SCENES["sky and points"](torch.float32), **SMALL)
+
+    def shares() -> list[float]:
+        return renderer.planner.workload(renderer.prepare(1, None, None, None)).fractions
+
+    assert shares() == [1.0] * SMALL["max_depth"]
+    singly(monkeypatch)
+    assert shares()[-1] < 1.0
+
+
+def test_networks_are_asked_by_the_host_and_bounces_without_them_still_recorded(gpu, monkeypatch):
+    assert_same_bits(lambda: room(dtype=torch.float32), gpu, monkeypatch, max_depth=3)
+
+
+@pytest.mark.parametrize("sampling", deep_but(["attached"], ["detached", "attached"]))
+def test_tangents_have_the_bits_of_single_calls(sampling, gpu, monkeypatch):
+    def tangents() -> torch.Tensor:
+        scene = SCENES["two sides"](torch.float32)
+        given = {name: torch.full_like(value, 0.1) for name, value in scene.named_parameters()
+                 if name.endswith(("reflectance.value", "to_world"))}
+        return rb.jvp(scene, given, seed=1, sampling=sampling, **SMALL)
+
+    before = gpu.launcher.sequences
+    taped = tangents()
+    assert gpu.launcher.sequences > before
+    singly(monkeypatch)
+    expected = tangents()
+    assert expected.std() > 0 and torch.equal(taped, expected)
+
+
+@pytest.mark.parametrize("term, scene", [("primary", {"sky": SKY, "mirror": MIRROR, "ball": BALL, "cube": CUBE}),
+                                         ("shadow", None)], ids=["mirrors", "shadows"])
+def test_places_where_images_jump_are_those_of_single_calls(term, scene, gpu, monkeypatch):
+    """Ways by mirrors are followed in sequences of launches, and paths to what shadows are seen from; the host waits for how
+    many go on."""
+    def gradient() -> torch.Tensor:
+        objects = load(torch.float32, sensor=VIEWED, **scene) if scene else cornell(torch.float32, 8)
+        pose = next(value for name, value in objects.requires_grad_(False).named_parameters() if name.endswith("to_world"))
+        pose.requires_grad_()
+        image = rb.render(objects, seed=3, spp=4, max_depth=4, terms=(term,), compile=True, caster="warp")
+        return torch.autograd.grad(image, pose, cotangent(image.detach()))[0]
+
+    before = gpu.launcher.sequences
+    taped = gradient()
+    assert gpu.launcher.sequences > before + 4
+    singly(monkeypatch)
+    expected = gradient()
+    assert expected.abs().max() > 1e-3 and torch.equal(taped, expected)
+
+
+def box(depth: int, adjoint: rb.MemoizedAdjoint) -> rb.Renderer:
+    """A renderer of a closed box, in which no path ends before its time."""
+    scene = cornell(torch.float32, 6)
+    for name, value in scene.named_parameters():
+        value.requires_grad_(name.endswith("reflectance.value"))
+    return unwarned_renderer(scene, **SMALL | {"max_depth": depth, "rr_depth": 100, "adjoint": adjoint})
+
+
+def both_ways(renderer: rb.Renderer) -> None:
+    """An image and its gradients, on this thread."""
+    image = renderer(seed=1)
+    with torch.no_grad():  # as autograd's engine does, by which it would leave a mode
+        RenderFunction.backward(image.grad_fn, cotangent(image.detach()))
+
+
+@pytest.mark.parametrize("adjoint", [rb.MemoizedAdjoint(), rb.MemoizedAdjoint(2), rb.MemoizedAdjoint(2, keep_hits=False)],
+                         ids=repr)
+@pytest.mark.parametrize("taped", [True, False])
+def test_the_host_waits_for_nothing_between_bounces(taped, adjoint, gpu, monkeypatch):
+    """And calls no function of lanes: what is left of a bounce in Python does not depend on what happens there."""
+    monkeypatch.setattr("torch_radbp.rendering.cost.memory_of", lambda device: float("inf"))
+    calls, prepared = Counter(), LaneFunction.prepared
+    if not taped:
+        singly(monkeypatch)
+
+    def counted(self, arguments):
+        calls[self.name] += 1
+        return prepared(self, arguments)
+
+    def of_depth(depth: int) -> tuple[Counter, Counter, int]:
+        renderer = box(depth, adjoint)
+        both_ways(renderer)
+        both_ways(renderer)
+        calls.clear()
+        before = gpu.launcher.sequences
+        found = exchanges(lambda: both_ways(renderer))
+        return found, calls.copy(), gpu.launcher.sequences - before
+
+    monkeypatch.setattr(LaneFunction, "prepared", counted)
+    (few, called, once), (many, called_more, more) = of_depth(3), of_depth(5)
+    waits = {what: count - few[what] for what, count in many.items() if count > few[what]}
+    assert bool(waits) != taped, waits
+    assert bool(called_more - called) != taped, called_more - called
+    if adjoint.records_all:  # a sequence for each bounce, forwards and backwards
+        assert more - once == (2 * 2 if taped else 0)
+
+
+@needs_interpreter
+def test_ptx_renders_what_torch_does(monkeypatch):
+    monkeypatch.setenv("RADBP_KERNEL_CACHE", "off")
+    device, names = Gpu(interpreted().launcher), CASES["cornell"].parameters
+    settings = {"spp": 2, "max_depth": 3, "rr_depth": 2, "caster": "warp"}
+    expected, gradients = image_and_gradients(cornell(torch.float32, 8), names, compile=False, **settings)
+    render_on(device, monkeypatch, taped=True)
+    image, found = image_and_gradients(cornell(torch.float32, 8), names, compile=True, **settings)
+    assert relative_error(image, expected) < 1e-5
+    for name, gradient, wanted in zip(names, found, gradients):
+        assert relative_error(gradient, wanted) < 1e-4, name
+    assert {"counts", "count", "sum", "place", "lanes", "put", "scatter"} <= set(device.launcher.driver.launches)

@@ -1,0 +1,134 @@
+"""The local map of a bounce as lanes have it, queue by queue: which functions, which part of the scene, which leaves.
+
+`sweep.py` says what is done with these; here stands what that must keep in order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from torch import Tensor
+
+from torch_radbp.adjoint.bounce import Memo, TableAdjoint, bounce_adjoint
+from torch_radbp.adjoint.local_map import Verdict
+from torch_radbp.adjoint.outside import values_that_move
+from torch_radbp.adjoint.scatter import Contribution
+from torch_radbp.path.event import Ends, Event
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.queues import Queue
+from torch_radbp.path.state import PathState
+from torch_radbp.path.texture_networks import Asking, values_of_queues
+from torch_radbp.path.wavefront import Step, cut_to_count
+from torch_radbp.scene.appearance import Appearance
+from torch_radbp.scene.interaction import corner_rows
+from torch_radbp.scene.part import leaves_of_part
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.record import rows_between
+from torch_radbp.tensors.stage import Stage
+from torch_radbp.tensors.vec import Vec3, rows
+from torch_radbp.texture.reader import Place, TextureValue
+
+
+class Differentiated(NamedTuple):
+    """What the lanes of one event are differentiated with."""
+
+    scene: SceneTensors  # the part that they read, detached
+    wanted: tuple[bool, ...]  # which leaves of it have a number
+    still: tuple[bool, ...]  # which values of the material do not depend on them
+    leaves: list[int]  # these numbers
+    stage: Stage  # `bounce_adjoint`, prepared for all of these
+
+
+class LocalAdjoint(NamedTuple):
+    """The local map (theta, ray_k) -> (E_k, F_k, ray_{k+1}) of the M lanes of one queue."""
+
+    of_event: Differentiated
+    arguments: tuple  # of `bounce_adjoint`, behind those of the event
+    scatterer: Appearance | None  # None: the paths end here
+    places: tuple[Place, ...]  # (M,) each, at which textures are read outside
+    lane: Tensor  # (M,) int32, places in the chunk
+    # If no bounce aims at what these lanes meet, of the three leaves of vertex positions and the integrand; else None.
+    seen_first: tuple[Sequence[int], Integrand] | None
+
+    def vector_jacobian_product(self) -> tuple[Memo, list[list[TableAdjoint]], tuple[Vec3, ...]]:
+        """See `bounce_adjoint`."""
+        scene, wanted, still, _, stage = self.of_event
+        return stage(scene, wanted, still, *self.arguments)
+
+    def contributions(self, above: Memo, adj_reads: list[list[TableAdjoint]]) -> list[Contribution]:
+        """What the reads of tables add to the gradients of leaves; args as `vector_jacobian_product` returns them."""
+        parts = [Contribution(leaf, *read) for leaf, reads in zip(self.of_event.leaves, adj_reads) for read in reads]
+        if self.seen_first is not None and above.adj_corners is not None:
+            leaves, integrand = self.seen_first
+            corners = integrand.part(Ends.SURROUNDINGS).call(corner_rows, above.hit)
+            parts += [Contribution(leaf, row, part) for row, adj_p in zip(corners, above.adj_corners)
+                      for leaf, part in zip(leaves, adj_p)]
+        return parts
+
+
+class LocalAdjoints:
+    """Makes the local maps of bounces.
+
+    Args:
+        integrand: of the detached scene.
+        numbered: the scene with the numbers of the leaves to differentiate, see `sweep.numbered_leaves`.
+    """
+
+    def __init__(self, integrand: Integrand, numbered: SceneTensors):
+        self.integrand, self.numbered = integrand, numbered
+        self.of_events: dict[Event, Differentiated] = {}
+        positions, settings = numbered.triangles.vertices.p, integrand.settings
+        # Two bounces read the vertices of a triangle, unless paths slide: the one that aims at it, and the one upon it.
+        twice = settings.moving and settings.sampling != "attached" and positions.x is not None
+        self.of_positions = list(positions) if twice else []  # leaves
+
+    def of_event(self, event: Event) -> Differentiated:
+        """What lanes are differentiated with to which this happens; made once."""
+        if event not in self.of_events:
+            part, layout = self.integrand.part(event), self.integrand.scene.layout
+            leaves = leaves_of_part(self.numbered, layout, self.integrand.scatterer(event))
+            wanted, still = tuple(leaf is not None for leaf in leaves), event.still(layout)
+            self.of_events[event] = Differentiated(
+                part.proposal, wanted, still, [leaf for leaf in leaves if leaf is not None],
+                self.integrand.stages(bounce_adjoint).knowing(part.tables, wanted, still))
+        return self.of_events[event]
+
+    def maps(self, state: PathState, step: Step, memo: Memo, adj_L: Vec3, depth: int) -> Iterator[LocalAdjoint]:
+        """The local maps of a bounce, of each queue that is differentiated.
+
+        Args:
+            state: of the paths that reach the bounce.
+            step: what was decided there.
+            memo, adj_L: of all lanes of the chunk.
+            depth: of the bounce.
+        """
+        state, step = cut_to_count(state, step)
+        integrand, arrival = self.integrand, step.arrival(state)
+        reached, *of_chunk, at, settings = integrand.stages(bounce_adjoint).taken(
+            arrival=arrival, adj_L=adj_L, memo=memo, at=integrand.at(depth), settings=integrand.settings_at(depth))
+        queues = [(queue, values) for queue, values in zip(step.queues, step.texture_values)
+                  if queue.first < queue.last and queue.derivative]
+        asking = [(integrand.scatterer(queue.event),
+                   integrand.places(queue.event, arrival, step.order[queue.first:queue.last], depth)) for queue, _ in queues]
+        for (queue, _), (scatterer, places), values in zip(queues, asking, self.texture_values(queues, asking)):
+            here = slice(queue.first, queue.last)
+            lanes = step.order[here]
+            verdict = Verdict(step.visible[here], step.survives[here]) if queue.event.scatters else None
+            yield LocalAdjoint(self.of_event(queue.event), (reached, lanes, verdict, *of_chunk, at, settings, values),
+                               scatterer, places, integrand.stages(rows)(state.lane, lanes),
+                               (self.of_positions, integrand) if depth == 0 else None)
+
+    def texture_values(self, queues: Sequence[tuple[Queue, tuple[TextureValue, ...] | None]],
+                       asking: Sequence[Asking]) -> Sequence[tuple[TextureValue, ...]]:
+        """The values of the textures that lanes read outside, with derivatives by the places where rays carry some.
+
+        Args:
+            queues: of the bounce, with the values that the forward pass has kept; None: it has not.
+            asking: of each queue.
+        """
+        scene = self.integrand.scene
+        if self.integrand.settings.moving:
+            return values_that_move(scene, asking)
+        again = iter(values_of_queues(scene, [each for each, (_, kept) in zip(asking, queues) if kept is None]))
+        return [next(again) if kept is None else rows_between(kept, 0, queue.last - queue.first) for queue, kept in queues]

@@ -1,0 +1,70 @@
+"""Where the radiance of the paths of a call goes, and what is asked of paths in return.
+
+That of an image goes to the pixels of films (`pixels.py`). A sink of another kind is a class with this interface: it adds up
+what lanes bring, and the backward pass asks it for the derivative of the loss with respect to that.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from torch import Tensor
+
+from torch_radbp.path.bounce import CameraSample
+from torch_radbp.tensors.vec import Vec2, Vec3
+
+if TYPE_CHECKING:
+    from torch_radbp.call.render_call import RenderCall
+    from torch_radbp.call.wavefronts import Wavefront
+
+Work = Callable[["Wavefront"], tuple[list[Tensor], Any]]  # of each wavefront what `deposit` gives, and anything else
+
+
+class SinkValues(NamedTuple):
+    """What a sink has of all lanes."""
+
+    values: Tensor  # such as images
+    filters: Tensor | None  # by which sums were divided; None: by nothing
+    results: list  # what else was found of each wavefront
+
+
+class Sink(ABC):
+    """Where radiance goes; linear in it."""
+
+    @abstractmethod
+    def deposit(self, call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor],
+                samples: CameraSample) -> list[Tensor]:
+        """What the lanes of a wavefront bring, for each of its chunks.
+
+        Args:
+            values: C of (N,), of the lanes: linear RGB radiance, and the quantities of the call.
+            samples: with which their paths begin.
+        """
+
+    @abstractmethod
+    def gather(self, call: RenderCall, work: Work) -> SinkValues:
+        """All that comes in; `work` is to be done for each wavefront of the call (`of_wavefronts`)."""
+
+    @abstractmethod
+    def asked(self, call: RenderCall, gradient: Tensor, filters: Tensor | None) -> Any:
+        """What `adjoint` reads, made once.
+
+        Args:
+            gradient: derivative of the loss with respect to `SinkValues.values`.
+            filters: of the forward pass, if the derivative has its samples; else None.
+        """
+
+    @abstractmethod
+    def adjoint(self, call: RenderCall, wavefront: Wavefront, place: Vec2 | None, asked: Any) -> Vec3:
+        """Derivative of the loss with respect to what counts of L_1 of each lane, (N,): the transpose of `deposit`.
+
+        Args:
+            place: of the lanes in their pixels; None: they are of no pixels.
+            asked: of `asked`.
+        """
+
+    def radiance(self, values: Tensor) -> Tensor:
+        """The part of `SinkValues.values` that has a derivative by radiance."""
+        return values

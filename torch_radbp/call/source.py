@@ -1,0 +1,118 @@
+"""Where the paths of a call begin.
+
+The paths of an image begin at the cameras of its views. A source of another kind is a class with this interface: it makes
+the rays of a chunk's lanes from a record of tensors, and the backward pass hands it the adjoints of these rays.
+"""
+
+from __future__ import annotations
+
+import functools
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torch_radbp.call.chunks import Chunk, LaneBlock, Rows
+from torch_radbp.call.view import View
+from torch_radbp.film.window import Window
+from torch_radbp.path.bounce import CameraSample, film_place, sample_camera
+from torch_radbp.sensor.kind import Camera
+from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.record import leaves_of
+from torch_radbp.tensors.stage import Stages
+from torch_radbp.tensors.vec import Vec2
+
+FEW = 1 << 16  # lanes whose numbers are kept for the next call
+
+
+class PathSource(ABC):
+    """Where paths begin. Its random numbers are of two kinds: those of the image, 0, and those of its derivative, 1."""
+
+    @property
+    @abstractmethod
+    def tensors(self) -> Any:
+        """What the rays depend on: a record of tensors, attached."""
+
+    @abstractmethod
+    def with_tensors(self, tensors: Any) -> PathSource:
+        """The same source of other tensors; their tables are read by `lookup`."""
+
+    @abstractmethod
+    def samples(self, chunk: LaneBlock, which: int, stages: Stages, cones: bool) -> CameraSample:
+        """The rays with which the paths of a chunk begin, (chunk.lanes,), attached to the tensors.
+
+        Args:
+            chunk: of the call's wavefronts.
+            which: the kind of random numbers.
+            stages: what runs the functions of lanes.
+            cones: whether textures ask for them.
+        """
+
+    @abstractmethod
+    def of_derivative(self) -> PathSource:
+        """The source whose image has the random numbers of the derivative."""
+
+    def leaves_read(self, chunk: LaneBlock) -> range:
+        """Which leaves of `tensors` the rays of a chunk depend on, as `leaves_of` counts them."""
+        return range(len(leaves_of(self.tensors)))
+
+    def clipping(self, chunk: LaneBlock) -> Camera | None:
+        """The camera whose far plane ends the rays of a chunk; None: nothing does."""
+        return None
+
+    def still(self) -> PathSource:
+        """The same source without derivatives."""
+        return self.with_tensors(detached(self.tensors))
+
+
+@dataclass(frozen=True)
+class Cameras(PathSource):
+    """The cameras of the views of a call: each lane begins at a sample of a pixel."""
+
+    views: list[View]
+
+    @property
+    def tensors(self) -> list[Camera]:
+        return [view.camera for view in self.views]
+
+    def with_tensors(self, tensors: list[Camera]) -> Cameras:
+        return Cameras([view._replace(camera=camera) for view, camera in zip(self.views, tensors)])
+
+    def samples(self, chunk: Chunk, which: int, stages: Stages, cones: bool) -> CameraSample:
+        view = self.views[chunk.sensor]
+        return stages(sample_camera)(view.camera, view.orders[which], *self.numbers(chunk), view.sample_keys[which], cones)
+
+    def places(self, chunk: Chunk, which: int, stages: Stages) -> Vec2:
+        """Where in their pixels the lanes of a chunk lie, (N,) in [0, 1)."""
+        view = self.views[chunk.sensor]
+        return stages(film_place)(view.camera.film.size_x, view.orders[which], *self.numbers(chunk), view.sample_keys[which])
+
+    def numbers(self, chunk: Chunk) -> tuple[Tensor, Tensor]:
+        """The numbers of the lanes' pixels, pixel by pixel, and those of their samples; (N,) int32."""
+        view, find = self.views[chunk.sensor], lane_numbers if chunk.lanes > FEW else known_lane_numbers
+        return find(chunk.rows, chunk.first_sample, chunk.samples, view.window, view.camera.film.size_x.device)
+
+    def of_derivative(self) -> Cameras:
+        return Cameras([view._replace(sample_keys=view.sample_keys[1:] * 2, orders=view.orders[1:] * 2)
+                        for view in self.views])
+
+    def leaves_read(self, chunk: Chunk) -> range:
+        counts = [len(leaves_of(camera)) for camera in self.tensors[:chunk.sensor + 1]]
+        return range(sum(counts[:-1]), sum(counts))
+
+    def clipping(self, chunk: Chunk) -> Camera | None:
+        view = self.views[chunk.sensor]
+        return view.camera if view.clips else None
+
+
+def lane_numbers(rows: Rows, first_sample: int, samples: int, window: Window, device: torch.device) -> tuple[Tensor, Tensor]:
+    """`Cameras.numbers` of some samples of some rows of a window."""
+    with torch.inference_mode(False):  # they may be kept, for renderings that are differentiated
+        pixel = rows.numbers(device, window.numbered) + window.numbers(0, 0)
+        sample = torch.arange(samples, dtype=torch.int32, device=device) + first_sample
+        return pixel.repeat_interleave(samples), sample.repeat(len(pixel))
+
+
+known_lane_numbers = functools.lru_cache(maxsize=64)(lane_numbers)
