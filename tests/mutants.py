@@ -64,7 +64,8 @@ MUTANTS = (
     # Films.
     Mutant("film/position.py", "(row + self.origin.y", "(row + self.origin.x",
            ("sensor", "rendering/test_camera.py")),
-    Mutant("film/gaussian.py", "stddev**2)) - math.exp(-0.5 * CUT**2)", "stddev**2)) - 0 * math.exp(-0.5 * CUT**2)", ("film",)),
+    Mutant("film/gaussian.py", "stddev**2)) - math.exp(-0.5 * CUT**2)", "stddev**2)) - 0 * math.exp(-0.5 * CUT**2)",
+           ("film",)),
     Mutant("film/splat.py", "entry + (down * row + across * column)", "entry + (down * column + across * row)",
            ("film/test_splat.py",)),
     Mutant("film/develop.py", "first, end = max(self.done, offset), min(last, rows + offset)",
