@@ -75,7 +75,7 @@ class Places(NamedTuple):
     key: LaneKey  # of random numbers
     aperture: Vec2 | None  # as of `CameraKind.sample_ray`
     counts: Tensor  # (N,) bool: in some pixel
-    slope: Vec2  # on lines of textures what their numbers change by with the surface coordinates, else 0
+    line: Tensor  # (N,) int32, which line of a surface it is, see `term.LineNumbers`; -1: none
 
     def at(self, geometry: Geometry) -> Vec3:
         """The places in the world, glued to their triangles; attached, float64."""

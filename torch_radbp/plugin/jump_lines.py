@@ -5,6 +5,8 @@ from __future__ import annotations
 from math import inf
 from typing import NamedTuple
 
+from torch import Tensor
+
 
 class JumpLines(NamedTuple):
     """Parallel lines of the surface coordinates (u, v): where x u + y v + z is an integer."""
@@ -14,3 +16,4 @@ class JumpLines(NamedTuple):
     z: float
     first: float = -inf  # the integers are not less
     last: float = inf  # nor greater
+    moving: Tensor | None = None  # () z, attached, where the lines move over the surface; None: they do not
