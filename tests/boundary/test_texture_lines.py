@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from tests.boundary.closed_forms import DARK, SIZE, along, assert_close, derivative, parallel
-from tests.scenes import load, rectangle, rgb
+from tests.scenes import diffuse, load, overhead, rectangle, rgb
 from tests.scenes.inner_jumps import CHECKERBOARD, POINT, VIEWED, nearest, patterned
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.texture_lines import segments_along
@@ -111,6 +111,19 @@ def test_squares_slide_where_surface_coordinates_move():
     u, v = torch.eye(2, dtype=torch.float64)
     assert_close(derivative(scene, "sheet.vertex_texcoords", u.expand(4, 2), weights), -20 * carried_by_borders(weights))
     assert derivative(scene, "sheet.vertex_texcoords", v.expand(4, 2), weights).abs().max() < 1e-6
+
+
+def test_squares_of_a_lamp_slide_as_a_floor_below_sees_them():
+    """The line u = 1/2, over the middle of the floor, moves by -2.5 where u grows by one."""
+    x, y = torch.tensor([[-1.0, 1, 1, -1], [-1, -1, 1, 1]], dtype=torch.float64)
+    lamp = {"type": "mesh", "faces": torch.tensor([[0, 2, 1], [0, 3, 2]]),
+            "vertex_texcoords": torch.stack([0.5 + 0.4 * x, 0.25 + 0.2 * y], 1),
+            "vertex_positions": torch.stack([x, y, 0 * x + 2], 1), "emitter": {"type": "area", "radiance": SQUARES}}
+    scene = load(torch.float64, camera=overhead(2, 1.5, 0.01), lamp=lamp, floor=rectangle((0, 0, 0), 0.5, bsdf=diffuse(0.7)))
+    found = derivative(scene, "lamp.vertex_texcoords", torch.tensor([1.0, 0.0]).double().expand(4, 2), spp=8192, max_depth=2)
+    line = torch.linspace(-1, 1, 100001, dtype=torch.float64)
+    received = torch.trapezoid(4 / (line * line + 4) ** 2, line) * (BRIGHT - DIM)
+    assert_close(found, -2.5 * 0.7 / math.pi * received * 4, 0.03)
 
 
 def test_the_light_of_squares_under_a_lamp_follows_a_narrower_view():

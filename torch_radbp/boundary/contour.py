@@ -202,7 +202,7 @@ def contour_place(geometry: Geometry, sight: Sight, faces: Faces, lot: Lot, coun
     counts = in_window(camera, seen.film, normal) & counts_somewhere(camera, seen.film)
     return Places(torch.full_like(apex, kind), between, faces.instance, place.u, place.v, seen.p, seen.film, normal, side,
                   seen.drift * scale, depth_of(camera, seen.p, curve.corners, aperture), behind, ahead,
-                  torch.full_like(apex, -1), faces.instance, numbers.key, aperture, counts, Vec2(*(0.0 * place.u,) * 2))
+                  torch.full_like(apex, -1), faces.instance, numbers.key, aperture, counts, torch.full_like(apex, -1))
 
 
 def from_apex(geometry: Geometry, sight: Sight, faces: Faces, kind: int) -> tuple[Between, Tensor]:

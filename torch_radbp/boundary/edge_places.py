@@ -121,7 +121,7 @@ def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, pla
     kind = torch.where(silhouette, SILHOUETTE, CREASE).to(torch.int32)
     return Places(kind, Between(edges.a, edges.b, edges.b), instance, along, nothing, p, at, normal, side, nothing, depth,
                   behind, ahead, torch.full_like(kind, -1), instance, numbers.key, aperture, counts_somewhere(camera, at),
-                  Vec2(nothing, nothing))
+                  torch.full_like(kind, -1))
 
 
 class Sheet(NamedTuple):

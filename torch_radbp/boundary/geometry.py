@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -28,6 +28,7 @@ class Geometry(NamedTuple):
 
     triangles: TriangleTable
     layout: NormalsOnly
+    lines: Any = None  # `term.LineNumbers`, where lines move over surfaces
 
 
 class _ShownBy(NamedTuple):

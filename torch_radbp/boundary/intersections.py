@@ -244,8 +244,8 @@ def _segments_along(planes: Planes, heights: tuple[tuple[Tensor, Tensor, Tensor]
     enters, leaves = torch.minimum(*shares).clamp_min(0.0), torch.maximum(*shares).clamp_max(1.0)
     a, run = ends[0][0], ends[0][1] + ends[0][0] * -1.0
     none = Vec2(*(torch.zeros_like(enters),) * 2)
-    found = Segments(one.triangle, one.instance, a + run * enters, a + run * leaves, none, none, none,
-                     other.triangle, other.instance, one.share)
+    found = Segments(one.triangle, one.instance, a + run * enters, a + run * leaves, none, none,
+                     torch.full_like(one.triangle, -1), other.triangle, other.instance, one.share)
     return rows(found, (enters < leaves).nonzero().squeeze(1))
 
 

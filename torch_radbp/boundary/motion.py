@@ -49,7 +49,7 @@ def signed_area(geometry: Geometry, camera: Camera, places: Places, kinds: tuple
 def level_of(geometry: Geometry, camera: Camera, places: Places, kind: int) -> Tensor | None:
     """The level function by which curves of a kind move over triangles, at fixed samples; None: such curves do not."""
     if kind == TEXTURE:
-        return None if geometry.triangles.vertices.uv is None else number_of_line(geometry, places)
+        return None if geometry.lines is None else number_of_line(geometry, places)
     if kind == INTERSECTION:
         return height_above(place_of(geometry, places.through, places.shown_by), places.at(geometry))
     return level_at(geometry, camera, places, kind) if kind in LEVELS else None

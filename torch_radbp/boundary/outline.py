@@ -29,12 +29,15 @@ from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.boundary.segments import joined_segments as joined_segments
 from torch_radbp.boundary.single_bodies import MeshOfBodies
-from torch_radbp.boundary.texture_lines import lines_of_textures, texture_segments
+from torch_radbp.boundary.term import LineNumbers, line_numbers, lines_move, lines_on_shapes, names_sliding
+from torch_radbp.boundary.texture_lines import distinct, texture_segments
 from torch_radbp.call.render_call import RenderCall
+from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.raycast.caster_cache import same_values
 from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors, TriangleTable
 from torch_radbp.shape.placement import Instances
+from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.record import joined as joined_records
 from torch_radbp.tensors.record import mapped
 from torch_radbp.tensors.vec import rows
@@ -59,6 +62,7 @@ class Jumps(NamedTuple):
     outline: Outline | None  # edges; None: there are none
     faces: Faces | None  # triangles that may contain curves
     segments: Segments | None  # straight curves inside of triangles
+    lines: LineNumbers | None = None  # of the lines on surfaces among these, attached, where they move over these
 
 
 class OutlinedMesh(NamedTuple):
@@ -122,11 +126,12 @@ class Outlines:
         scene, generator = call.still_scene, torch.Generator("cpu").manual_seed(seed % (1 << 63))
         own = moving_in(rendering)
         turning, sliding = (own._replace(shapes=tuple(moves or bool(names) for moves, names in zip(own.shapes, more)))
-                            for more in (rendering.turners, rendering.sliders))
+                            for more in (rendering.turners, names_sliding(rendering)))
         everything = Moving(*((True,) * len(part) for part in own))
         wanted = [(everything,) * 3 if moving else (own, turning, sliding) for moving in rendering.camera_movers]
         sizes = rendering.sizes
-        lines, edges_of_shape = lines_of_textures(rendering), self.edges_of_shape(scene, sizes)
+        lines, edges_of_shape = lines_on_shapes(rendering), self.edges_of_shape(scene, sizes)
+        numbers = numbers_of(lines, call)
 
         def jumps(moves: Moving, turns: Moving, slides: Moving) -> Jumps:
             resting = self.passing.of_pairs(rendering, call, moves, edges_of_shape, seed).resting
@@ -136,10 +141,21 @@ class Outlines:
             segments = [] if patterned is None else [texture_segments(scene, patterned, sizes, lines)]
             segments += self.passing.segments(rendering, call, moves, self.of_bodies(scene, sizes, moves), edges_of_shape,
                                               seed)
-            return Jumps(outline, faces, joined_segments([part for part in segments if part is not None]))
+            return Jumps(outline, faces, joined_segments([part for part in segments if part is not None]), numbers)
 
         found = {three: jumps(*three) for three in dict.fromkeys(wanted)}
         return [found[three] for three in wanted]
+
+    def sliding(self, rendering: Rendering, call: RenderCall, seed: int) -> tuple[Segments | None, LineNumbers | None]:
+        """The segments of lines that move over their surface, and what they follow; args as for `of_views`."""
+        names, lines = names_sliding(rendering), lines_on_shapes(rendering)
+        numbers = numbers_of(lines, call) if any(names) else None
+        if numbers is None:
+            return None, None
+        generator = torch.Generator("cpu").manual_seed(seed % (1 << 63))
+        slides = Moving(tuple(map(bool, names)), (False,) * len(rendering.moving_instances))
+        faces = moving_faces(call.still_scene, rendering.sizes, slides, generator)
+        return (None if faces is None else texture_segments(call.still_scene, faces, rendering.sizes, lines)), numbers
 
     def faces_of(self, scene: SceneTensors, counts: Sequence[int], moving: Moving,
                  generator: torch.Generator) -> Faces | None:
@@ -279,6 +295,13 @@ class Outlines:
 
 
 KNOWN: WeakKeyDictionary[Scene, Outlines] = WeakKeyDictionary()
+
+
+def numbers_of(lines: Sequence[tuple[JumpLines, ...]], call: RenderCall) -> LineNumbers | None:
+    """What lines of each shape follow over their surfaces, attached; None: nothing that moves."""
+    every = distinct(lines)
+    numbers = line_numbers(every, call.scene.device) if every else None
+    return numbers if every and (lines_move(numbers) or any_differentiated(call.scene.triangles.vertices.uv)) else None
 
 
 def in_the_world(scene: SceneTensors, counts: Sequence[int], moving: Moving) -> tuple[int, ...]:

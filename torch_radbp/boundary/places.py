@@ -74,8 +74,8 @@ class Places(NamedTuple):
     shown_by: Tensor | None  # (N,) int32, its instance
     key: LaneKey  # of random numbers
     aperture: Vec2 | None  # as of `CameraKind.sample_ray`
-    counts: Tensor  # (N,) bool: it contributes to a pixel
-    slope: Vec2  # on texture lines the derivative of the line's number by uv, else 0
+    counts: Tensor  # (N,) bool: in some pixel
+    line: Tensor  # (N,) int32, which line of a surface it is, see `term.LineNumbers`; -1: none
 
     def at(self, geometry: Geometry) -> Vec3:
         """The world positions of the samples, fixed to their triangles; attached, float64."""

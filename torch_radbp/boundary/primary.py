@@ -49,6 +49,7 @@ from torch_radbp.boundary.places import (
 )
 from torch_radbp.boundary.segments import Segments, segment_place, segment_weight
 from torch_radbp.boundary.silhouette import Eye
+from torch_radbp.boundary.term import lines_slide
 from torch_radbp.boundary.terminators import lamps_of
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.workers import in_turns
@@ -57,7 +58,6 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.trace import trace
 from torch_radbp.path.wavefront import first_hit
-from torch_radbp.plugin import Texture
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sensor.kind import Camera
@@ -93,12 +93,10 @@ class ExaminedView(NamedTuple):
 
 
 def moves(call: RenderCall) -> bool:
-    """True if a vertex, shading normal, instance or camera is differentiated, or a line of a texture slides."""
+    """True if a vertex, a shading normal, an instance or a camera has derivatives, or a line slides over its surface."""
     vertices, instances = call.scene.triangles.vertices, call.scene.triangles.instances
-    slide = any_differentiated(vertices.uv) and any(
-        isinstance(part, Texture) and part.jumps() for part in call.module.modules())
-    return slide or any_differentiated((vertices.p, vertices.n, instances and (instances.linear, instances.origin),
-                               [view.camera.lens for view in call.views]))
+    poses = instances and (instances.linear, instances.origin), [view.camera.lens for view in call.views]
+    return lines_slide(call) or any_differentiated((vertices.p, vertices.n, poses))
 
 
 def bytes_of_jumps(call: RenderCall) -> int:
@@ -148,7 +146,7 @@ def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps
             found = strengths(still, integrand, viewed, joined(places), seen)
     if found is None:
         return torch.zeros(len(seen.turns), view.height, view.width, dtype=call.scene.dtype, device=call.scene.device)
-    geometry, shape = geometry_of(call.scene), (view.height, view.width)
+    geometry, shape = geometry_of(call.scene)._replace(lines=jumps.lines), (view.height, view.width)
     if call.adjoint.taped or has_tangents((geometry, view.camera)):
         return recorded_jumps(call.stages, geometry, view.camera, found, shape)
     return image_of_jumps(call.stages, geometry, view.camera, found, shape)

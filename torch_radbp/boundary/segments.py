@@ -53,13 +53,13 @@ class Segments(NamedTuple):
     instance: Tensor | None  # (S,) int32 instance as in a hit; None: the scene has none
     start: Vec2  # (S,)
     end: Vec2  # (S,)
-    aside: Vec2  # (S,) step across it to a point surely on one side; 0: unknown
-    rise: Vec2  # (S,) for texture lines the derivative of the line's number by u and v, else 0
-    slope: Vec2  # (S,) and by the surface coordinates
-    through: Tensor  # (S,) int32, intersecting triangle; -1: none, a texture line
-    shown_by: Tensor | None  # (S,) int32, its instance
-    share: Tensor | None  # (S,) float64, expected number of the segment's selections; None: 1
-    seen_from: SeenFrom | None = None  # None: visible from everywhere
+    aside: Vec2  # (S,) a step across, after which a place lies surely on one side; 0: it is not known
+    rise: Vec2  # (S,) of lines of textures what their number changes by with u and v, else 0
+    line: Tensor  # (S,) int32, which line it is of, see `term.LineNumbers`; -1 of where a triangle passes through
+    through: Tensor  # (S,) int32, the triangle that passes through there; -1: none does, a texture jumps
+    shown_by: Tensor | None  # (S,) int32, the instance that shows that
+    share: Tensor | None  # (S,) float64, how often a segment is among these, in the mean; None: once
+    seen_from: SeenFrom | None = None  # None: each from everywhere
 
     def corners(self, geometry: Geometry) -> Corners:
         """The corners of the segments' triangles, world, float64."""
@@ -138,7 +138,7 @@ def segment_place(geometry: Geometry, sight: Sight, segments: Segments, lot: Lot
     kind = torch.where(passing, INTERSECTION, TEXTURE).to(torch.int32)
     return Places(kind, between, own.instance, at.x, at.y, p, film, normal, torch.ones_like(at.x), drift,
                   depth_of(camera, p, corners, aperture), *sides, own.through, own.shown_by, numbers.key, aperture,
-                  counts_somewhere(camera, film), own.slope)
+                  counts_somewhere(camera, film), own.line)
 
 
 def faces_viewer(geometry: Geometry, segments: Segments, corners: Corners, towards: Callable[[Vec3], Vec3]) -> Tensor:
@@ -177,11 +177,18 @@ def heights_by(passed: Corners, corners: Corners) -> Vec2:
 
 
 def number_of_line(geometry: Geometry, places: Places) -> Tensor:
-    """The number of the texture line through each sample, up to a constant, at fixed points of triangles; attached."""
-    uv = [lookup(geometry.triangles.vertices.uv, row) for row in places.between]
-    x, y = (sum(getattr(corner, axis).double() * weight for corner, weight in zip(
-        uv, (1.0 - places.u - places.v, places.u, places.v))) for axis in ("x", "y"))
-    return places.slope.x * x + places.slope.y * y
+    """The number that is an integer on the lines of textures, up to a constant, at places fixed to triangles; attached."""
+    return level_on_lines(geometry, places.between, places.u, places.v, places.line)
+
+
+def level_on_lines(geometry: Geometry, between: Between, u: Tensor, v: Tensor, line: Tensor) -> Tensor:
+    """As `number_of_line`, at barycentric coordinates (u, v) of triangles between vertices; `line` (N,) int32."""
+    x = y = None
+    if geometry.triangles.vertices.uv is not None:
+        uv = [lookup(geometry.triangles.vertices.uv, row) for row in between]
+        x, y = (sum(getattr(corner, axis).double() * weight for corner, weight in zip(uv, (1.0 - u - v, u, v)))
+                for axis in ("x", "y"))
+    return geometry.lines.level(line.clamp_min(0), x, y)
 
 
 def drift_of(rise: Vec2, pace: list[Vec2], normal: Vec2) -> Tensor:

@@ -18,9 +18,9 @@ from torch_radbp.boundary.reflections import (
 )
 from torch_radbp.boundary.reflections.surfaces import line_table
 from torch_radbp.boundary.rendering import Rendering
-from torch_radbp.boundary.segments import Segments
+from torch_radbp.boundary.segments import Segments, joined_segments
 from torch_radbp.boundary.shadows import bytes_of_shadows, shadow_jumps, shadows_move, slides_over_edges
-from torch_radbp.boundary.texture_lines import lines_of_textures
+from torch_radbp.boundary.term import LineNumbers, lines_on_shapes, lines_slide
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.scene import Scene
 
@@ -29,16 +29,17 @@ class EdgesOfCall(NamedTuple):
     """The edges and curves of all boundary terms; None for terms that are off, or if nothing moves."""
 
     in_view: list[Jumps] | None  # of each view
-    casting: Outline | None  # edges of all shadow casters
-    crossing: Segments | None  # intersections of surfaces, for terms at path vertices
-    reflected: Reflected | None  # for terms by way of mirrors and glass
+    casting: Outline | None  # the edges of all that casts shadows
+    crossing: Segments | None  # where surfaces pass through each other, and lines that slide, as surfaces see them
+    reflected: Reflected | None  # what is seen by way of mirrors and glass
+    lines: LineNumbers | None = None  # of those among `crossing`
 
     def added_to(self, images: Tensor, call: RenderCall) -> Tensor:
         """The images, (B, 3, H, W), with the boundary terms of their derivatives."""
         if self.in_view is not None:
             images = images + image_jumps(call, self.in_view)
-        if self.casting is not None:
-            images = images + shadow_jumps(call, self.casting, self.crossing)
+        if self.casting is not None or self.crossing is not None:
+            images = images + shadow_jumps(call, self.casting, self.crossing, self.lines)
         if self.reflected is not None:
             images = images + reflected_jumps(call, self.reflected)
         return images
@@ -48,14 +49,15 @@ def bytes_of_edges(call: RenderCall, primary: bool, shadows: bool) -> int:
     """The greatest memory for edges in view, and for shadow-casting edges, as far as these terms are on."""
     in_view = bytes_of_jumps(call) if primary and moves(call) else 0
     reflected = bytes_of_reflections(call) if any(asked_by_way_of_others(call, primary, shadows)) else 0
-    return max(in_view, bytes_of_shadows(call) if shadows and slides_over_edges(call) else 0) + reflected
+    casts = shadows and (slides_over_edges(call) or lines_slide(call))
+    return max(in_view, bytes_of_shadows(call) if casts else 0) + reflected
 
 
 def asked_by_way_of_others(call: RenderCall, primary: bool, shadows: bool) -> tuple[bool, bool]:
     """Whether jumps and shadow borders by way of mirrors and glass are on; args as for `bytes_of_edges`."""
     if not follows_mirrors(call):
         return False, False
-    moving = reflections_move(call)
+    moving = reflections_move(call) or lines_slide(call)
     return primary and moving, shadows and sharp_lights(call) and (moving or shadows_move(call))
 
 
@@ -74,7 +76,11 @@ def edges_of_call(rendering: Rendering, scene: Scene, call: RenderCall, seed: in
     # What casts rays comes last: the tree of a large mesh may still be built.
     in_view = outlines.of_views(rendering, call, seed) if rendering.primary and moves(call) else None
     crossing = outlines.crossing(rendering, call, seed) if casts else None
-    return EdgesOfCall(in_view, casting, crossing, reflected_of(rendering, outlines, call))
+    lines = None
+    if rendering.shadows and rendering.max_depth > 1 and lines_slide(call):
+        sliding, lines = outlines.sliding(rendering, call, seed)
+        crossing = joined_segments([part for part in (crossing, sliding) if part is not None])
+    return EdgesOfCall(in_view, casting, crossing, reflected_of(rendering, outlines, call), lines)
 
 
 def reflected_of(rendering: Rendering, outlines: Outlines, call: RenderCall) -> Reflected | None:
@@ -82,5 +88,5 @@ def reflected_of(rendering: Rendering, outlines: Outlines, call: RenderCall) -> 
     surfaces, shadows = asked_by_way_of_others(call, rendering.primary, rendering.shadows)
     if rendering.sampling == "detached" or not (surfaces or shadows):
         return None
-    lines = line_table(lines_of_textures(rendering), rendering.sizes, call.scene.device)
+    lines = line_table(lines_on_shapes(rendering), rendering.sizes, call.scene.device)
     return Reflected(outlines.of_meshes(rendering, call), lines, surfaces, shadows)

@@ -10,9 +10,13 @@ from torch import Tensor
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments, zero_crossings
+from torch_radbp.boundary.term import LinesTerm, boundary_term
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.plugin import Texture
 from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.scene.attributes import textures_of
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import Vec2, Vec3, rows
 
@@ -22,12 +26,24 @@ LARGEST_STEP = 0.01  # the same as barycentric coordinates, at most
 ON_EDGE = 1e-6  # of the rise of a triangle, below which a line runs along one of its edges; it counts for one neighbour
 
 
-def lines_of_textures(rendering: Rendering) -> list[tuple[JumpLines, ...]]:
-    """For each shape the discontinuity lines of its material's or emitter's textures."""
-    owners = [tuple(filter(None, (shape.bsdf, shape.emitter))) for shape in rendering.shapes]
-    known = {owner: tuple(lines for _, texture in textures_of(owner) for lines in texture.jumps())
-             for owner in dict.fromkeys(owner for both in owners for owner in both)}
-    return [tuple(dict.fromkeys(lines for owner in both for lines in known[owner])) for both in owners]
+@boundary_term
+class TextureLines(LinesTerm):
+    """Lines at which textures of a shape's material, or of its light, jump."""
+
+    what = "lines at which textures jump"
+
+    def slide(self, call: RenderCall) -> bool:
+        return any_differentiated(call.scene.triangles.vertices.uv) and any(
+            isinstance(part, Texture) and part.jumps() for part in call.module.modules())
+
+    def lines(self, rendering: Rendering) -> list[tuple[JumpLines, ...]]:
+        owners = [tuple(filter(None, (shape.bsdf, shape.emitter))) for shape in rendering.shapes]
+        known = {owner: tuple(lines for _, texture in textures_of(owner) for lines in texture.jumps())
+                 for owner in dict.fromkeys(owner for both in owners for owner in both)}
+        return [tuple(dict.fromkeys(lines for owner in both for lines in known[owner])) for both in owners]
+
+    def sliding(self, rendering: Rendering) -> list[list[str]]:
+        return rendering.sliders
 
 
 def texture_segments(scene: SceneTensors, faces: Faces, sizes: Sequence[int],
@@ -45,15 +61,20 @@ def texture_segments(scene: SceneTensors, faces: Faces, sizes: Sequence[int],
         return None
     shape_of = torch.repeat_interleave(torch.tensor(sizes, device=triangles.material.device))
     shape = rows(shape_of, faces.triangle)
-    found = []
+    number, found = {line: row for row, line in enumerate(distinct(lines))}, []
     for own in dict.fromkeys(filter(None, lines)):
         like = torch.tensor([other == own for other in lines], device=shape.device)
         chosen = rows(faces, rows(like, shape).nonzero().squeeze(1))
         if len(chosen.triangle):
             uv = [rows(triangles.vertices.uv, rows(corner, chosen.triangle)) for corner in triangles.corners]
-            found += [segments_along(chosen, tuple(_across(one, place) for place in uv), one) for one in own]
+            found += [segments_along(chosen, tuple(_across(one, place) for place in uv), one, number[one]) for one in own]
     found = [own for own in found if len(own.triangle)]
     return joined(found) if found else None
+
+
+def distinct(lines: Sequence[tuple[JumpLines, ...]]) -> list[JumpLines]:
+    """All lines of some shapes, each once."""
+    return list(dict.fromkeys(line for own in lines for line in own))
 
 
 def _across(lines: JumpLines, uv: Vec2) -> Tensor:
@@ -61,13 +82,14 @@ def _across(lines: JumpLines, uv: Vec2) -> Tensor:
     return lines.x * uv.x.double() + lines.y * uv.y.double() + lines.z
 
 
-def segments_along(faces: Faces, level: tuple[Tensor, Tensor, Tensor], lines: JumpLines) -> Segments:
-    """The segments inside of triangles on which a linear level is an integer.
+def segments_along(faces: Faces, level: tuple[Tensor, Tensor, Tensor], lines: JumpLines, row: int = 0) -> Segments:
+    """The segments inside of triangles at which a level is an integer.
 
     Args:
         faces: (F,).
         level: (F,) at each corner.
         lines: which integers count.
+        row: of the lines, among all.
     """
     level = Vec3(*level)
     low, high = torch.minimum(torch.minimum(*level[:2]), level.z), torch.maximum(torch.maximum(*level[:2]), level.z)
@@ -88,6 +110,5 @@ def segments_along(faces: Faces, level: tuple[Tensor, Tensor, Tensor], lines: Ju
     step = torch.where(runs_along, 0.0, step)
     start, end = zero_crossings(f0, f1, f2)
     none = torch.full_like(own.triangle, -1)
-    slope = Vec2(*(torch.full_like(by_u, float(number)) for number in (lines.x, lines.y)))
-    return Segments(own.triangle, own.instance, start, end, Vec2(by_u * step, by_v * step), Vec2(by_u, by_v), slope, none,
-                    None if own.instance is None else torch.zeros_like(none), own.share)
+    return Segments(own.triangle, own.instance, start, end, Vec2(by_u * step, by_v * step), Vec2(by_u, by_v),
+                    torch.full_like(none, row), none, None if own.instance is None else torch.zeros_like(none), own.share)

@@ -19,10 +19,12 @@ from torch import Tensor
 from torch_radbp.boundary.caustics import unfound_caustics
 from torch_radbp.boundary.edges import Edges, edges_of, spread
 from torch_radbp.boundary.inward import inward_faces
+from torch_radbp.boundary.left_out import names_left_out
 from torch_radbp.boundary.rendering import Rendering, listed
 from torch_radbp.boundary.shadow import shadows_in_view
 from torch_radbp.boundary.shadowing_lights import MOVE_LIGHTS, ShadowingLight, lights_of, soft_shadows, some_lights
 from torch_radbp.boundary.silhouette import CameraSight, silhouettes_in_view
+from torch_radbp.boundary.term import TERMS
 from torch_radbp.boundary.unmapped import unmapped_textures
 from torch_radbp.boundary.without_rays import views_without_rays
 from torch_radbp.plugin.errors import level_of_the_caller
@@ -61,8 +63,8 @@ class JumpWatch:
 
     def __init__(self) -> None:
         # Those that have not warned yet.
-        self.looks = [self.silhouettes_in_view, self.shadows_in_view, self.jumps_of_a_bsdf, self.edges_slid_over,
-                      self.edges_far_off]
+        self.looks = [self.silhouettes_in_view, self.lines_in_view, self.shadows_in_view, self.jumps_of_a_bsdf,
+                      self.edges_slid_over, self.edges_far_off]
         self.edges_of_shapes: dict[object, tuple[Tensor, Edges]] = {}  # faces and edges of the meshes examined so far
         self.said: dict[str, Warning] = {}  # by their messages
         # Looks at the image that are due: one at the first rendering is enough.
@@ -106,6 +108,23 @@ class JumpWatch:
         return SilhouetteWarning(f"derivatives with respect to {listed(missing)} lack the contribution of silhouettes: at "
                                  f"least {max(missing.values())} edges move in view, and what is seen is discontinuous "
                                  f"there. {instead}")
+
+    def lines_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
+        """The warning about lines on surfaces that move in view, as the terms say that are switched off; or None.
+
+        Those of parameters that move silhouettes too are left out, and hidden lines count as seen.
+        """
+        if rendering.primary or rendering.tensors.triangles.vertices.uv is None:
+            return None
+        named, found = self.missing(rendering), {}
+        for term in TERMS:
+            names = names_left_out(term, rendering) - named.keys()
+            found |= {name: term.what for name in sorted(names)}
+        if not found:
+            return None
+        instead = "The default terms have it; check_gradient measures the bias" if rendering.has_area else OF_RAYS
+        return SilhouetteWarning(f"derivatives with respect to {listed(found)} lack the contribution of "
+                                 f"{' and '.join(dict.fromkeys(found.values()))}: some move in view. {instead}")
 
     def shadows_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about shadow borders that move with a light, an occluder, a receiver or the camera, or None.

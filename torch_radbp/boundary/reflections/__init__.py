@@ -51,7 +51,7 @@ from torch_radbp.call.workers import in_turns
 from torch_radbp.path.direct_light import LightDraw
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
-from torch_radbp.tensors.differentiated import any_differentiated, primal
+from torch_radbp.tensors.differentiated import any_differentiated, detached, primal
 from torch_radbp.tensors.record import joined, leaves_of
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3, rows
 
@@ -112,12 +112,12 @@ def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
     images = []
     with torch.no_grad():
         still = call.still()
-        surfaces = surfaces_of(still, reflected.meshes, reflected.lines)
+        surfaces = surfaces_of(still, reflected.meshes, detached(reflected.lines))
         tables, = call.stages(parted).taken(surfaces=surfaces)
     for number, view in enumerate(call.views):
         integrand = integrand_of(still, still.integrand, number)
         searched = Searched(still, number, only_ideal(integrand), surfaces, tables, reflected.shadows)
-        found = _jumps_in_view(call, searched, integrand, reflected.surfaces)
+        found = _jumps_in_view(call, searched, integrand, reflected)
         images.append(image_of(view, [] if found is None else [found], call.scene.dtype))
     return torch.stack(images)
 
@@ -131,35 +131,36 @@ class CurveCrossings(NamedTuple):
     strength: Tensor  # (3, K) float64, gain of light in the image per unit of the level
 
 
-def _jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, surfaces: bool) -> FilmJumps | None:
-    """The boundary term of one view by way of mirrors and glass; None: there is none.
+def _jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, reflected: Reflected) -> FilmJumps | None:
+    """What jumps in a view add to its derivative; None: it has none.
 
     Args:
         call: attached.
         searched: the view.
         integrand: of the view, detached.
-        surfaces: see `Reflected`.
+        reflected: what is looked for.
     """
     with torch.no_grad():
-        found = jumping(searched, integrand, surfaces)
+        found = jumping(searched, integrand, reflected.surfaces)
     if found is None:
         return None
     middle = Vec2(*(0.5 * (low + high) for low, high in zip(found.crossed.low, found.crossed.high)))
-    return FilmJumps(middle, found.strength * moved(call, searched, found))
+    return FilmJumps(middle, found.strength * moved(call, searched, found, reflected.lines))
 
 
-def moved(call: RenderCall, searched: Searched, found: CurveCrossings) -> Tensor:
-    """(K,) float64 zeros, attached: the change of curves' levels at fixed points; args as of `_jumps_in_view`."""
+def moved(call: RenderCall, searched: Searched, found: CurveCrossings, lines: LineTable | None) -> Tensor:
+    """(K,) float64 zeros, attached: how the levels of curves change at points of the film; args as of `_jumps_in_view`;
+    `lines`: of surfaces, attached."""
     crossed, curves, follows, _ = found
-    view, lines, draw = call.views[searched.number], searched.surfaces.lines, draw_of(crossed)
+    view, draw = call.views[searched.number], draw_of(crossed)
     sample = camera_sample(call, view, crossed.low, crossed.aperture, crossed.key)
-    if call.adjoint.taped or has_tangents((call.scene, view.camera)):
+    if call.adjoint.taped or has_tangents((call.scene, view.camera, lines)):
         integrand = integrand_of(call, call.make_integrand(call.scene), searched.number)
         ray = rays_reaching(follows_chains(integrand), started(call, sample), crossed.depth)
         seen = level(call.scene, lines, curves, ray, draw)
         return seen - primal(seen)
     change = following(follows, sample.ray, call.scene)
-    if any_differentiated(call.scene):
+    if any_differentiated((call.scene, lines)):
         seen = level(call.scene, lines, curves, follows.chains.ray, draw)
         change = change + (seen - primal(seen))
     return change

@@ -12,6 +12,7 @@ from torch import Tensor
 from torch_radbp.boundary.edge_places import jump_of_creases
 from torch_radbp.boundary.geometry import Geometry, NormalsOnly, geometry_of, in_world
 from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.term import offsets
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.raycast.caster_cache import same_values
@@ -26,7 +27,7 @@ from torch_radbp.tensors.vec import Vec3, interpolated
 
 
 class LineTable(NamedTuple):
-    """Texture lines, as of `JumpLines`; (K S,) float64 each, for K shapes first one line each, then the second, ..."""
+    """The lines of surfaces, as of `JumpLines`; (K S,) float64 each, of K shapes the first of each, then the second, ..."""
 
     x: Tensor
     y: Tensor
@@ -138,8 +139,9 @@ def line_table(lines: Sequence[tuple[JumpLines, ...]], sizes: Sequence[int], dev
         return None
     nowhere = JumpLines(0.0, 0.0, 0.5, 0.0, 0.0)
     slots = [own[slot] if slot < len(own) else nowhere for slot in range(most) for own in lines]
-    columns = [torch.tensor(column, dtype=torch.float64, device=device) for column in zip(*slots)]
-    return LineTable(*columns, torch.repeat_interleave(torch.tensor(sizes, device=device)), len(lines), most)
+    x, y, _, first, last = (torch.tensor(column, dtype=torch.float64, device=device) for column in list(zip(*slots))[:5])
+    shape = torch.repeat_interleave(torch.tensor(sizes, device=device))
+    return LineTable(x, y, offsets(slots, device), first, last, shape, len(lines), most)
 
 
 def cells_met(surfaces: Surfaces, hit: Hit) -> tuple[Tensor, ...]:

@@ -41,6 +41,7 @@ from torch_radbp.boundary.shadows.followed_light import directions_turn
 from torch_radbp.boundary.shadows.hidden_light import as_worth
 from torch_radbp.boundary.shadows.seen_edges import Casting
 from torch_radbp.boundary.shadows.segment_tree import SegmentTree, segment_tree
+from torch_radbp.boundary.term import LineNumbers
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.tensors.differentiated import any_differentiated, detached
 
@@ -92,8 +93,9 @@ def bytes_of_shadows(call: RenderCall) -> int:
     return edges * of_edge + ways + taken_by(call.stages, of_places)
 
 
-def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) -> Tensor:
-    """(B, 3, H, W) zeros whose derivative is that of shadow borders in the image.
+def shadow_jumps(call: RenderCall, casting: Outline | None, crossing: Segments | None,
+                 lines: LineNumbers | None = None) -> Tensor:
+    """(B, 3, H, W) zeros whose derivative is what borders of shadows contribute to the image.
 
     Lights without extent have shadows where lights are sampled. What light samples miss of the others is found by vertices
     of paths, and what comes evenly from all around, with a hundredth of the variance. Where directions follow parameters
@@ -102,15 +104,17 @@ def shadow_jumps(call: RenderCall, casting: Outline, crossing: Segments | None) 
 
     Args:
         call: of which something moves.
-        casting: the edges of all that casts shadows.
-        crossing: where surfaces pass through each other, of which something moves; None: nowhere.
+        casting: the edges of all that casts shadows; None: nothing moves these.
+        crossing: where surfaces pass through each other, of which something moves, and lines that slide; None: nowhere.
+        lines: what those follow, attached.
     """
     stages, geometry = call.stages, geometry_of(detached(call.scene))
     with torch.no_grad():
-        edges = Casting(casting, edge_tree(stages, geometry, casting))
+        edges = None if casting is None else Casting(casting, edge_tree(stages, geometry, casting))
         seen = crossing is not None and sees_curves(call, crossing)
         parts = _parts_of(call, segment_tree(stages, geometry, crossing) if seen else None,
-                          None if crossing is None else resting_among(crossing))
+                          None if crossing is None else resting_among(crossing), lines)
+        parts = parts if edges is not None else parts[-1:] if seen else []
     still, jumps = call.still(), []
     for number in range(len(call.views)):
         with torch.no_grad():
@@ -129,13 +133,15 @@ def sees_curves(call: RenderCall, crossing: Segments) -> bool:
     return glues(call) and (call.integrand.max_depth > 2 or crossed_surfaces.surfaces_shine(call.scene, crossing))
 
 
-def _parts_of(call: RenderCall, curves: SegmentTree | None, contacts: Segments | None) -> list[ShadowIntegral]:
-    """The boundary integrals of a call.
+def _parts_of(call: RenderCall, curves: SegmentTree | None, contacts: Segments | None,
+              lines: LineNumbers | None) -> list[ShadowIntegral]:
+    """The integrals of a call that are cut off.
 
     Args:
         call: of which something moves.
         curves: along which surfaces pass through each other; None: unseen.
         contacts: segments at edges that lie on surfaces; None: there are none.
+        lines: what lines that slide follow, attached.
     """
     settings, deep = call.integrand.settings, call.integrand.max_depth > 2
     on_film = all(view.camera.kind.has_area for view in call.views)  # along a ray there is no border to be seen
@@ -169,7 +175,7 @@ def _parts_of(call: RenderCall, curves: SegmentTree | None, contacts: Segments |
     if curves is not None:
         parts.append(ShadowIntegral(lambda still, number, _: crossed_surfaces.curves_of_view(still, number, curves),
                                     lambda attached, number, _, found: crossed_surfaces.jumps_of_crossed_surfaces(
-                                        attached, number, found)))
+                                        attached, number, found, lines)))
     return parts
 
 

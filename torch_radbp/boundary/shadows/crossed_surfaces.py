@@ -27,8 +27,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.geometry import Corners, Geometry, geometry_of
-from torch_radbp.boundary.segments import Segments, height_above, heights_by, place_of
+from torch_radbp.boundary.geometry import Between, Corners, Geometry, geometry_of
+from torch_radbp.boundary.segments import Segments, height_above, heights_by, level_on_lines, place_of
 from torch_radbp.boundary.shadows.edge_tree import numbers_to
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry
@@ -38,13 +38,15 @@ from torch_radbp.boundary.shadows.segment_tree import SegmentTree, ends_of, segm
 from torch_radbp.boundary.shadows.slid import what_slides
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, vertex_at, viewpoints
 from torch_radbp.boundary.shadows.ways_down import picked_ones, ways_down
+from torch_radbp.boundary.term import LineNumbers
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.differentiated import primal
+from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.stage import stage
-from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, normalize, rows, unit_normal
+from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, normalize, rows, unit_normal, where
 
 SALT = 0x7F4A7C15  # tells the random numbers of these places from others
 PATHS = 0.5  # of the paths from which edges are looked at, that segments are looked at from
@@ -57,10 +59,11 @@ class Sheets(NamedTuple):
     triangle: Tensor  # (N,) int32
     instance: Tensor | None  # (N,) int32, that shows it
     at: Vec2  # barycentric
-    through: Tensor  # (N,) int32, intersecting triangle
-    shown_by: Tensor | None  # (N,) int32, its instance
-    beside: Vec2  # step into the visible part, barycentric
-    growth: Tensor  # area gained per unit of the level, barycentric coordinates squared
+    through: Tensor  # (N,) int32, the triangle that passes through
+    shown_by: Tensor | None  # (N,) int32, what shows that
+    beside: Vec2  # a little into the part that is seen, barycentric
+    line: Tensor  # (N,) int32, of a line that slides; -1: of none
+    growth: Tensor  # how much of that is gained where the level rises by one, barycentric coordinates squared
 
 
 class CrossedOfView(NamedTuple):
@@ -73,20 +76,26 @@ class CrossedOfView(NamedTuple):
     strength: Tensor  # (3, K) float64, gain of light per unit of the level
 
 
-def jumps_of_crossed_surfaces(call: RenderCall, number: int, found: CrossedOfView) -> FilmJumps:
-    """The boundary term of intersections for view `number`; `call`: with derivatives."""
-    geometry, sheets = attached_geometry(call.scene), found.sheets
+def jumps_of_crossed_surfaces(call: RenderCall, number: int, found: CrossedOfView, lines: LineNumbers | None) -> FilmJumps:
+    """What such curves add to the derivative of view `number`; `call`: of which something moves,
+    `lines`: what lines that slide follow, attached."""
+    geometry, sheets = attached_geometry(call.scene)._replace(lines=lines), found.sheets
     met = hit_at(sheets, sheets.at, found.points.hit.u.dtype)
     near, ways = what_slides(call, number, geometry, rows(found.points, found.viewpoint), found.start, met, sheets.at)
     at = (place.index_add(0, near, way) for place, way in zip(sheets.at, ways))
-    p = interpolated(place_of(geometry, sheets.triangle, sheets.instance), *at)
+    u, v = at
+    p = interpolated(place_of(geometry, sheets.triangle, sheets.instance), u, v)
     level = height_above(place_of(geometry, sheets.through, sheets.shown_by), p)
+    if lines is not None:
+        between = Between(*lookup(geometry.triangles.corners, sheets.triangle))
+        level = torch.where(sheets.line >= 0, level_on_lines(geometry, between, u, v, sheets.line), level)
     return FilmJumps(rows(found.points.place, found.viewpoint), found.strength * (level - primal(level)))
 
 
 def surfaces_shine(scene: SceneTensors, segments: Segments) -> bool:
-    """True if one of two intersecting surfaces emits light, which all path vertices receive directly."""
-    return any(bool((rows(scene.triangles.emitter, triangle) >= 0).any()) for triangle, _ in surfaces_along(segments))
+    """True if one of the surfaces that pass through each other emits light, which all vertices of paths receive straight."""
+    return any(bool(((rows(scene.triangles.emitter, triangle.clamp_min(0)) >= 0) & (triangle >= 0)).any())
+               for triangle, _ in surfaces_along(segments))
 
 
 def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree) -> CrossedOfView | None:
@@ -146,7 +155,11 @@ def sheets_seen(geometry: Geometry, segments: Segments, at: Vec3, passed: Passed
     own, eye = rows(segments, passed.edge), rows(at, passed.eye)
     surfaces, (start, end) = surfaces_along(own), ends_of(geometry, own)
     corners, found = [place_of(geometry, *surface) for surface in surfaces], []
-    for (surface, other), (mine, passing) in zip((surfaces, surfaces[::-1]), (corners, corners[::-1])):
+    slides, (one, two) = own.through < 0, corners  # a line on one surface, of which either side is seen
+    corners = [one, tuple(where(slides, here, there) for here, there in zip(one, two))]
+    surfaces[1] = tuple(None if there is None else torch.where(slides, here, there)
+                        for here, there in zip(surfaces[0], surfaces[1]))
+    for way, (surface, other), (mine, passing) in zip((1.0, -1.0), (surfaces, surfaces[::-1]), (corners, corners[::-1])):
         rise, run = heights_by(passing, mine), direction_on(mine, end - start)
         steep = rise.x * rise.x + rise.y * rise.y
         side = torch.sign(height_above(passing, eye))
@@ -155,7 +168,12 @@ def sheets_seen(geometry: Geometry, segments: Segments, at: Vec3, passed: Passed
         across = normalize(cross(n, end - start))
         upwards = torch.sign(dot(across, cross(passing[1] - passing[0], passing[2] - passing[0])))
         here, step = direction_on(mine, passed.p - mine[0]), direction_on(mine, across * (side * upwards * BESIDE * extent))
-        found.append(Sheets(*surface, here, *other, here + step, growth))
+        run_of_line, steep_line = direction_on(one, end - start), own.rise.x * own.rise.x + own.rise.y * own.rise.y
+        of_line = way * torch.sqrt(
+            (run_of_line.x * run_of_line.x + run_of_line.y * run_of_line.y) / steep_line.clamp_min(TINY)) * passed.times
+        growth = torch.where(slides, of_line, growth)
+        step = Vec2(*(torch.where(slides, aside * way, across) for aside, across in zip(own.aside, step)))
+        found.append(Sheets(*surface, here, *other, here + step, own.line, growth))
     return tuple(found)
 
 

@@ -31,7 +31,7 @@ from torch_radbp.boundary.shadows.ways_down import PickedEdges, found_among
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import Stages, stage
-from torch_radbp.tensors.vec import Vec3, dot, interpolated, normalize, rows, unit_normal
+from torch_radbp.tensors.vec import Vec3, dot, interpolated, masked, normalize, rows, unit_normal
 
 
 class SegmentTree(NamedTuple):
@@ -118,6 +118,7 @@ def segment_passed(geometry: Geometry, segments: Segments, eyes: Eyes, lot: Lot,
     along, times, p = place_between(*ends_of(geometry, segments), own, turn, times * repeated)
     times = times if segments.share is None else times / segments.share
     towards = [_facing(place_of(geometry, *surface), own.place) for surface in surfaces_along(segments)]
+    towards[1] = masked(segments.through >= 0, towards[1])
     return passed_at(own, Passed(segment, eye, along, times, p, normalize(towards[0] + towards[1]), None, None, None, key),
                      extent, geometry.triangles.n.x.dtype)
 
