@@ -11,6 +11,8 @@ $(VENV)/.installed: setup.py constraints.txt
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet -c constraints.txt torch numpy
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[test]"
+	@# This folder by name: a script that lies beside it would take it for the package, if they have one name.
+	$(BIN)/python -c "import site; open(site.getsitepackages()[0] + '/torch_radbp_source.pth', 'w').write('$(CURDIR)\n')"
 	touch $@
 
 demo: $(VENV)/.installed

@@ -18,7 +18,7 @@ from torch_radbp.boundary import term
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.term import LinesTerm, boundary_term
 from torch_radbp.call.render_call import RenderCall
-from torch_radbp.plugin import Texture, register
+from torch_radbp.plugin import REGISTRY, Texture, register
 from torch_radbp.plugin.domain import NUMBER, Domain
 from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.scene.attributes import textures_of
@@ -45,7 +45,6 @@ class PaintReader(TableReader):
         return Vec2(0.0 * point.uv.x, 0.0 * point.uv.x)
 
 
-@register("texture", "painted_line")
 class PaintedLine(Texture):
     """Two colours: one where u is less than `place`, one beyond."""
 
@@ -94,9 +93,13 @@ def paints(rendering: Rendering) -> list[list[PaintedLine]]:
 
 @pytest.fixture(autouse=True)
 def registered(monkeypatch):
+    """Term and texture are there while they are tested: other tests go over all that the package has."""
     monkeypatch.setattr(term, "TERMS", list(term.TERMS))
     monkeypatch.setattr("torch_radbp.boundary.warning.TERMS", term.TERMS)
     boundary_term(PaintedLines)
+    register("texture", "painted_line")(PaintedLine)
+    yield
+    del REGISTRY["texture"]["painted_line"]
 
 
 def glowing(place: float, **attributes) -> dict:
