@@ -142,8 +142,8 @@ class NetworkCheck:
         named_strays = [names[id(leaf)] for leaf in strays if id(leaf) in names]
         if named_strays:
             raise ValueError(f"{self.name}: its module reaches {' and '.join(named_strays)} past its own attributes, by a "
-                             f"list, a closure, a bound method or a compiled function, so that the gradient would be lost: let "
-                             f"forward() read it as self.NAME")
+                             f"list, a closure, a bound method or a compiled function, so that the gradient would be lost: "
+                             f"let forward() read it as self.NAME")
         if strays:
             shape = tuple(strays[0].shape)
             raise ValueError(f"{self.name}: its module computes with a tensor of shape {shape} that requires a gradient "
