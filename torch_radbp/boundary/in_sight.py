@@ -90,7 +90,7 @@ def in_sight(geometry: Geometry, places: Places, chosen: Tensor, sent: Sent, cou
 
 
 class PathsBeside(NamedTuple):
-    """Camera paths behind curves, then those ahead of them; (2 K,)."""
+    """Camera paths that start beside curves: the K behind them, then the K ahead of them; (2 K,)."""
 
     sample: CameraSample
     hit: Hit

@@ -37,7 +37,7 @@ MOST_NAMES = 8  # in a message
 
 @dataclass(frozen=True)
 class Rendering:
-    """The rendering that is about to start."""
+    """The scene and the settings of a rendering, for choosing its boundary terms before it starts."""
 
     scene: Scene  # with the parameters of this rendering
     looks: Sequence[tuple[View, Lens]]  # for each viewpoint of each sensor

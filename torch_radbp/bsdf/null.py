@@ -46,5 +46,5 @@ class Null(BSDF):
         return NullKind()
 
     def textures(self) -> tuple[Texture, ...]:
-        """The textures whose values those functions take: none."""
+        """The textures of this BSDF's parameters: none."""
         return ()

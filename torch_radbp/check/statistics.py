@@ -34,7 +34,7 @@ class Estimates(NamedTuple):
     bend: Tensor | None = None  # (R, B, 3, H, W) mean error of one-sided differences; None: not estimated
 
     def changed(self, halved: Tensor) -> Estimates:
-        """A comparison of zero with the change of differences by half of the step, whose images share their samples."""
+        """Estimates to compare with zero: how finite differences change with half of the step, the samples being equal."""
         return Estimates(torch.zeros_like(halved), halved - self.difference, 3 * self.rounding)
 
 

@@ -63,7 +63,7 @@ class Target(Protocol):
         """Compiles a program: to machine code, or to what the device's driver takes."""
 
     def loop(self, code: bytes, searched: Sequence[int]) -> Loop:
-        """Loads code; `searched` is the program's."""
+        """Loads compiled code; `searched`: the indices of the inputs whose lengths it needs."""
 
     def compile(self, program: Program) -> Loop:
         """Compiles and loads a program."""

@@ -58,7 +58,7 @@ class Stage(Protocol):
 
 
 class Stages(Protocol):
-    """A way to run stages: returns for each declared function what runs it, always the same object."""
+    """A way to run stages: plain torch, or compiled. Called with a function it returns its `Stage`, always the same."""
 
     is_compiled: bool
 

@@ -140,8 +140,8 @@ class ModuleBank(NamedTuple):
                     yield module, number, torch.stack(parts).sum(0, dtype=torch.float64)
 
     def per_batch(self, row: Tensor, at: Vec2 | Vec3, of_batch: Callable[[int, Tensor], Tensor],
-              shape: tuple[int, ...]) -> Tensor:
-        """(*shape, N) what is found for each lane, batch by batch; 0 for lanes of no module.
+                  shape: tuple[int, ...]) -> Tensor:
+        """(*shape, N) results of `of_batch` for each lane, batch by batch; 0 for lanes of no module.
 
         Args:
             row, at: as for `values`.

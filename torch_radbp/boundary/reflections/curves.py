@@ -104,7 +104,7 @@ def nearest_side(geometry: Geometry, rays: list[Ray], hits: list[Hit]) -> tuple[
 
 
 def side_that_casts(searched: Searched, crossed: Crossings) -> tuple[TriangleSide, Tensor]:
-    """The edges that cast shadows whose borders are crossed, and (K,) bool whether they are known."""
+    """The edges that cast the shadows whose borders are crossed, and (K,) bool: such an edge was located."""
     scene, rays, hits = searched.call.scene, [], []
     for met in (crossed.below, crossed.above):
         ray, distance = to_light(scene, met.ray, met.hit, crossed.looks.draw)

@@ -86,7 +86,7 @@ def depth_by_depth(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: P
 
 @stage()
 def unparted(pairs: Pairing) -> Difference:
-    """The differences of pairs of paths before any vertex was compared: none so far."""
+    """Differences of pairs of paths to begin comparing vertices with: none."""
     nothing = torch.zeros_like(pairs.first, dtype=torch.int32)
     return Difference(nothing, nothing, torch.zeros_like(nothing, dtype=torch.float64),
                       torch.ones_like(nothing, dtype=torch.bool))

@@ -69,7 +69,7 @@ class EdgeShadow(NamedTuple):
         return torch.where(self.exists, one / torch.where(self.exists, one + other, 1.0), turn)
 
     def density(self, along: Tensor) -> Tensor:
-        """The density along edges of these positions for uniform fractions."""
+        """The probability density, along edges, of the positions that `along` returns for uniform fractions."""
         one, other = along * self.height_b, (1.0 - along) * self.height_a
         total = torch.where(self.exists, one + other, 1.0)
         return density_seen(self.a, self.b, one / total) * (self.height_a * self.height_b / (total * total))

@@ -53,7 +53,7 @@ class DocumentPart:
         return SceneError(f"{self.file}: {self.place}: {message}" if self.place else f"{self.file}: {message}")
 
     def inside(self, name: str) -> str:
-        """The place of the entry `name`, for messages."""
+        """Where in the document the entry `name` is, for messages."""
         return f"{self.place}.{name}" if self.place else name
 
     def has(self, name: str) -> bool:
