@@ -47,7 +47,7 @@ def recordable(integrand: Integrand) -> bool:
     told no tangents."""
     return (integrand.stages.is_compiled and not (integrand.attached and torch.is_grad_enabled())
             and not (integrand.proposal.layout.reads_outside and inside_dual_level())
-            and (integrand.caster is None or hasattr(behind(integrand.caster), "reads")))
+            and all(hasattr(each, "reads") for each in (integrand.caster, behind(integrand.caster)) if each is not None))
 
 
 def keeps_all_lanes(integrand: Integrand) -> bool:
