@@ -27,7 +27,9 @@ from benchmarks.scenes.description import Setting, cotangent
 from torch_radbp.call.pixels import deposit, developed, film_places
 from torch_radbp.call.render_call import start_paths
 from torch_radbp.call.wavefronts import Wavefront
-from torch_radbp.path.wavefront import add_at, survivors, take_step
+from torch_radbp.path.lanes import add_at
+from torch_radbp.path.step import survivors
+from torch_radbp.path.wavefront import take_step
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import Vec3, masked, rows
 

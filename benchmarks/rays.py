@@ -54,6 +54,8 @@ class Recorder:
         self.closest: list[Query] = []
         self.shadow: list[Query] = []
 
+    recorded_as = None
+
     def intersect(self, ray: Ray):
         self.closest.append(Query(ray, None))
         return self.caster.intersect(ray)

@@ -12,7 +12,8 @@ from torch_radbp.adjoint.local_map import Verdict, local_map
 from torch_radbp.call.pixels import Films
 from torch_radbp.call.render_call import start_paths
 from torch_radbp.path.state import Arrival
-from torch_radbp.path.wavefront import bounces, survivors, take_step
+from torch_radbp.path.step import survivors
+from torch_radbp.path.wavefront import bounces, take_step
 from torch_radbp.tensors.vec import rows
 
 SETTINGS = {"spp": 4, "max_depth": 5, "rr_depth": 1}
@@ -43,7 +44,7 @@ def test_the_derivative_is_that_of_the_recorded_survivors():
     part, = (integrand.part(queue.event) for queue in step.queues)
     for decided in (step, flipped):
         arrival, verdict = rows(Arrival(state, decided.hit, None), step.order), Verdict(decided.visible, decided.survives)
-        local = local_map(part.scene, part.proposal, arrival, verdict, None, integrand.at(depth),
+        local = local_map(part.scene, part.proposal, arrival, verdict, integrand.at(depth),
                           integrand.settings_at(depth), ())
         weight = torch.stack(tuple(local.F))
         assert (weight[:, ~decided.survives] == 0).all() and torch.isfinite(weight).all()

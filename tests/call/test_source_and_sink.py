@@ -16,7 +16,7 @@ from tests.scenes import diffuse, furnace, load, overhead, rectangle, rgb
 from torch_radbp.call.render_call import of_wavefronts
 from torch_radbp.call.sink import Sink, SinkValues
 from torch_radbp.call.source import PathSource
-from torch_radbp.path.bounce import CameraSample
+from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.rendering.transport import transport
 from torch_radbp.sampling.sampler import film_lane_key, film_order
 from torch_radbp.tensors.lookup import lookup

@@ -100,6 +100,8 @@ class HeldCaster:
     def __init__(self, caster, decisions: Decisions):
         self.caster, self.decisions, self.vertices, self.faces = caster, decisions, caster.vertices, caster.faces
 
+    recorded_as = None
+
     def intersect(self, ray):
         return self.decisions.answer(lambda: self.caster.intersect(ray))
 

@@ -10,7 +10,7 @@ from tests.scenes import CASES, cornell, parameters
 from tests.scenes.everything import EVERYTHING, build_everything
 from torch_radbp.boundary import terms
 from torch_radbp.jit import stages
-from torch_radbp.path.bounce import sample_camera
+from torch_radbp.path.camera_rays import sample_camera
 from torch_radbp.sampling.sampler import film_order, sample_key
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.stage import EAGER

@@ -16,7 +16,7 @@ from torch_radbp.film.tent import Tent
 from torch_radbp.io.transform import rotate, scale, translate
 from torch_radbp.io.write import save
 from torch_radbp.jit.stages import compiled
-from torch_radbp.path.bounce import sample_camera
+from torch_radbp.path.camera_rays import sample_camera
 from torch_radbp.sampling.sampler import film_order, sample_key
 from torch_radbp.sensor.calibrated import LENSES, Calibrated
 from torch_radbp.sensor.perspective import Perspective

@@ -14,7 +14,7 @@ from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.io.transform import rotate, translate
 from torch_radbp.io.write import save
 from torch_radbp.jit.stages import compiled
-from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, sample_camera
+from torch_radbp.path.camera_rays import APERTURE_U, APERTURE_V, sample_camera
 from torch_radbp.sampling.sampler import CAMERA_COUNTER, bounce_key, film_order, lane_key, sample_key, uniform
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.sensor.thinlens import ThinLens

@@ -8,13 +8,15 @@ from torch import Tensor
 from torch_radbp.adjoint.local_map import Verdict, attached_vertex
 from torch_radbp.jit.dual import dual
 from torch_radbp.jit.team import loops_together
-from torch_radbp.path.bounce import places_of
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.queues import Queue
 from torch_radbp.path.state import PathState
+from torch_radbp.path.step import Onward, Step, surviving
 from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.path.trace import Visit, trace
-from torch_radbp.path.wavefront import Onward, Step, bounced, brightened, put_rows, room_for_vertices, surviving, take_step
+from torch_radbp.path.vertices import room_for_vertices
+from torch_radbp.path.wavefront import bounced, brighten, take_step
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined, rows_between
@@ -38,14 +40,12 @@ def bounced_twice(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | No
     hit = None if integrand.is_last(depth) else fixed.caster.intersect(stages(rows)(vertex.next.ray, alive))
     E, ahead = attached_vertices(integrand, state, depth, step, _spread(hit, alive, step.scattered))
     if E is not None:
-        order, lane = step.order[:step.scattered], vertex.next.lane
-        put_rows(L, lane, stages(brightened)(L, state.beta, order, lane, E, None, None))
+        brighten(integrand, L, state, step.order[:step.scattered], vertex.next.lane, E)
         ahead = ahead._replace(vantage=vertex.next.vantage)
     light = attached_light(integrand, state, depth, step)
     if light is not None:
         order = step.order[step.scattered:]
-        ended = stages(rows)(state.lane, order)
-        put_rows(L, ended, stages(brightened)(L, state.beta, order, ended, light, None, None))
+        brighten(integrand, L, state, order, stages(rows)(state.lane, order), light)
     return state, step, Onward(vertex.next if ahead is None else ahead, alive, hit)
 
 
@@ -68,8 +68,8 @@ def attached_vertices(integrand: Integrand, state: PathState, depth: int, step: 
     queues = [queue for queue in step.queues if queue.event.scatters]
     if not queues:
         return None, None
-    stage, verdict = integrand.stages(attached_vertex), Verdict(step.visible, step.survives)
-    prepared = [(scene, proposal, reached, lanes, *rows_between((verdict, following), queue.first, queue.last), *more)
+    stage, verdict = integrand.stages(attached_vertex), Verdict(step.visible, step.survives, following)
+    prepared = [(scene, proposal, reached, lanes, rows_between(verdict, queue.first, queue.last), *more)
                 for queue in queues
                 for scene, proposal, reached, lanes, *more in [arguments_of(integrand, state, depth, step, queue)]]
     if len(queues) == 1 or not stage.is_compiled:
@@ -86,7 +86,7 @@ def arguments_of(integrand: Integrand, state: PathState, depth: int, step: Step,
     part, lanes = integrand.part(queue.event), step.order[queue.first:queue.last]
     arrival, at, settings, values = step.arrival(state), integrand.at(depth), integrand.settings_at(depth), ()
     if integrand.proposal.layout.reads_outside:
-        places = places_of(part.scene, part.proposal, rows(arrival, lanes), at, settings)
+        places = queue.event.vertex.places(part.scene, part.proposal, rows(arrival, lanes), at, settings)
         values = texture_values_at(integrand.scene, integrand.scatterer(queue.event), places)
     return part.scene, part.proposal, arrival, lanes, at, settings, values
 

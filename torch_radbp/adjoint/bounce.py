@@ -16,7 +16,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.local_map import Verdict, local_map
+from torch_radbp.adjoint.local_map import BothCorners, Verdict, local_map
 from torch_radbp.path.state import Arrival, Position, Settings
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.cone import Cone
@@ -61,6 +61,23 @@ def empty_memo(like: Tensor, moving: bool, twice: bool, scene: SceneTensors) -> 
     return memo._replace(adj_corners=tuple(Vec3.buffer(like) for _ in range(3)))
 
 
+class DifferentiatedPart(NamedTuple):
+    """The part of a scene that lanes of one event read, and what of it is differentiated."""
+
+    scene: SceneTensors  # detached
+    wanted: tuple[bool, ...]  # of each leaf of `scene`, counted as `leaves_of` does, whether to differentiate it
+    # Of each value of the material whether it depends on no parameter that is differentiated, so that nobody asks for the
+    # adjoints of its reads; of an event without material nothing.
+    still: tuple[bool, ...]
+
+
+class LanesOfChunk(NamedTuple):
+    """What the sweep has for all lanes of the chunk."""
+
+    adj_L: Vec3  # derivative of the loss with respect to L_1
+    memo: Memo
+
+
 class TableAdjoint(NamedTuple):
     """The adjoint of one table look-up, (N,) each, before it is scattered into the table's gradient."""
 
@@ -68,22 +85,17 @@ class TableAdjoint(NamedTuple):
     adjoint: Tensor
 
 
-@stage("scene", "arrival", "adj_L", "memo")
-def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], still: tuple[bool, ...], arrival: Arrival, lanes: Tensor,
-                   verdict: Verdict | None, adj_L: Vec3, memo: Memo, at: Position, settings: Settings,
-                   texture_values: tuple[TextureValue, ...]
+@stage("part", "arrival", "chunk")
+def bounce_adjoint(part: DifferentiatedPart, arrival: Arrival, lanes: Tensor, verdict: Verdict | None, chunk: LanesOfChunk,
+                   at: Position, settings: Settings, texture_values: tuple[TextureValue, ...]
                    ) -> tuple[Memo, list[list[TableAdjoint]], tuple[Vec3, ...]]:
     """The local vector-Jacobian product of one bounce: from dloss/dL_k to gradients of tables, and to the ray before.
 
     Args:
-        scene: the part that these lanes read, detached.
-        wanted: of each leaf of `scene` (counted as `leaves_of` does), whether to differentiate it.
-        still: of each value of the material, whether it depends on no parameter that is differentiated, so that nobody asks
-            for the adjoints of its reads; of an event without material nothing.
+        part: of the scene.
         arrival, lanes: as for `bounce`.
         verdict: what was decided for these lanes; None where nothing is scattered.
-        adj_L: derivative of the loss with respect to L_1, of all lanes of the chunk.
-        memo: of all lanes of the chunk.
+        chunk: of the sweep.
         at, settings, texture_values: as in the forward pass.
 
     Returns:
@@ -91,33 +103,39 @@ def bounce_adjoint(scene: SceneTensors, wanted: tuple[bool, ...], still: tuple[b
         adjoints of `texture_values`.
     """
     arrival = rows(arrival, lanes)
-    state, hit = arrival.state, arrival.hit
-    memo = rows(memo, state.lane)
-    adj_L = rows(adj_L, state.lane) * state.beta
+    state, hit, scene = arrival.state, arrival.hit, part.scene
+    # adj_k = adj_1 beta_k, and L_{k+1} from the memo.
+    adj_L, memo = rows(chunk, state.lane)
+    adj_L = adj_L * state.beta
+    # theta, attached: the tables that are differentiated, the ray, and values from outside.
     taps: list[Tap] = []
-    attached, _ = tapped(scene, wanted, 0, taps)
-    attached = attached._replace(layout=replace(scene.layout, still=(still,)))
-    inputs, here, there = (), None, None
+    attached, _ = tapped(scene, part.wanted, 0, taps)
+    attached = attached._replace(layout=replace(scene.layout, still=(part.still,)))
+    inputs, corners = (), None
     if settings.moving:
         ray, pdf = tree_map(as_leaf, (state.ray, state.pdf))
         cone = None if state.cone is None else tree_map(as_leaf, state.cone)
         state, inputs = state._replace(ray=ray, pdf=pdf, cone=cone), (*ray.o, *ray.d, pdf, *(cone or ()))
     if memo.adj_corners is not None:
-        here = tree_map(as_leaf, at_corners(scene.triangles.vertices.p, corner_rows(scene, hit)))
-        if scene.layout.scatterer is not None:
+        here, there = tree_map(as_leaf, at_corners(scene.triangles.vertices.p, corner_rows(scene, hit))), None
+        if verdict is not None:
             there = read_again(attached.triangles.vertices.p, corner_rows(scene, memo.hit), memo.adj_corners)
+        corners = BothCorners(here, there)
         inputs = (*inputs, *(coordinate for corner in here for coordinate in corner))
     texture_values = tuple(texture._replace(value=texture.value.map(as_leaf)) for texture in texture_values)
     values = [channel for texture in texture_values for channel in texture.value]
+    # (E_k, F_k, ray_{k+1}) of theta, and its product with (adj_k, adj_k L_{k+1}, dloss/dray_{k+1}).
     with torch.enable_grad():
         arrival = arrival._replace(state=state)
-        local = local_map(attached, scene, arrival, verdict, memo.hit, at, settings, texture_values, here, there)
+        verdict = None if verdict is None else verdict._replace(following=memo.hit)
+        local = local_map(attached, scene, arrival, verdict, at, settings, texture_values, corners)
         outputs, adjoints = [*local.E, *local.F], [*adj_L, *(adj_L * memo.L)]
-        if local.ray is not None:
-            outputs += [*local.ray.o, *local.ray.d, local.pdf, *(local.cone or ())]
+        if local.ahead is not None:
+            outputs += [*local.ahead.ray.o, *local.ahead.ray.d, local.ahead.pdf, *(local.ahead.cone or ())]
             adjoints += [*memo.adj_ray.o, *memo.adj_ray.d, memo.adj_pdf, *(memo.adj_cone or ())]
         reads = [read.leaf for tap in taps for read in tap.reads]
         adjoints = iter(vector_jacobian_product(outputs, [*inputs, *values, *reads], adjoints))
+    # L_k = E_k + F_k L_{k+1} for the bounce above.
     above = Memo((local.E + local.F * memo.L).detach())
     found = [zeros_unless(next(adjoints), leaf) for leaf in inputs]
     adj_values = tuple(Vec3(*(zeros_unless(next(adjoints), leaf) for leaf in texture.value)) for texture in texture_values)

@@ -5,12 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.bounce import bounce_adjoint
+from torch_radbp.adjoint.bounce import DifferentiatedPart, bounce_adjoint
 from torch_radbp.adjoint.local_adjoint import LocalAdjoints
 from torch_radbp.adjoint.sweep import Sweep
 from torch_radbp.call.finite import FirstNonFinite
 from torch_radbp.path.state import Arrival, PathState
-from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.stage import PlainStages
 
@@ -25,9 +24,8 @@ class CheckedSweep(Sweep):
     def adjoint(self, state: PathState, depth: int) -> None:
         """Differentiates one bounce, as `Sweep` does, and checks the result."""
 
-        def checked(scene: SceneTensors, wanted: tuple[bool, ...], still: tuple[bool, ...], arrival: Arrival, lanes: Tensor,
-                    *arguments):
-            above, tables, adj_values = bounce_adjoint(scene, wanted, still, arrival, lanes, *arguments)
+        def checked(part: DifferentiatedPart, arrival: Arrival, lanes: Tensor, *arguments):
+            above, tables, adj_values = bounce_adjoint(part, arrival, lanes, *arguments)
             bad = torch.zeros_like(lanes, dtype=torch.bool)
             parts = [part for part in leaves_of((above, adj_values)) if isinstance(part, Tensor)]
             for part in [*parts, *(read.adjoint for reads in tables for read in reads)]:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torch_radbp.adjoint.bounce import Memo, TableAdjoint, bounce_adjoint
+from torch_radbp.adjoint.bounce import DifferentiatedPart, LanesOfChunk, Memo, TableAdjoint, bounce_adjoint
 from torch_radbp.adjoint.local_map import Verdict
 from torch_radbp.adjoint.outside import values_that_move
 from torch_radbp.adjoint.scatter import Contribution
@@ -18,8 +18,8 @@ from torch_radbp.path.event import Ends, Event
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import Queue
 from torch_radbp.path.state import PathState
+from torch_radbp.path.step import Step, cut_to_count
 from torch_radbp.path.texture_networks import Asking, values_of_queues
-from torch_radbp.path.wavefront import Step, cut_to_count
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.interaction import corner_rows
 from torch_radbp.scene.part import leaves_of_part
@@ -33,11 +33,9 @@ from torch_radbp.texture.reader import Place, TextureValue
 class Differentiated(NamedTuple):
     """What the lanes of one event are differentiated with."""
 
-    scene: SceneTensors  # the part that they read, detached
-    wanted: tuple[bool, ...]  # which leaves of it have a number
-    still: tuple[bool, ...]  # which values of the material do not depend on them
-    leaves: list[int]  # these numbers
-    stage: Stage  # `bounce_adjoint`, prepared for all of these
+    part: DifferentiatedPart
+    leaves: list[int]  # the numbers of the leaves that are differentiated
+    stage: Stage  # `bounce_adjoint`, prepared for the part
 
 
 class LocalAdjoint(NamedTuple):
@@ -53,8 +51,7 @@ class LocalAdjoint(NamedTuple):
 
     def vector_jacobian_product(self) -> tuple[Memo, list[list[TableAdjoint]], tuple[Vec3, ...]]:
         """See `bounce_adjoint`."""
-        scene, wanted, still, _, stage = self.of_event
-        return stage(scene, wanted, still, *self.arguments)
+        return self.of_event.stage(self.of_event.part, *self.arguments)
 
     def contributions(self, above: Memo, adj_reads: list[list[TableAdjoint]]) -> list[Contribution]:
         """What the reads of tables add to the gradients of leaves; args as `vector_jacobian_product` returns them."""
@@ -86,12 +83,12 @@ class LocalAdjoints:
     def of_event(self, event: Event) -> Differentiated:
         """What lanes are differentiated with to which this happens; made once."""
         if event not in self.of_events:
-            part, layout = self.integrand.part(event), self.integrand.scene.layout
+            layout = self.integrand.scene.layout
             leaves = leaves_of_part(self.numbered, layout, self.integrand.scatterer(event))
-            wanted, still = tuple(leaf is not None for leaf in leaves), event.still(layout)
-            self.of_events[event] = Differentiated(
-                part.proposal, wanted, still, [leaf for leaf in leaves if leaf is not None],
-                self.integrand.stages(bounce_adjoint).knowing(part.tables, wanted, still))
+            part = DifferentiatedPart(self.integrand.part(event).proposal, tuple(leaf is not None for leaf in leaves),
+                                      event.still(layout))
+            self.of_events[event] = Differentiated(part, [leaf for leaf in leaves if leaf is not None],
+                                                   self.integrand.stages(bounce_adjoint).knowing(part))
         return self.of_events[event]
 
     def maps(self, state: PathState, step: Step, memo: Memo, adj_L: Vec3, depth: int) -> Iterator[LocalAdjoint]:
@@ -105,8 +102,8 @@ class LocalAdjoints:
         """
         state, step = cut_to_count(state, step)
         integrand, arrival = self.integrand, step.arrival(state)
-        reached, *of_chunk, at, settings = integrand.stages(bounce_adjoint).taken(
-            arrival=arrival, adj_L=adj_L, memo=memo, at=integrand.at(depth), settings=integrand.settings_at(depth))
+        reached, chunk, at, settings = integrand.stages(bounce_adjoint).taken(
+            arrival=arrival, chunk=LanesOfChunk(adj_L, memo), at=integrand.at(depth), settings=integrand.settings_at(depth))
         queues = [(queue, values) for queue, values in zip(step.queues, step.texture_values)
                   if queue.first < queue.last and queue.derivative]
         asking = [(integrand.scatterer(queue.event),
@@ -115,7 +112,7 @@ class LocalAdjoints:
             here = slice(queue.first, queue.last)
             lanes = step.order[here]
             verdict = Verdict(step.visible[here], step.survives[here]) if queue.event.scatters else None
-            yield LocalAdjoint(self.of_event(queue.event), (reached, lanes, verdict, *of_chunk, at, settings, values),
+            yield LocalAdjoint(self.of_event(queue.event), (reached, lanes, verdict, chunk, at, settings, values),
                                scatterer, places, integrand.stages(rows)(state.lane, lanes),
                                (self.of_positions, integrand) if depth == 0 else None)
 

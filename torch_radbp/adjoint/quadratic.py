@@ -9,8 +9,9 @@ from torch import Tensor
 
 from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.adjoint.sweep import Sweep
+from torch_radbp.path.lanes import add_at
 from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import add_at, bounces
+from torch_radbp.path.wavefront import bounces
 from torch_radbp.plugin import boolean
 from torch_radbp.tensors.vec import Vec3, rows
 

@@ -22,11 +22,11 @@ from torch_radbp.call.render_call import (
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.jit.team import each, threads
 from torch_radbp.jit.tiles import TILE
-from torch_radbp.path.bounce import CameraSample
+from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
+from torch_radbp.path.step import Onward, Step
 from torch_radbp.path.trace import trace, walk
-from torch_radbp.path.wavefront import Onward, Step
 from torch_radbp.path.whole_paths import goes_whole
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached

@@ -27,8 +27,10 @@ from torch_radbp.adjoint.local_adjoint import LocalAdjoints
 from torch_radbp.adjoint.outside import HELD, ModuleAdjoint, ModuleGradients
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import Step, put_rows, survivors, take_step
+from torch_radbp.path.step import Step, survivors
+from torch_radbp.path.wavefront import take_step
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.record import with_leaves
 from torch_radbp.tensors.vec import Vec2, Vec3

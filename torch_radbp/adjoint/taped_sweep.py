@@ -16,13 +16,14 @@ from torch_radbp.jit.board import Board, board
 from torch_radbp.jit.lane_count import LaneCount
 from torch_radbp.jit.recording import Reserve
 from torch_radbp.jit.tape import Played, without_contents
-from torch_radbp.path.event import Ends, Event, Scatters
+from torch_radbp.path.event import Event
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import ALL, APART, Queue
 from torch_radbp.path.state import PathState, Position
+from torch_radbp.path.step import Onward, Step, surviving
 from torch_radbp.path.taped_bounces import recordable, tape_of
 from torch_radbp.path.texture_networks import number_outside
-from torch_radbp.path.wavefront import Onward, Step, surviving, take_step
+from torch_radbp.path.wavefront import take_step
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.vec import Vec3
@@ -103,7 +104,7 @@ class TapedSweep(Sweep):
             super().adjoint(state, depth)
 
     def differentiate(self, state: PathState, step: Step, memo: Memo, adj_L: Vec3, depth: int) -> tuple[ModuleAdjoint, ...]:
-        events, integrand = self.events(depth), self.integrand
+        integrand, events = self.integrand, self.integrand.events(depth)
         values = self.known_values(step, events)
         borders = queue_borders({queue.event: queue for queue in step.queues if queue.derivative}, events)
 
@@ -122,21 +123,14 @@ class TapedSweep(Sweep):
                                 waits=False)
         return super().differentiate(state, step, memo, adj_L, depth) if played is None else played.results
 
-    def events(self, depth: int) -> list[Event]:
-        """The events that are possible at a bounce."""
-        layout = self.integrand.proposal.layout
-        if self.integrand.is_last(depth):
-            return [Ends.LAST_BOUNCE]
-        return [*map(Scatters, range(len(layout.appearances))), *([] if layout.surround is None else [Ends.SURROUNDINGS])]
-
     def kinds(self, step: Step, depth: int) -> tuple[QueueKind, ...]:
         """The queues that there may be at a bounce, in the order of their lanes, beside those that there are."""
         apart = any(kind[1:] not in ALL for kind in map(queue_kind, step.queues))
-        scatters, ends = ([event for event in self.events(depth) if event.scatters == on] for on in (True, False))
+        scatters, ends = ([event for event in self.integrand.events(depth) if event.scatters == on] for on in (True, False))
         return tuple((event, *kind) for events in (scatters, ends) for event, kind in (
             [(event, kind) for kind in (APART if apart else ALL) for event in events]))
 
-    def known_values(self, step: Step, events: list[Event]) -> tuple[TextureValues, ...]:
+    def known_values(self, step: Step, events: Sequence[Event]) -> tuple[TextureValues, ...]:
         """The values of network textures for each event, from the forward pass; None: not kept, or not needed."""
         integrand = self.integrand
         if self.moving or not integrand.scene.layout.reads_outside:

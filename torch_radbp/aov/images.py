@@ -15,8 +15,8 @@ from torch_radbp.aov.surface import surface_values
 from torch_radbp.call.render_call import RenderCall, camera_samples, integrand_of_wavefront, started
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.sorting import first_hit
 from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import first_hit
 from torch_radbp.public_call import public_call
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached, differentiable, with_derivative_of

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from torch_radbp.aov.surface import Values
-from torch_radbp.path.bounce import surface_met
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.sorting import queued
 from torch_radbp.path.state import Arrival, PathState, Settings
+from torch_radbp.path.surface import surface_met
 from torch_radbp.path.texture_networks import texture_values_at
-from torch_radbp.path.wavefront import queued
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.material import material_at, material_places
 from torch_radbp.scene.tensors import SceneTensors

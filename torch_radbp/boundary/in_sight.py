@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_radbp.boundary.geometry import Between, Geometry, largest_coordinate, positions
 from torch_radbp.boundary.intersections import TOUCHING
 from torch_radbp.boundary.places import CREASE, FAR, NEAR, RIM, SILHOUETTE, TEXTURE, Glued, Places, apart_at
-from torch_radbp.path.bounce import CameraSample
+from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.tensors.lookup import lookup

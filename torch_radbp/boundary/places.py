@@ -14,7 +14,7 @@ from torch_radbp.boundary.geometry import Between, Geometry, positions
 from torch_radbp.boundary.silhouette import Eye
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.view import View
-from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, CameraSample
+from torch_radbp.path.camera_rays import APERTURE_U, APERTURE_V, CameraSample
 from torch_radbp.sampling.sampler import (
     CAMERA_COUNTER,
     LaneKey,

@@ -55,9 +55,9 @@ from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.workers import in_turns
 from torch_radbp.jit.order import chosen
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.sorting import first_hit
 from torch_radbp.path.state import PathState
 from torch_radbp.path.trace import trace
-from torch_radbp.path.wavefront import first_hit
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sensor.kind import Camera

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torch_radbp.path.bounce import bounce, ending, scattering
+from torch_radbp.path.bounce import bounce, ending
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import Arrival, Position
 from torch_radbp.plugin import Plugin, Texture
@@ -136,8 +136,8 @@ def checked_stages(finding: FirstNonFinite) -> PlainStages:
 
 def light_is_finite(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, *rest) -> Tensor:
     """(N,) bool: lanes of a bounce that receive finite light from emitters, before any surface reflects it."""
-    local = scattering(scene, proposal, rows(arrival, lanes), *rest)
-    sent = (*local.Le, *(() if local.light is None else local.light.radiance))
+    terms = scene.layout.vertex.terms(scene, proposal, rows(arrival, lanes), *rest)
+    sent = (*terms.Le, *(() if terms.light is None else terms.light.radiance))
     return torch.isfinite(torch.stack(sent)).all(0)
 
 

@@ -14,7 +14,7 @@ from torch_radbp.call.sink import Sink, SinkValues, Work
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.film.develop import Development, Grid, across, row_sums
 from torch_radbp.film.splat import Block, deposited, gathered_by, gathered_from_pixels, offset_sums, sums_in_pairs
-from torch_radbp.path.bounce import CameraSample
+from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.tensors.record import joined, rows_between
 from torch_radbp.tensors.vec import Vec2, Vec3, rows
 

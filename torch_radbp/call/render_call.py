@@ -14,7 +14,7 @@ from torch_radbp.call.view import View
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.call.workers import in_turns
 from torch_radbp.call.zeroed_memory import ZeroedMemory
-from torch_radbp.path.bounce import CameraSample, sample_camera
+from torch_radbp.path.camera_rays import CameraSample, sample_camera
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState, start_path
 from torch_radbp.raycast import RayCaster

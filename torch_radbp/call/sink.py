@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from torch import Tensor
 
-from torch_radbp.path.bounce import CameraSample
+from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.tensors.vec import Vec2, Vec3
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from torch import Tensor
 from torch_radbp.call.chunks import Chunk, LaneBlock, Rows
 from torch_radbp.call.view import View
 from torch_radbp.film.window import Window
-from torch_radbp.path.bounce import CameraSample, film_place, sample_camera
+from torch_radbp.path.camera_rays import CameraSample, film_place, sample_camera
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import leaves_of

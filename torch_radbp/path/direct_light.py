@@ -7,20 +7,22 @@ find the light.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torch_radbp.path.bounce import next_event, shares_of, surface_met
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.light_connection import connected
+from torch_radbp.path.sorting import queued
 from torch_radbp.path.state import Arrival, PathState, Settings
+from torch_radbp.path.surface import scattered_to, shares_of, surface_met
 from torch_radbp.path.texture_networks import texture_values_at
-from torch_radbp.path.wavefront import queued
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.light import emission_places, light_aims, sample_light, sample_places
 from torch_radbp.scene.light_choice import LightNumbers, LightPick
-from torch_radbp.scene.material import evaluate, material_at, material_places, sampling_at
+from torch_radbp.scene.material import material_at, material_places, sampling_at
 from torch_radbp.scene.media import attenuated, transmittance, transmittance_to_light
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.stage import stage
@@ -54,8 +56,9 @@ def direct_light(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: Lig
     material, through = material_at(scene, si, of_material), transmittance(scene, arrival.state.ray, si.t)
     light = sample_light(scene, scene, si.p, draw.numbers, draw.picked, of_sampled)
     if sampling_at(material.kind, settings.sampling) == "attached":
-        return attenuated(next_event(scene, material, si, light, settings)[1], through)
-    reflected, _ = evaluate(material, si.wi, si.frame.to_local(light.d))
+        _, Ld = connected(scene, si.p, si.valid, partial(scattered_to, material, si), light, "attached")
+        return attenuated(Ld, through)
+    reflected, _ = scattered_to(material, si, light.d)
     connects = si.valid & (light.pdf > 0)
     Ld = reflected * light.radiance * (connects.to(light.pdf.dtype) / torch.where(connects, light.pdf, 1.0))
     return attenuated(attenuated(Ld, transmittance_to_light(scene, si.p, light)), through)
@@ -89,7 +92,7 @@ def scattered(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3,
     arrival, d = rows((arrival, d), lanes)
     si = surface_met(scene, arrival, Settings())
     of_material, *_ = shares_of(scene, texture_values)
-    reflected, _ = evaluate(material_at(scene, si, of_material), si.wi, si.frame.to_local(d))
+    reflected, _ = scattered_to(material_at(scene, si, of_material), si, d)
     return masked(si.valid, attenuated(reflected, transmittance(scene, arrival.state.ray, si.t)))
 
 

@@ -1,4 +1,8 @@
-"""The events at a path vertex. Lanes with the same event form a queue and run the same functions."""
+"""The events at the end of a ray. Lanes with the same event form a queue and run the same functions.
+
+An event is a hashable value. It says which kind of vertex lanes have there, that is what is evaluated, forwards and for
+derivatives; and what scatters light, which is the part of the scene that they read.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,9 @@ from enum import Enum
 from typing import NamedTuple
 
 from torch_radbp.path.bounce import bounce, ending
+from torch_radbp.path.path_end import END
+from torch_radbp.path.surface import SURFACE
+from torch_radbp.path.vertex import VertexKind
 from torch_radbp.scene.appearance import Appearance
 from torch_radbp.scene.tensors import Layout
 
@@ -25,6 +32,11 @@ class Scatters(NamedTuple):
     def still(self, layout: Layout) -> tuple[bool, ...]:
         """Of each value of the material, whether no parameter that it comes from is differentiated."""
         return layout.still[self.appearance]
+
+    @property
+    def vertex(self) -> VertexKind:
+        """The functions of the vertex."""
+        return SURFACE
 
     @property
     def stage(self) -> Callable:
@@ -51,9 +63,27 @@ class Ends(Enum):
         return ()
 
     @property
+    def vertex(self) -> VertexKind:
+        """The functions of the vertex."""
+        return END
+
+    @property
     def stage(self) -> Callable:
-        """The stage that computes the emission at the end."""
+        """The stage that computes the vertex."""
         return ending
 
 
 Event = Scatters | Ends
+
+
+def events_of(layout: Layout, last: bool) -> tuple[Event, ...]:
+    """The events that are possible at a bounce, in the order of the numbers by which lanes are sorted.
+
+    Args:
+        layout: of the scene.
+        last: whether it is the last bounce of paths.
+    """
+    if last:
+        return (Ends.LAST_BOUNCE,)
+    surfaces = tuple(map(Scatters, range(len(layout.appearances))))
+    return surfaces if layout.surround is None else (*surfaces, Ends.SURROUNDINGS)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torch_radbp.jit.target import Target
 from torch_radbp.path.bounce import places
-from torch_radbp.path.event import Ends, Event
+from torch_radbp.path.event import Ends, Event, events_of
 from torch_radbp.path.queues import ImageLanes
 from torch_radbp.path.state import Arrival, PathState, Position, Settings
 from torch_radbp.raycast.protocol import RayCaster
@@ -82,8 +82,8 @@ class Integrand(NamedTuple):
         event = event if event.scatters else Ends.SURROUNDINGS  # where paths end the same is read, whatever ends them
         if event not in self.parts:
             scatterer = self.scatterer(event)
-            proposal = part_of(self.proposal, scatterer)
-            scene = part_of(self.scene, scatterer) if self.attached else proposal
+            proposal = part_of(self.proposal, scatterer, event.vertex)
+            scene = part_of(self.scene, scatterer, event.vertex) if self.attached else proposal
             stage = self.stages(event.stage)
             tables, = stage.taken(proposal=proposal)
             prepared = stage.knowing(tables if scene is proposal else scene, tables)
@@ -125,6 +125,10 @@ class Integrand(NamedTuple):
     def is_last(self, depth: int) -> bool:
         """True if paths end at this bounce, where nothing is scattered."""
         return depth + 1 >= self.max_depth
+
+    def events(self, depth: int) -> tuple[Event, ...]:
+        """The events that are possible at a bounce."""
+        return events_of(self.proposal.layout, self.is_last(depth))
 
     def kind_at(self, depth: int) -> tuple[Settings, bool, bool]:
         """All that what is done at a depth depends on, beside the position and what is the same at every depth."""

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_radbp.jit.lane_count import LaneCount
 from torch_radbp.jit.order import chosen, partition
-from torch_radbp.path.event import Ends, Event, Scatters
+from torch_radbp.path.event import Ends, Event
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import is_in_front
 from torch_radbp.scene.tensors import SceneTensors
@@ -70,19 +70,18 @@ def one_queue(event: Event, found: Tensor) -> tuple[Tensor, tuple[Queue, ...]]:
     return order[:queues[-1].last], queues
 
 
-def queues_by(number: Tensor, appearances: int, surround: bool, apart: bool) -> tuple[Tensor, tuple[Queue, ...]]:
+def queues_by(number: Tensor, events: Sequence[Event], apart: bool) -> tuple[Tensor, tuple[Queue, ...]]:
     """Sorts lanes into queues: `Step.order` and `Step.queues`.
 
     Args:
         number: (N,) int32, of `_numbered`.
-        appearances: how many there are.
-        surround: whether lanes that meet none count.
+        events: that are possible, see `events_of`; lanes that scatter nothing and have none are left out.
         apart: whether some lanes are of the image alone.
     """
     kinds = APART if apart else ALL
-    order, counts = partition(number, len(kinds) * (appearances + 1))
-    events = [(Scatters(appearance), kind) for kind in kinds for appearance in range(appearances)]
-    queues = in_turn([*events, *((Ends.SURROUNDINGS, kind) for kind in kinds if surround)], counts)
+    scattering, ending = ([event for event in events if event.scatters == on] for on in (True, False))
+    order, counts = partition(number, len(kinds) * (len(scattering) + 1))
+    queues = in_turn([(event, kind) for some in (scattering, ending) for kind in kinds for event in some], counts)
     return order[:queues[-1].last], queues
 
 

@@ -17,6 +17,9 @@ from torch_radbp.tensors.differentiated import settled
 from torch_radbp.tensors.record import rows_between
 from torch_radbp.tensors.vec import Ray, Vec3
 
+# The random numbers of one bounce, four coordinates of a point at a time.
+BSDF_U, BSDF_V, BSDF_CHOICE, ROULETTE, LIGHT_U, LIGHT_V, LIGHT_CHOICE, LIGHT_SPLIT = range(8)
+
 
 class Settings(NamedTuple):
     """The static settings of the integrand, which are compiled in."""

@@ -15,9 +15,10 @@ from torch_radbp.jit.recording import ALL, Reserve
 from torch_radbp.jit.tape import Played, Tape, without_contents
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import EMPTY
+from torch_radbp.path.sorting import first_hit
 from torch_radbp.path.state import PathState, Position
-from torch_radbp.path.wavefront import Onward, Step, bounced, first_hit
-from torch_radbp.raycast.protocol import RayCaster
+from torch_radbp.path.step import Onward, Step
+from torch_radbp.path.wavefront import bounced
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.torch_internals import inside_dual_level
@@ -47,17 +48,12 @@ def recordable(integrand: Integrand) -> bool:
     told no tangents."""
     return (integrand.stages.is_compiled and not (integrand.attached and torch.is_grad_enabled())
             and not (integrand.proposal.layout.reads_outside and inside_dual_level())
-            and all(hasattr(each, "reads") for each in (integrand.caster, behind(integrand.caster)) if each is not None))
+            and (integrand.caster is None or integrand.caster.recorded_as is not None))
 
 
 def keeps_all_lanes(integrand: Integrand) -> bool:
     """True if what is kept of a bounce has room for all lanes, since only the device knows how many reach it."""
     return recordable(integrand) and integrand.target.counts_stay
-
-
-def behind(caster: RayCaster) -> RayCaster:
-    """The caster that casts the rays of another one, or of itself."""
-    return getattr(caster, "caster", caster)
 
 
 def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None, more: tuple = (),
@@ -74,11 +70,10 @@ def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None
     caster = integrand.caster
     numbers = [integrand.no_appearance, *([] if integrand.differentiated is None else [integrand.differentiated])]
     tables = [*numbers, *tangents_and_tensors(integrand.scene), *(() if caster is None else caster.reads(dtype)), *more]
-    present = [part is not None for part in (integrand.clipping, integrand.differentiated, *(
-        getattr(caster, name, None) for name in ("balls", "instances")))]
+    present = [part is not None for part in (integrand.clipping, integrand.differentiated)]
+    casts = None if caster is None else caster.recorded_as
     # Stages have the code that recordings call.
-    kinds = type(caster), type(behind(caster))
-    kind = integrand.stages, integrand.proposal.layout, *kinds, *present, moving_leaves(integrand), *kind
+    kind = integrand.stages, integrand.proposal.layout, casts, *present, moving_leaves(integrand), *kind
     return Tape(tables, kind, (integrand.scene,), board, caster, integrand.target)
 
 

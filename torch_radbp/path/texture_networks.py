@@ -97,14 +97,14 @@ def coordinates(at: Sequence[Tensor]) -> Vec2 | Vec3:
 
 
 def number_outside(layout: Layout, scatterer: Appearance | None, nee: bool) -> int:
-    """The number of network texture values that a lane reads at an event; see `path.bounce.places_of`."""
+    """The number of network texture values that a lane reads at an event; see `VertexKind.places`."""
     if scatterer is None:
         return len(layout.lit)
     return len(scatterer.outside) + (2 if nee else 1) * len(layout.lit)
 
 
 def banks_asked(layout: Layout, scatterer: Appearance | None) -> list[int]:
-    """The tables of modules, by index, that an event reads, in the order of `path.bounce.places_of`."""
+    """The tables of modules, by index, that an event reads, in the order of `VertexKind.places`."""
     readers = () if scatterer is None else scatterer.outside
     lit = range(len(layout.readers), len(layout.readers) + len(layout.lit))
     return [*map(layout.readers.index, readers), *lit, *lit]

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from torch_radbp.jit.lane_count import most_of
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
+from torch_radbp.path.step import Onward, Step
 from torch_radbp.path.taped_bounces import Bounce, bounces_taken
-from torch_radbp.path.wavefront import Onward, Step, bounced, radiance_buffer
+from torch_radbp.path.wavefront import bounced, radiance_buffer
 from torch_radbp.path.whole_paths import traced_whole
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.vec import Vec3

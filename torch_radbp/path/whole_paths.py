@@ -12,8 +12,9 @@ from torch_radbp.jit.tape import Played
 from torch_radbp.jit.tiles import TILE, TileStep, run_in_tiles
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import Position
+from torch_radbp.path.step import Onward
 from torch_radbp.path.taped_bounces import Bounce, blank_lanes, recordable, tape_of, with_first_hit
-from torch_radbp.path.wavefront import Onward, bounced, radiance_buffer
+from torch_radbp.path.wavefront import bounced, radiance_buffer
 from torch_radbp.tensors.vec import Vec3
 
 MOST_BOUNCES = 64

@@ -35,6 +35,10 @@ class Brute:
         self.balls = balls
         self.rays_cast = 0
 
+    @property
+    def recorded_as(self) -> None:
+        """Queries are plain torch."""
+
     def intersect(self, ray: Ray) -> Hit:
         check_lanes(ray, None, self.vertices.device)
         chunks = [self._closest(chunk) for chunk, _ in self._chunks(ray)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from threading import Lock
 
 import torch
@@ -93,8 +93,11 @@ class DirectCaster:
         with self._counting:
             self.rays_cast += rays
 
+    @property
+    def recorded_as(self) -> Hashable:
+        return DirectCaster, self.balls is not None
+
     def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
-        """The tables and addresses that the loops read beside the rays, in a form that a `Recording` takes."""
         return [*self.tables(dtype, batches.closest_hit_of_batches), *self.tables(dtype, batches.any_hit_of_batches)]
 
     def tables(self, dtype: torch.dtype, loop: Callable) -> tuple[Tensor, ...]:

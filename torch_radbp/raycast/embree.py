@@ -7,7 +7,7 @@ the packets of `packets.py`, on the threads of `jit/team.py`.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from threading import Lock
 
 import torch
@@ -100,8 +100,11 @@ class Embree:
         self._run(queries.any_hit_of_packets, self._occluded, [*ray.o, *ray.d, tmax], [hidden])
         return hidden
 
+    @property
+    def recorded_as(self) -> Hashable:
+        return Embree, self.balls is not None, self.instances is not None
+
     def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
-        """The tables and addresses that the loops read beside the rays, in a form that a `Recording` takes."""
         return [self._intersect, self._occluded, self._scene.handle, self._near.data_ptr(),
                 *(table.data_ptr() for table in self._tables)]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 
 import torch
 from torch import Tensor
@@ -40,8 +40,11 @@ class ExpandedCaster:
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
         return self.caster.occluded(ray, tmax)
 
+    @property
+    def recorded_as(self) -> Hashable | None:
+        return None if self.caster.recorded_as is None else (ExpandedCaster, self.caster.recorded_as)
+
     def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
-        """What a `Recording` is given beside rays of a dtype."""
         return [self.triangle, self.instance, *self.caster.reads(dtype)]
 
     def launch(self, *arguments) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
 from typing import NamedTuple, Protocol
 
+import torch
 from torch import Tensor
 
 from torch_radbp.tensors.vec import Ray
@@ -39,3 +41,13 @@ class RayCaster(Protocol):
         Args:
             tmax: per lane, in units of the length of d. A value <= 0 (or NaN) is no query and gives False.
         """
+
+    @property
+    def recorded_as(self) -> Hashable | None:
+        """What the code of recorded queries depends on, beside the tables that they read; None: they cannot be recorded.
+
+        Others have `reads`, too.
+        """
+
+    def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
+        """The tables and addresses that recorded queries read beside rays of a dtype, in a form that a `Recording` takes."""

@@ -9,7 +9,7 @@ meet are the true ones.
 
 import math
 import weakref
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from itertools import repeat
 from threading import Lock
 
@@ -116,6 +116,10 @@ class Warp:
         """Launches a kernel, and does not wait for it; `last`: None if all lanes are meant."""
         wp.launch(kernel, lanes, [self._mesh.id, self._unit, last, lanes_of(self._rays_counted), *columns],
                   device=self._device, stream=self._stream(), record_tape=False)
+
+    @property
+    def recorded_as(self) -> Hashable:
+        return Warp, self.balls is not None
 
     def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
         """Nothing that a `Recording` is given: launches are told the tree when they begin."""

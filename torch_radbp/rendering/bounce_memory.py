@@ -22,8 +22,9 @@ from torch_radbp.adjoint.sweep import PathRecord, Sweep, numbered_leaves
 from torch_radbp.jit.team import alone_in_torch
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
+from torch_radbp.path.step import Step
 from torch_radbp.path.texture_networks import number_outside
-from torch_radbp.path.wavefront import Step, take_step
+from torch_radbp.path.wavefront import take_step
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.torch_internals import TorchDispatchMode, tree_flatten, tree_map_only
 from torch_radbp.tensors.vec import Vec3

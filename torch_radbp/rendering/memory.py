@@ -23,8 +23,9 @@ from torch_radbp.adjoint.outside import HELD
 from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState, start_path
+from torch_radbp.path.step import Step
 from torch_radbp.path.trace import trace
-from torch_radbp.path.wavefront import Step, take_step
+from torch_radbp.path.wavefront import take_step
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.rendering.bounce_memory import BounceMemory, LinearSize
 from torch_radbp.sampling.sampler import LaneKey

@@ -6,6 +6,7 @@ else they contain.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import replace
 
 from torch_radbp.scene.appearance import Appearance
@@ -15,9 +16,10 @@ from torch_radbp.scene.tensors import Layout, SceneTensors
 from torch_radbp.tensors.record import leaves_of
 
 
-def part_of(scene: SceneTensors, scatterer: Appearance | None) -> SceneTensors:
-    """The tables that are read where light is scattered by `scatterer`; None: where paths end."""
-    return _reduced(scene, scene.layout, scatterer)._replace(layout=layout_of_part(scene.layout, scatterer))
+def part_of(scene: SceneTensors, scatterer: Appearance | None, vertex: Hashable = None) -> SceneTensors:
+    """The tables that are read where light is scattered by `scatterer`; None: where paths end. `vertex`: see `Layout`."""
+    layout = replace(layout_of_part(scene.layout, scatterer), vertex=vertex)
+    return _reduced(scene, scene.layout, scatterer)._replace(layout=layout)
 
 
 def leaves_of_part(belonging: SceneTensors, layout: Layout, scatterer: Appearance | None) -> list:

@@ -38,6 +38,7 @@ class Layout:
     media: tuple[MediumKind, ...] = ()  # that light travels through
     lit: tuple[OutsideReader, ...] = ()  # of those textures of emitters that are read outside
     scatterer: Appearance | None = None  # of a part of a scene, what light is scattered by; None: nothing
+    vertex: Any = None  # of a part of a scene, the `path.vertex.VertexKind` of its lanes; hashable
     # Of each value of each of `appearances` whether no parameter that it comes from is differentiated. Of a part: of the
     # scatterer alone, where that is known; else nothing.
     still: tuple[tuple[bool, ...], ...] = ()

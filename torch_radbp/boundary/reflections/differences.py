@@ -16,7 +16,7 @@ from torch_radbp.jit.dual import tangents_and_tensors
 from torch_radbp.jit.order import chosen
 from torch_radbp.jit.tape import Played, Tape, structure_of
 from torch_radbp.path.integrand import int32_number as number_of
-from torch_radbp.path.wavefront import put_rows
+from torch_radbp.path.lanes import put_rows
 from torch_radbp.scene.interaction import triangle_normal
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import Stages, stage

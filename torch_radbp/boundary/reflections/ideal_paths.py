@@ -14,7 +14,7 @@ from torch_radbp.boundary.shadows.seen_edges import BEFORE, FAR
 from torch_radbp.path.direct_light import LightDraw
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import Onward
+from torch_radbp.path.step import Onward
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import surface_interaction
 from torch_radbp.scene.tensors import SceneTensors

@@ -24,10 +24,13 @@ from torch_radbp.jit.tape import Played, Tape
 from torch_radbp.path.bounce import Vertex
 from torch_radbp.path.event import Scatters
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.queues import Queue
+from torch_radbp.path.sorting import appearances_met, first_hit
 from torch_radbp.path.state import PathState, Position
+from torch_radbp.path.step import Onward, Step
 from torch_radbp.path.taped_bounces import blank_lanes, recordable, tape_of
-from torch_radbp.path.wavefront import Onward, Step, appearances_met, bounce_queues, first_hit, put_rows
+from torch_radbp.path.vertices import bounce_queues
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.interaction import shading_normal, triangle_normal
 from torch_radbp.tensors.stage import stage

@@ -13,8 +13,10 @@ from torch_radbp.adjoint.sweep import PathRecord, numbered_leaves
 from torch_radbp.adjoint.taped_sweep import sweep_of
 from torch_radbp.boundary.reflections.ideal_paths import only_ideal
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.state import PathState
-from torch_radbp.path.wavefront import Step, put_rows, survivors, take_step
+from torch_radbp.path.step import Step, survivors
+from torch_radbp.path.wavefront import take_step
 from torch_radbp.public_call import public_call
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.differentiated import differentiable

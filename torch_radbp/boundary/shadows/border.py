@@ -53,11 +53,11 @@ from torch_radbp.boundary.shadows.seen_edges import (
 from torch_radbp.boundary.shadows.ways_down import picked_ones
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.view import View
-from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, CameraSample
+from torch_radbp.path.camera_rays import APERTURE_U, APERTURE_V, CameraSample
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.wavefront import first_hit
+from torch_radbp.path.sorting import first_hit
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import LaneKey, SampleKey, bounce_key, fine_unit, random_bits
 from torch_radbp.scene.cone import camera_cone

@@ -15,11 +15,11 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
-from torch_radbp.path.bounce import BSDF_CHOICE, surface_met
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.state import Arrival, PathState, Settings
+from torch_radbp.path.sorting import queued
+from torch_radbp.path.state import BSDF_CHOICE, Arrival, PathState, Settings
+from torch_radbp.path.surface import surface_met
 from torch_radbp.path.texture_networks import texture_values_at
-from torch_radbp.path.wavefront import queued
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import bounce_key, uniform
 from torch_radbp.scene.interaction import SurfaceInteraction

@@ -10,8 +10,8 @@ from torch import Tensor
 from torch_radbp.boundary.shadows.eyes import Eyes, Lobe, lobe_around
 from torch_radbp.boundary.shadows.seen_edges import salted
 from torch_radbp.call.view import View
-from torch_radbp.path.bounce import light_numbers
 from torch_radbp.path.direct_light import LightDraw
+from torch_radbp.path.light_connection import light_numbers
 from torch_radbp.sampling.alias import AliasTable
 from torch_radbp.sampling.sampler import SampleKey, bounce_key, fine_unit, lane_key, unit
 from torch_radbp.scene.light import Aims, among, light_aims

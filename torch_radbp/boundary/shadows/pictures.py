@@ -19,8 +19,8 @@ from torch_radbp.boundary.shadows.border import MOST, SHARE, aperture_of, camera
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
 from torch_radbp.boundary.shadows.seen_edges import Casting, corners_of, crossed_at, pace, salted
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
-from torch_radbp.path.bounce import light_numbers
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
+from torch_radbp.path.light_connection import light_numbers
 from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.running_sum import running_sum

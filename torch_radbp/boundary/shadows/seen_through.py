@@ -54,8 +54,8 @@ from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.sorting import queued
 from torch_radbp.path.trace import trace
-from torch_radbp.path.wavefront import queued
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, rows, unit_normal

@@ -13,12 +13,13 @@ from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.shadows.eyes import Lobe, lobe_around
 from torch_radbp.boundary.shadows.seen_edges import corners_of, salted, uniform_numbers
 from torch_radbp.call.render_call import RenderCall, started
-from torch_radbp.path.bounce import CameraSample, sample_camera
+from torch_radbp.path.camera_rays import CameraSample, sample_camera
 from torch_radbp.path.event import Scatters
 from torch_radbp.path.integrand import Integrand, int32_number
+from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.state import PathState
+from torch_radbp.path.step import Onward
 from torch_radbp.path.taped_bounces import bounces_taken
-from torch_radbp.path.wavefront import Onward, put_rows
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import LaneKey, SampleKey, hash32

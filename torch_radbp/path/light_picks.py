@@ -1,0 +1,70 @@
+"""Which light next-event estimation connects a vertex to, where that depends on the place."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.jit.order import chosen
+from torch_radbp.path.event import Ends
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.lanes import put_rows
+from torch_radbp.path.light_connection import light_numbers
+from torch_radbp.path.state import Arrival, PathState, Position, Settings
+from torch_radbp.path.surface import surface_met
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.sampling.sampler import bounce_key
+from torch_radbp.scene.light import vantage
+from torch_radbp.scene.light_choice import LightPick, TreeChoice, chance_of_emitter, drawn_element
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.vec import rows
+
+
+@stage("scene", "choice")
+def pick_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, at: Position) -> tuple[Tensor, Tensor]:
+    """Selects light elements for next-event estimation by the tree, with their probabilities.
+
+    Args:
+        scene: detached; any part of it.
+        choice: of the scene.
+        arrival: the paths that reach a bounce.
+        at: its depth.
+    """
+    seen = vantage(surface_met(scene, arrival, Settings()))
+    return drawn_element(choice, seen, light_numbers(bounce_key(arrival.state.key, at.counter)))
+
+
+@stage("scene")
+def emitter_met(scene: SceneTensors, hit: Hit) -> tuple[Tensor, LightPick]:
+    """(N,) bool: rays that hit an emitter, and a `LightPick` without any selection.
+
+    Args:
+        scene: detached; any part of it.
+        hit: (N,).
+    """
+    zero = torch.zeros_like(hit.t)
+    lit = (hit.prim >= 0) & (lookup(scene.triangles.emitter, hit.prim.clamp_min(0)) >= 0)
+    return lit, LightPick(torch.zeros_like(hit.prim), zero, zero)
+
+
+@stage("scene", "choice", "arrival")
+def chance_of_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, lanes: Tensor) -> Tensor:
+    """The probability of selecting the emitter that each of M paths has hit. Args as for `pick_light` and `bounce`."""
+    state, hit = rows((arrival.state, arrival.hit), lanes)
+    return chance_of_emitter(choice, state.vantage, lookup(scene.triangles.emitter, hit.prim))
+
+
+def picked_lights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -> LightPick | None:
+    """Selects lights for paths with hits; None if selection does not depend on the point."""
+    choice = integrand.proposal.lights.choice
+    if not integrand.settings.nee or not integrand.proposal.lights.by_place:
+        return None
+    part, arrival = integrand.part(Ends.SURROUNDINGS), Arrival(state, hit, None)
+    lit, none = part.call(emitter_met, hit)
+    if depth > 0 and len(lanes := chosen(lit)):
+        put_rows((none.chance,), lanes, (part.call(chance_of_light, choice, arrival, lanes),))
+    if integrand.is_last(depth):
+        return none
+    return LightPick(*part.call(pick_light, choice, arrival, integrand.at(depth)), none.chance)

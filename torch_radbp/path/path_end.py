@@ -1,0 +1,40 @@
+"""The end of the recursion, L_k = E_k: where nothing is scattered, only what is emitted counts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+
+from torch_radbp.path.light_connection import emission
+from torch_radbp.path.state import Arrival, Position, Settings
+from torch_radbp.path.surface import surface_met
+from torch_radbp.path.vertex import Terms, VertexKind
+from torch_radbp.scene.interaction import Corners
+from torch_radbp.scene.light import FAR, emission_places
+from torch_radbp.scene.media import attenuated, transmittance
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.vec import Vec3
+from torch_radbp.texture.reader import Place, TextureValue
+
+
+@dataclass(frozen=True)
+class PathEnd(VertexKind):
+    """The last vertex of a path: on a surface, or in the surroundings."""
+
+    scatters: ClassVar[bool] = False
+
+    def places(self, scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position,
+               settings: Settings) -> tuple[Place, ...]:
+        return emission_places(scene, surface_met(scene, arrival, settings)) if scene.layout.lit else ()
+
+    def terms(self, scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position, settings: Settings,
+              texture_values: tuple[TextureValue, ...], here: Corners | None = None) -> Terms:
+        si = surface_met(scene, arrival, settings, here)
+        Le = emission(scene, proposal, arrival, si, settings, texture_values)
+        Le = attenuated(Le, transmittance(scene, arrival.state.ray, torch.where(si.valid, si.t, FAR)))
+        return Terms(Le, Vec3.full(si.t, 0.0), None, None, None, None, torch.zeros_like(si.valid), si)
+
+
+END = PathEnd()

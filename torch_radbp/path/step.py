@@ -1,0 +1,102 @@
+"""What was decided at a bounce, and the paths that go on from it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+from torch_radbp.jit.lane_count import LaneCount, waited_for
+from torch_radbp.jit.order import chosen
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.lane_room import ASKED, power_of_2
+from torch_radbp.path.queues import EMPTY, Queue
+from torch_radbp.path.state import Arrival, PathState
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.light_choice import LightPick
+from torch_radbp.tensors.record import rows_between
+from torch_radbp.tensors.vec import rows
+from torch_radbp.texture.reader import TextureValue
+
+
+class Step(NamedTuple):
+    """The decisions of a bounce: hits, queues, visibility and survival, to be repeated without casting rays.
+
+    Whoever takes the bounce again goes by this record, so that all agree even where rounding would decide otherwise (of
+    another device, another number of threads, a compiled function and an eager one).
+    """
+
+    hit: Hit  # (N,) of the paths that reach the bounce
+    front: Tensor | None  # (N,) bool, see `Arrival`
+    order: Tensor  # (M,) int32, these paths sorted by queue; those without surface or light are left out
+    queues: tuple[Queue, ...]
+    visible: Tensor  # (K,) bool: the shadow ray was free; of the first K of `order`, which hit a surface
+    survives: Tensor  # (K,) bool: the path goes on
+    picked: LightPick | None = None  # (N,) None: lights are selected by constant probabilities
+    # Of each queue those of textures that are read outside; None: not computed. In a forward pass attached to the scene.
+    texture_values: tuple[tuple[TextureValue, ...] | None, ...] = ()
+
+    @property
+    def scattered(self) -> int:
+        """K, the number of lanes that hit a surface."""
+        return next((queue.first for queue in self.queues if not queue.event.scatters), self.queues[-1].last)
+
+    def arrival(self, state: PathState) -> Arrival:
+        """The paths that reach the bounce, with their hits."""
+        return Arrival(state, self.hit, self.front, self.picked)
+
+
+def cut_to_count(state: PathState, step: Step | None) -> tuple[PathState, Step | None]:
+    """A state and what was decided there, of as many lanes as there are; waits for the device if it alone knows."""
+    state = state.cut_to_count()
+    if step is None or not isinstance(step.queues[-1].last, LaneCount):
+        return state, step
+    counts = step.queues[-1].last.counts.tolist()
+    found = [(queue._replace(first=counts[queue.first.number], last=counts[queue.last.number]), values)
+             for queue, values in zip(step.queues, step.texture_values)]
+    queues, values = zip(*([each for each in found if each[0].first < each[0].last] or [(EMPTY, ())]))
+    hit, front, picked = rows_between((step.hit, step.front, step.picked), 0, len(state.lane))
+    step = Step(hit, front, step.order[:queues[-1].last], queues, step.visible, step.survives, picked, values)
+    return state, step._replace(visible=step.visible[:step.scattered], survives=step.survives[:step.scattered])
+
+
+def survivors(integrand: Integrand, state: PathState, step: Step) -> PathState:
+    """The states of the lanes that go on to the next bounce, compacted."""
+    return Onward(state, surviving(step)).packed(integrand)
+
+
+def surviving(step: Step) -> Tensor:
+    """Indices into `Step.order` of the lanes that go on, int32; they are also indices of vertices."""
+    return chosen(step.survives)
+
+
+class Onward(NamedTuple):
+    """The paths that go on from a bounce."""
+
+    paths: PathState  # (K,) of the vertices, those that end there among them
+    alive: Tensor | None  # (M,) int32, the places of those that go on; None: all do
+    hit: Hit | None = None  # (M,) of their rays, if it is known
+    number: LaneCount | None = None  # M, if only the device knows it; of `alive` the first are meant
+
+    @property
+    def count(self) -> int | LaneCount:
+        """M."""
+        return len(self.paths.lane if self.alive is None else self.alive) if self.number is None else self.number
+
+    def asked(self, depth: int) -> Onward:
+        """The same at `depth`; if only the device knows the number, it is asked now and then, so that there is room for
+        fewer from there on."""
+        if self.number is None or depth % ASKED:
+            return self
+        most = min(power_of_2(waited_for(self.number)), self.number.most)
+        return self._replace(alive=self.alive[:most], number=self.number._replace(most=most))
+
+    def cut_to_count(self) -> Onward:
+        """The same of as many paths as there are; waits for the device if it alone knows."""
+        return self if self.number is None else self._replace(alive=self.alive[:waited_for(self.number)], number=None)
+
+    def packed(self, integrand: Integrand) -> PathState:
+        """(M,) the states of the paths that go on, compacted."""
+        if self.alive is None or len(self.alive) == len(self.paths.lane):
+            return self.paths
+        return integrand.stages(rows)(self.paths, self.alive)

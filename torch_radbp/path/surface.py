@@ -1,0 +1,132 @@
+"""A vertex on a surface: light is emitted, received from a lamp, and scattered by its material."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.path.light_connection import connected, emission, light_numbers
+from torch_radbp.path.state import BSDF_CHOICE, BSDF_U, BSDF_V, ROULETTE, Arrival, Position, Settings
+from torch_radbp.path.vertex import Terms, VertexKind
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.sampling.sampler import bounce_key, uniform
+from torch_radbp.scene.cone import Cone, cone_beyond
+from torch_radbp.scene.interaction import Corners, SurfaceInteraction, surface_interaction
+from torch_radbp.scene.light import emission_places, light_aims, sample_light, sample_places, vantage
+from torch_radbp.scene.light_tree import Vantage
+from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, material_places, sample, sampling_at
+from torch_radbp.scene.media import attenuated, transmittance
+from torch_radbp.scene.outgoing_ray import attached_outgoing_ray, outgoing_ray
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.vec import Ray, Vec3, max_component
+from torch_radbp.texture.reader import Place, TextureValue
+
+
+class SurfacePlace(NamedTuple):
+    """What is met, and the direction in which light is scattered."""
+
+    si: SurfaceInteraction
+    material: Material
+    sample: BSDFSample
+
+
+@dataclass(frozen=True)
+class SurfaceVertex(VertexKind):
+    """A vertex on a surface of one appearance."""
+
+    def places(self, scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position,
+               settings: Settings) -> tuple[Place, ...]:
+        lit, outside = scene.layout.lit, scene.layout.scatterer.outside
+        if not lit and not outside:
+            return ()
+        si = surface_met(scene, arrival, settings)
+        places = material_places(scene, si)
+        if lit:
+            places += emission_places(scene, si)
+        if lit and settings.nee:
+            numbers = light_numbers(bounce_key(arrival.state.key, at.counter))
+            places += sample_places(scene, light_aims(scene, proposal, si.p, numbers, arrival.picked))
+        return places
+
+    def terms(self, scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position, settings: Settings,
+              texture_values: tuple[TextureValue, ...], here: Corners | None = None) -> Terms:
+        # Find the surface that the ray meets, and the share of its light that comes through media.
+        state, key = arrival.state, bounce_key(arrival.state.key, at.counter)
+        number = partial(uniform, key, dtype=state.pdf.dtype)
+        si = surface_met(scene, arrival, settings, here)
+        through = transmittance(scene, state.ray, si.t)
+        of_material, of_emitter, of_sample = shares_of(scene, texture_values)
+
+        # Le: the light that it emits.
+        Le = attenuated(emission(scene, proposal, arrival, si, settings, of_emitter), through)
+
+        # Ld: the light of one point on a light, as the material scatters it.
+        material = material_at(scene, si, of_material)
+        light, Ld = None, Vec3.full(state.pdf, 0.0)
+        if settings.nee:
+            light = sample_light(scene, proposal, si.p, light_numbers(key), arrival.picked, of_sample)
+            light, Ld = connected(scene, si.p, si.valid, partial(scattered_to, material, si), light,
+                                  sampling_at(material.kind, settings.sampling))
+            Ld = attenuated(Ld, through)
+
+        # F: sample the BSDF for the next direction.
+        choice = number(BSDF_CHOICE) if material.kind.discrete else None
+        chosen = sample(material, si.wi, choice, number(BSDF_U), number(BSDF_V), settings.sampling)
+
+        # Play roulette. The floor keeps black paths alive: a reflectance of zero still has a derivative.
+        promise = max_component(attenuated(state.beta * chosen.weight, through).detach())
+        survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
+        survives = si.valid & (chosen.pdf > 0) & (number(ROULETTE) < survival)
+        thinning = 1.0 / survival if through is None else through / survival
+        return Terms(Le, Ld, light, chosen.weight, thinning, chosen.pdf, survives, SurfacePlace(si, material, chosen))
+
+    def origin(self, terms: Terms, d: Vec3) -> Vec3:
+        return terms.place.si.offset(d)
+
+    def vantage(self, terms: Terms) -> Vantage:
+        return vantage(terms.place.si)
+
+    def ray(self, terms: Terms) -> Ray:
+        return outgoing_ray(terms.place.si, terms.place.sample.wo)
+
+    def attached_ray(self, scene: SceneTensors, terms: Terms, following: Hit, sampling: str,
+                     there: Corners | None = None) -> tuple[Vec3, Ray]:
+        si, material, chosen = terms.place
+        return attached_outgoing_ray(scene, material, si, chosen, following, sampling, there)
+
+    def cone(self, terms: Terms, cone: Cone) -> Cone:
+        si = terms.place.si
+        return cone_beyond(cone, torch.where(si.valid, si.t, 0.0), terms.pdf)
+
+    def follows(self, terms: Terms) -> bool:
+        return terms.place.material.kind.follows
+
+
+SURFACE = SurfaceVertex()
+
+
+def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings,
+                here: Corners | None = None) -> SurfaceInteraction:
+    """The surface interaction of rays; the point slides if the ray's direction is differentiated or not random."""
+    slides = None
+    if settings.moving:
+        slides = torch.isinf(arrival.state.pdf) | (settings.sampling == "attached")
+        if settings.following:
+            slides = slides | arrival.state.followed
+    return surface_interaction(scene, arrival.state.ray, arrival.hit, slides, here, arrival.front, arrival.state.cone)
+
+
+def scattered_to(material: Material, si: SurfaceInteraction, d: Vec3) -> tuple[Vec3, Tensor]:
+    """BSDF times cosine for light from a direction in the world, and the density with which it is sampled."""
+    return evaluate(material, si.wi, si.frame.to_local(d))
+
+
+def shares_of(scene: SceneTensors, texture_values: tuple[TextureValue, ...]) -> tuple[tuple[TextureValue, ...], ...]:
+    """Splits texture values into those of the material, of emitters that rays hit, and of light samples."""
+    of_material = len(scene.layout.scatterer.outside)
+    met = of_material + len(scene.layout.lit)
+    return texture_values[:of_material], texture_values[of_material:met], texture_values[met:]

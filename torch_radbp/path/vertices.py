@@ -1,0 +1,94 @@
+"""The vertices of a bounce, queue by queue: each event's lanes go through the functions of that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torch_radbp.jit.dual import dual
+from torch_radbp.jit.team import loops_together
+from torch_radbp.path.bounce import Vertex
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.queues import Queue
+from torch_radbp.path.state import Arrival, PathState
+from torch_radbp.path.step import Step
+from torch_radbp.path.texture_networks import values_of_queues
+from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.torch_internals import inside_dual_level
+from torch_radbp.tensors.vec import Vec3
+from torch_radbp.texture.reader import TextureValue
+
+# Appearances of a scene up to which the lanes of the derivative alone have functions of their own, without light: steps are
+# quicker by up to a tenth, but each is compiled twice, which a scene of many would wait for.
+FEW = 4
+
+
+def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step,
+                  with_light: bool) -> tuple[Vertex, Vec3 | None]:
+    """Computes the vertices of lanes that hit a surface, queue by queue, and the emission seen by the others."""
+    settings = integrand.settings_at(depth)._replace(moving=False, sampling="detached")
+    arrival, at, known = step.arrival(state), integrand.at(depth), dict(zip(step.queues, step.texture_values))
+
+    def arguments(queue: Queue, reached, at, settings) -> tuple:
+        part, texture_values = integrand.part(queue.event), known[queue]
+        if texture_values is None:
+            texture_values, = texture_values_of(integrand, arrival, depth, [queue], step.order)
+        return part.scene, part.proposal, reached, step.order[queue.first:queue.last], at, settings, texture_values
+
+    *_, last = step.queues
+    ends = with_light and last.image and not last.event.scatters
+    light = integrand.part(last.event).evaluate(*arguments(last, arrival, at, settings)) if ends else None
+    queues = [queue for queue in step.queues if queue.event.scatters]
+    bounces = [integrand.part(queue.event).evaluate for queue in queues]
+    if not bounces:
+        return room_for_vertices(state, 0, with_light), light
+    reached, at = bounces[0].taken(arrival=arrival, at=at)
+    apart = len(integrand.proposal.layout.appearances) <= FEW
+    shows = [(with_light and queue.image) or not apart for queue in queues]
+    kinds = {shown: bounces[0].taken(settings=settings._replace(shown=shown))[0] for shown in set(shows)}
+    prepared = [arguments(queue, reached, at, kinds[shown]) for queue, shown in zip(queues, shows)]
+    if len(bounces) == 1 or not bounces[0].is_compiled:
+        return joined([bounce(*of_queue) for bounce, of_queue in zip(bounces, prepared)]), light
+    vertices = room_for_vertices(state, step.scattered, any(shows))
+    if integrand.attached and inside_dual_level():
+        tangents = room_for_vertices(state, step.scattered, any(shows))
+        vertices = vertices._replace(Le=dual(vertices.Le, tangents.Le), Ld=dual(vertices.Ld, tangents.Ld),
+                                     F=dual(vertices.F, tangents.F), next=vertices.next._replace(
+                                         beta=dual(vertices.next.beta, tangents.next.beta)))
+    rooms = {True: vertices, False: vertices._replace(Le=None, Ld=None, F=None)}
+    rooms = {shown: bounces[0].room(rooms[shown]) for shown in kinds}
+    with loops_together():
+        for bounce, queue, of_queue, shown in zip(bounces, queues, prepared, shows):
+            bounce.into(rooms[shown], queue.first, *of_queue)
+    return vertices, light
+
+
+def with_texture_values(integrand: Integrand, state: PathState, depth: int, step: Step, with_light: bool) -> Step:
+    """The decisions at a bounce with the values of network textures at the vertices that are computed."""
+    asking = [queue for queue in step.queues if queue.event.scatters or (with_light and queue.image)]
+    values = dict(zip(asking, texture_values_of(integrand, step.arrival(state), depth, asking, step.order)))
+    return step._replace(texture_values=tuple(map(values.get, step.queues)))
+
+
+def texture_values_of(integrand: Integrand, arrival: Arrival, depth: int, queues: Sequence[Queue],
+                      order: Tensor) -> list[tuple[TextureValue, ...]]:
+    """Evaluates the network textures of some queues' lanes; `order`: see `Step`."""
+    return values_of_queues(integrand.scene, [
+        (integrand.scatterer(queue.event), integrand.places(queue.event, arrival, order[queue.first:queue.last], depth))
+        for queue in queues])
+
+
+def room_for_vertices(state: PathState, lanes: int, with_light: bool) -> Vertex:
+    """Empty vertices to write results into."""
+    def room(part):
+        if part is None or isinstance(part, Tensor):
+            return None if part is None else part.new_empty(lanes)
+        return type(part)(*map(room, part))
+
+    def number() -> Tensor:
+        return state.pdf.new_empty(lanes)
+
+    Le, Ld, F = (Vec3(number(), number(), number()) if with_light else None for _ in range(3))
+    return Vertex(Le, Ld, F, room(state.ray), number(), room(state), number().new_empty(lanes, dtype=torch.bool))
