@@ -24,7 +24,7 @@ import torch_radbp as rb
 from benchmarks.resident import MIB, peak_of
 from benchmarks.scenes.cornell_box import PARAMETERS, cornell_box
 from benchmarks.scenes.description import Setting, cotangent
-from torch_radbp.call.pixels import deposit, developed, film_places
+from torch_radbp.call.pixels import Films, film_places, sums_of_wavefront
 from torch_radbp.call.render_call import start_paths
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.lanes import add_at
@@ -68,9 +68,9 @@ def render_with_checkpoints(renderer: rb.Renderer, seed: int) -> torch.Tensor:
             lane, found, state = checkpoint(one_bounce, state, depth, use_reentrant=False)
             add_at(L, lane, found)
             depth += 1
-        return deposit(call, wavefront, L, film_places(call, wavefront, 0)), None
+        return sums_of_wavefront(call, wavefront, L, film_places(call, wavefront, 0)), None
 
-    return developed(call._replace(workers=1), deposited).values
+    return Films().gather(call._replace(workers=1), deposited).values
 
 
 def one_pass(renderer: rb.Renderer, name: str, adj_image: torch.Tensor, seed: int) -> float:

@@ -71,12 +71,12 @@ class Grid(Sink):
         sums = sum(part for parts, _ in done for part in parts)
         return SinkValues(sums.view(-1, SIDE, SIDE, SIDE), None, [result for _, result in done])
 
-    def asked(self, call, gradient, filters):
+    def adj_sums(self, call, gradient, filters):
         return Vec3(*gradient.flatten(1))
 
-    def adjoint(self, call, wavefront, place, asked):
+    def adjoint(self, call, wavefront, place, adj_sums):
         lanes = torch.cat([self.cell[chunk.first:chunk.first + chunk.lanes] for chunk in wavefront.chunks])
-        return asked.map(lambda channel: channel[lanes])
+        return adj_sums.map(lambda channel: channel[lanes])
 
 
 def rays(seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:

@@ -10,7 +10,7 @@ import torch_radbp as rb
 from tests.gradients import assert_informative, cotangent, relative_error
 from tests.scenes import cornell, sensor
 from torch_radbp.call import chunks
-from torch_radbp.call.pixels import deposit, developed, film_places, filters_of
+from torch_radbp.call.pixels import Films, film_places, filters_of, sums_of_wavefront
 from torch_radbp.film.box import Box
 from torch_radbp.film.gaussian import Gaussian
 from torch_radbp.film.hdrfilm import HDRFilm
@@ -76,9 +76,10 @@ def test_images_are_the_sums_of_samples_over_the_sums_of_the_filter(name, border
         nonlocal first
         own = torch.from_numpy(values[first:first + wavefront.lanes]).unbind(1)
         first += wavefront.lanes
-        return deposit(call, wavefront, [value.contiguous() for value in own], film_places(call, wavefront, 0)), None
+        place = film_places(call, wavefront, 0)
+        return sums_of_wavefront(call, wavefront, [value.contiguous() for value in own], place), None
 
-    found = developed(call._replace(workers=1), work)
+    found = Films().gather(call._replace(workers=1), work)
     assert np.abs(sums).max() > 0.5 and np.abs(expected).max() > 1
     np.testing.assert_allclose(found.filters[0].numpy(), sums, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(found.values[0].numpy(), expected, rtol=1e-9, atol=1e-10)
@@ -113,7 +114,7 @@ def test_what_lanes_are_asked_for_is_the_transpose(name):
     places, values = samples(call)
     wanted = cotangent(torch.zeros(1, 3, 7, 9, dtype=torch.float64))
     filters = filters_of(call, 0)
-    pixels = call.sink.asked(call, wanted, filters)
+    pixels = call.sink.adj_sums(call, wanted, filters)
     adjoint = torch.cat([torch.stack(call.sink.adjoint(call, wavefront, film_places(call, wavefront, 0), pixels))
                          for wavefront in call.wavefronts], 1)
     expected, _ = written_out(FILTERS[name], places, values)

@@ -93,13 +93,13 @@ class RenderFunction(torch.autograd.Function):
         numbered = numbered_leaves(call.scene, wanted)
         leaves = [leaf for leaf, want in zip(leaves_of(call.scene), wanted) if want]
         of_source = [leaf for leaf, want in zip(leaves_of(call.source.tensors), wanted_of_source) if want]
-        asked_of_lanes = call.sink.asked(call, gradient, ctx.filters)
+        adj_sums = call.sink.adj_sums(call, gradient, ctx.filters)
 
         def swept(index: int, gradients: Gradients, sweep_of: Callable = sweep_of) -> Sweep:
             wavefront, record = call.wavefronts[index], records[index]
             if record is None:
                 record = record_wavefront(call, integrand, wavefront)
-            adj_L = weighted(call.sink.adjoint(call, wavefront, record.place, asked_of_lanes), record.weight)
+            adj_L = weighted(call.sink.adjoint(call, wavefront, record.place, adj_sums), record.weight)
             seen = integrand_of_wavefront(call, integrand, wavefront)
             with sweep_of(seen, record, adj_L, numbered, gradients) as sweep:
                 call.adjoint.backward(sweep)

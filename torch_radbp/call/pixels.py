@@ -27,27 +27,37 @@ class Films(Sink):
 
     def deposit(self, call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor],
                 samples: CameraSample) -> list[Tensor]:
-        return deposit(call, wavefront, values, samples.place)
+        return sums_of_wavefront(call, wavefront, values, samples.place)
 
     def gather(self, call: RenderCall, work: Work) -> SinkValues:
-        return developed(call, work)
+        developments, results = [Development(view.grid) for view in call.views], []
+        for _, members in groupby(call.wavefronts, lambda wavefront: wavefront.group):
+            wavefronts = list(members)
+            found = of_wavefronts(call, wavefronts, work)
+            results += [result for _, result in found]
+            sums = [pair for wavefront, (own, _) in zip(wavefronts, found) for pair in zip(wavefront.chunks, own)]
+            for (sensor, band), parts in groupby(sums, lambda part: (part[0].sensor, part[0].band)):
+                developments[sensor].add(put_together(call.views[sensor].grid, band, list(parts)))
+        pixels, filters = zip(*(development.image() for development in developments))
+        # Stacked in their final shape: what is no view may be changed in place, also where gradients are wanted.
+        return SinkValues(torch.stack(pixels), torch.stack(filters), results)
 
-    def asked(self, call: RenderCall, gradient: Tensor, filters: Tensor | None) -> list[Vec3]:
-        """For each view the derivative of the loss by what samples add to the sums of pixels."""
+    def adj_sums(self, call: RenderCall, gradient: Tensor, filters: Tensor | None) -> list[Vec3]:
+        """For each view the derivative of the loss with respect to what samples add to the sums of pixels."""
         filters = filters_of(call, 1) if filters is None else filters
         return [Vec3(*view.grid.quotient(own, sums).flatten(1))
                 for view, own, sums in zip(call.views, self.radiance(gradient), filters)]
 
-    def adjoint(self, call: RenderCall, wavefront: Wavefront, place: Vec2 | None, asked: list[Vec3]) -> Vec3:
-        return joined([adjoint_of_chunk(call, chunk, rows_between(place, first, last), asked[chunk.sensor])
+    def adjoint(self, call: RenderCall, wavefront: Wavefront, place: Vec2 | None, adj_sums: list[Vec3]) -> Vec3:
+        return joined([adjoint_of_chunk(call, chunk, rows_between(place, first, last), adj_sums[chunk.sensor])
                        for chunk, first, last in wavefront.parts()])
 
     def radiance(self, values: Tensor) -> Tensor:
         return values[:, :3]
 
 
-def deposit(call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor], place: Vec2) -> list[Tensor]:
-    """Splats the values of a wavefront's lanes: for each of its chunks the filter-weighted sums that `developed` takes.
+def sums_of_wavefront(call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor], place: Vec2) -> list[Tensor]:
+    """Splats the values of a wavefront's lanes: for each of its chunks the filter-weighted sums that `Films.gather` takes.
 
     Args:
         values: C of (N,), of the lanes.
@@ -58,30 +68,11 @@ def deposit(call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor], pl
 
 
 def deposit_of_chunk(call: RenderCall, chunk: Chunk, values: Sequence[Tensor], place: Vec2) -> Tensor:
-    """Splats the values of one chunk's lanes; args as for `deposit`."""
+    """Splats the values of one chunk's lanes; args as for `sums_of_wavefront`."""
     grid, block, stage = call.views[chunk.sensor].grid, Block(place, chunk.samples, call.spp), call.stages(deposited)
     if chunk.samples == call.spp:
         return row_sums(stage, grid, tuple(values), block)
     return offset_sums(stage, grid.kernel, tuple(values), block)  # moved once all samples of the row are there
-
-
-def developed(call: RenderCall, work: Work) -> SinkValues:
-    """The images of C values of lanes: means of the samples around each pixel, weighted by the reconstruction filter.
-
-    Args:
-        work: gives of each wavefront what `deposit` does, and anything else.
-    """
-    developments, results = [Development(view.grid) for view in call.views], []
-    for _, members in groupby(call.wavefronts, lambda wavefront: wavefront.group):
-        wavefronts = list(members)
-        found = of_wavefronts(call, wavefronts, work)
-        results += [result for _, result in found]
-        sums = [pair for wavefront, (own, _) in zip(wavefronts, found) for pair in zip(wavefront.chunks, own)]
-        for (sensor, band), parts in groupby(sums, lambda part: (part[0].sensor, part[0].band)):
-            developments[sensor].add(put_together(call.views[sensor].grid, band, list(parts)))
-    pixels, filters = zip(*(development.image() for development in developments))
-    # Stacked in their final shape: what is no view may be changed in place, also where gradients are wanted.
-    return SinkValues(torch.stack(pixels), torch.stack(filters), results)
 
 
 def put_together(grid: Grid, band: range, parts: list[tuple[Chunk, Tensor]]) -> Tensor:
@@ -111,13 +102,13 @@ def filters_of(call: RenderCall, which: int) -> Tensor:
                           device=call.scene.device)
 
     def work(wavefront: Wavefront) -> tuple[list[Tensor], None]:
-        return deposit(call, wavefront, (), film_places(call, wavefront, which)), None
+        return sums_of_wavefront(call, wavefront, (), film_places(call, wavefront, which)), None
 
-    return developed(call, work).filters
+    return Films().gather(call, work).filters
 
 
 def adjoint_of_chunk(call: RenderCall, chunk: Chunk, place: Vec2, pixels: Vec3) -> Vec3:
-    """As `Films.adjoint`, of one chunk and its lanes, with what its view's pixels ask for."""
+    """As `Films.adjoint`, of one chunk and its lanes, with the derivatives of its view's pixels."""
     grid = call.views[chunk.sensor].grid
     width = grid.columns + 2 * grid.kernel.reach
     entry = chunk.rows.numbers(call.scene.device, width)

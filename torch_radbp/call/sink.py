@@ -1,4 +1,4 @@
-"""Where the radiance of the paths of a call goes, and what is asked of paths in return.
+"""Where the radiance of the paths of a call goes, and from where its derivative comes back.
 
 That of an image goes to the pixels of films (`pixels.py`). A sink of another kind is a class with this interface: it adds up
 what lanes bring, and the backward pass asks it for the derivative of the loss with respect to that.
@@ -48,8 +48,8 @@ class Sink(ABC):
         """All that comes in; `work` is to be done for each wavefront of the call (`of_wavefronts`)."""
 
     @abstractmethod
-    def asked(self, call: RenderCall, gradient: Tensor, filters: Tensor | None) -> Any:
-        """What `adjoint` reads, made once.
+    def adj_sums(self, call: RenderCall, gradient: Tensor, filters: Tensor | None) -> Any:
+        """Derivative of the loss with respect to what `deposit` gives, which `adjoint` reads; made once.
 
         Args:
             gradient: derivative of the loss with respect to `SinkValues.values`.
@@ -57,12 +57,12 @@ class Sink(ABC):
         """
 
     @abstractmethod
-    def adjoint(self, call: RenderCall, wavefront: Wavefront, place: Vec2 | None, asked: Any) -> Vec3:
+    def adjoint(self, call: RenderCall, wavefront: Wavefront, place: Vec2 | None, adj_sums: Any) -> Vec3:
         """Derivative of the loss with respect to what counts of L_1 of each lane, (N,): the transpose of `deposit`.
 
         Args:
             place: of the lanes in their pixels; None: they are of no pixels.
-            asked: of `asked`.
+            adj_sums: of `adj_sums`.
         """
 
     def radiance(self, values: Tensor) -> Tensor:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.light_connection import connected
+from torch_radbp.path.light_connection import connected_to_light
 from torch_radbp.path.sorting import queued
 from torch_radbp.path.state import Arrival, PathState, Settings
 from torch_radbp.path.surface import scattered_to, shares_of, surface_met
@@ -56,7 +56,7 @@ def direct_light(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: Lig
     material, through = material_at(scene, si, of_material), transmittance(scene, arrival.state.ray, si.t)
     light = sample_light(scene, scene, si.p, draw.numbers, draw.picked, of_sampled)
     if sampling_at(material.kind, settings.sampling) == "attached":
-        _, Ld = connected(scene, si.p, si.valid, partial(scattered_to, material, si), light, "attached")
+        _, Ld = connected_to_light(scene, si.p, si.valid, partial(scattered_to, material, si), light, "attached")
         return attenuated(Ld, through)
     reflected, _ = scattered_to(material, si, light.d)
     connects = si.valid & (light.pdf > 0)

@@ -30,7 +30,7 @@ def light_numbers(key: BounceKey) -> LightNumbers:
     return LightNumbers(*(random_bits(key, dimension) for dimension in (LIGHT_CHOICE, LIGHT_SPLIT, LIGHT_U, LIGHT_V)))
 
 
-def connected(scene: SceneTensors, p: Vec3, valid: Tensor, scatters_to: ScattersTo, light: LightSample,
+def connected_to_light(scene: SceneTensors, p: Vec3, valid: Tensor, scatters_to: ScattersTo, light: LightSample,
               sampling: str) -> tuple[LightSample, Vec3]:
     """The scattered light of a light sample if its shadow ray is free; a sample that cannot connect gets density 0.
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.path.light_connection import connected, emission, light_numbers
+from torch_radbp.path.light_connection import connected_to_light, emission, light_numbers
 from torch_radbp.path.state import BSDF_CHOICE, BSDF_U, BSDF_V, ROULETTE, Arrival, Position, Settings
 from torch_radbp.path.vertex import Terms, VertexKind
 from torch_radbp.raycast.protocol import Hit
@@ -69,7 +69,7 @@ class SurfaceVertex(VertexKind):
         light, Ld = None, Vec3.full(state.pdf, 0.0)
         if settings.nee:
             light = sample_light(scene, proposal, si.p, light_numbers(key), arrival.picked, of_sample)
-            light, Ld = connected(scene, si.p, si.valid, partial(scattered_to, material, si), light,
+            light, Ld = connected_to_light(scene, si.p, si.valid, partial(scattered_to, material, si), light,
                                   sampling_at(material.kind, settings.sampling))
             Ld = attenuated(Ld, through)
 
