@@ -164,12 +164,13 @@ def queue_borders(queues: Mapping[Any, Queue], kinds: Sequence[Any]) -> list[int
 
 def in_queues(step: Step, queues: Sequence[Queue], reserve: Reserve) -> Step:
     """What was decided at a bounce, without contents, of lanes in some queues."""
-    hit, front, picked = without_contents((step.hit, step.front, step.picked), reserve)
+    hit, front, picked, flight = without_contents((step.hit, step.front, step.picked, step.flight), reserve)
     scattered = [0, *(queue.last for queue in queues if queue.event.scatters)][-1]
     values = tuple([without_contents(values, reserve, queue.last - queue.first)
                     for queue, values in zip(queues, step.texture_values)])
     visible, survives = (reserve.tensor(torch.bool, scattered) for _ in range(2))
-    return Step(hit, front, reserve.tensor(torch.int32, queues[-1].last), tuple(queues), visible, survives, picked, values)
+    return Step(hit, front, reserve.tensor(torch.int32, queues[-1].last), tuple(queues), visible, survives, picked, flight,
+                values)
 
 
 @contextmanager

@@ -6,14 +6,15 @@ reaches it along a connection, counts by the share that the medium lets through:
 
     L = T(ray) (E + F L'),    E = Le + visible T(connection) Ld
 
-Media that scatter are events of their own, and not yet there.
+In a medium that scatters the flight of a path may end before the next surface, which is an event of its own
+(`path/flight.py`).
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from torch import Tensor
 
@@ -25,7 +26,9 @@ Table = Any  # a NamedTuple of columns of one row
 
 @dataclass(frozen=True)
 class MediumKind(ABC):
-    """The functions of one kind of medium."""
+    """The functions of one kind of medium; those behind `transmittance` are of media that scatter."""
+
+    scatters: ClassVar[bool] = False
 
     @abstractmethod
     def transmittance(self, table: Table, ray: Ray, distance: Tensor) -> Vec3:
@@ -36,6 +39,33 @@ class MediumKind(ABC):
             ray: (N,) world, unit directions; attached where rays carry derivatives, as `distance` is.
             distance: (N,) to the next surface; 1e10 where there is none.
         """
+
+    def sample_flight(self, table: Table, ray: Ray, u: Tensor, v: Tensor) -> Tensor:
+        """Distances at which paths scatter, (N,), sampled by two random numbers; infinite: never. Detached."""
+        raise TypeError(f"{type(self).__name__} does not scatter")
+
+    def flight_pdf(self, table: Table, ray: Ray, distance: Tensor) -> tuple[Tensor, Tensor]:
+        """The density of `sample_flight` over distance, and the probability of flying farther, (N,) each."""
+        raise TypeError(f"{type(self).__name__} does not scatter")
+
+    def scattering(self, table: Table, p: Vec3) -> Vec3:
+        """The share of light that is scattered per unit of length at points, (N,), by colour; attached."""
+        raise TypeError(f"{type(self).__name__} does not scatter")
+
+    def phase(self, table: Table, p: Vec3, wi: Vec3, wo: Vec3) -> tuple[Tensor, Tensor]:
+        """The phase function, and the density over solid angle of `sample_phase`, (N,) each; attached.
+
+        Args:
+            table: of the medium.
+            p: (N,) points.
+            wi: (N,) unit, towards where the path comes from.
+            wo: (N,) unit, in which it goes on.
+        """
+        raise TypeError(f"{type(self).__name__} does not scatter")
+
+    def sample_phase(self, table: Table, p: Vec3, wi: Vec3, u: Tensor, v: Tensor) -> Vec3:
+        """Samples unit directions in the world in which paths go on, (N,); attached."""
+        raise TypeError(f"{type(self).__name__} does not scatter")
 
 
 class Medium(Plugin):

@@ -11,6 +11,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from torch_radbp.path.bounce import bounce, ending
+from torch_radbp.path.flight import FLIGHT
 from torch_radbp.path.path_end import END
 from torch_radbp.path.surface import SURFACE
 from torch_radbp.path.vertex import VertexKind
@@ -37,6 +38,34 @@ class Scatters(NamedTuple):
     def vertex(self) -> VertexKind:
         """The functions of the vertex."""
         return SURFACE
+
+    @property
+    def stage(self) -> Callable:
+        """The stage that computes the vertex."""
+        return bounce
+
+
+class FlightEnd(Enum):
+    """The event of scattering in the medium before a surface is met."""
+
+    MEDIUM = "the medium scatters light"
+
+    @property
+    def scatters(self) -> bool:
+        """The path may go on."""
+        return True
+
+    def scatterer(self, layout: Layout) -> None:
+        """There is no surface."""
+
+    def still(self, layout: Layout) -> tuple[()]:
+        """There is no material."""
+        return ()
+
+    @property
+    def vertex(self) -> VertexKind:
+        """The functions of the vertex."""
+        return FLIGHT
 
     @property
     def stage(self) -> Callable:
@@ -73,7 +102,7 @@ class Ends(Enum):
         return ending
 
 
-Event = Scatters | Ends
+Event = Scatters | FlightEnd | Ends
 
 
 def events_of(layout: Layout, last: bool) -> tuple[Event, ...]:
@@ -85,5 +114,6 @@ def events_of(layout: Layout, last: bool) -> tuple[Event, ...]:
     """
     if last:
         return (Ends.LAST_BOUNCE,)
-    surfaces = tuple(map(Scatters, range(len(layout.appearances))))
-    return surfaces if layout.surround is None else (*surfaces, Ends.SURROUNDINGS)
+    surfaces = map(Scatters, range(len(layout.appearances)))
+    return (*surfaces, *([] if layout.scattering_medium is None else FlightEnd),
+            *([] if layout.surround is None else [Ends.SURROUNDINGS]))

@@ -119,8 +119,9 @@ class Integrand(NamedTuple):
 
     @property
     def no_appearance(self) -> Tensor:
-        """() int32, queue number of lanes that hit no surface: the number of appearances."""
-        return int32_number(len(self.proposal.layout.appearances), self.proposal.lights.choice.pmf.device)
+        """() int32, queue number of lanes that meet nothing: the number of events that scatter."""
+        scatter = sum(event.scatters for event in events_of(self.proposal.layout, False))
+        return int32_number(scatter, self.proposal.lights.choice.pmf.device)
 
     def is_last(self, depth: int) -> bool:
         """True if paths end at this bounce, where nothing is scattered."""

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torch_radbp.jit.order import chosen
 from torch_radbp.path.event import Ends
+from torch_radbp.path.flight import flight_vantage
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.light_connection import light_numbers
@@ -16,10 +17,11 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import bounce_key
 from torch_radbp.scene.light import vantage
 from torch_radbp.scene.light_choice import LightPick, TreeChoice, chance_of_emitter, drawn_element
+from torch_radbp.scene.light_tree import Vantage
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import stage
-from torch_radbp.tensors.vec import rows
+from torch_radbp.tensors.vec import rows, where
 
 
 @stage("scene", "choice")
@@ -33,6 +35,9 @@ def pick_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, at: Po
         at: its depth.
     """
     seen = vantage(surface_met(scene, arrival, Settings()))
+    if arrival.flight is not None:
+        ends, there = arrival.flight < torch.inf, flight_vantage(arrival)
+        seen = Vantage(*(where(ends, inside, outside) for inside, outside in zip(there, seen)))
     return drawn_element(choice, seen, light_numbers(bounce_key(arrival.state.key, at.counter)))
 
 
@@ -56,12 +61,13 @@ def chance_of_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, l
     return chance_of_emitter(choice, state.vantage, lookup(scene.triangles.emitter, hit.prim))
 
 
-def picked_lights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -> LightPick | None:
-    """Selects lights for paths with hits; None if selection does not depend on the point."""
+def picked_lights(integrand: Integrand, state: PathState, hit: Hit, depth: int,
+                  flight: Tensor | None = None) -> LightPick | None:
+    """Selects lights for paths with hits; None if selection does not depend on the point. `flight`: see `Arrival`."""
     choice = integrand.proposal.lights.choice
     if not integrand.settings.nee or not integrand.proposal.lights.by_place:
         return None
-    part, arrival = integrand.part(Ends.SURROUNDINGS), Arrival(state, hit, None)
+    part, arrival = integrand.part(Ends.SURROUNDINGS), Arrival(state, hit, None, None, flight)
     lit, none = part.call(emitter_met, hit)
     if depth > 0 and len(lanes := chosen(lit)):
         put_rows((none.chance,), lanes, (part.call(chance_of_light, choice, arrival, lanes),))

@@ -13,7 +13,7 @@ from torch_radbp.path.surface import surface_met
 from torch_radbp.path.vertex import Terms, VertexKind
 from torch_radbp.scene.interaction import Corners
 from torch_radbp.scene.light import FAR, emission_places
-from torch_radbp.scene.media import attenuated, transmittance
+from torch_radbp.scene.media import attenuated, way_through
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.vec import Vec3
 from torch_radbp.texture.reader import Place, TextureValue
@@ -33,7 +33,8 @@ class PathEnd(VertexKind):
               texture_values: tuple[TextureValue, ...], here: Corners | None = None) -> Terms:
         si = surface_met(scene, arrival, settings, here)
         Le = emission(scene, proposal, arrival, si, settings, texture_values)
-        Le = attenuated(Le, transmittance(scene, arrival.state.ray, torch.where(si.valid, si.t, FAR)))
+        distance = torch.where(si.valid, si.t, FAR)
+        Le = attenuated(Le, way_through(scene, arrival.state.ray, distance, arrival.flight is not None))
         return Terms(Le, Vec3.full(si.t, 0.0), None, None, None, None, torch.zeros_like(si.valid), si)
 
 

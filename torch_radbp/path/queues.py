@@ -1,4 +1,4 @@
-"""Queues of lanes: after a bounce's rays are cast, paths are sorted by the appearance that they hit."""
+"""Queues of lanes: after a bounce's rays are cast, paths are sorted by what they meet."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _numbered(appearance: Tensor, nothing: Tensor | int, image_lanes: ImageLanes
 
     Args:
         appearance: (N,) int32; `nothing` where none is met.
-        nothing: () int32, the number of appearances.
+        nothing: () int32, the number of events that scatter.
         image_lanes: those of the image alone; None: there are none.
     """
     if image_lanes is None:
@@ -101,22 +101,27 @@ def in_turn(kinds: Sequence[tuple[Event, tuple[bool, bool]]], counts: Sequence[i
 
 
 @stage("scene")
-def appearance_met(scene: SceneTensors, hit: Hit, nothing: Tensor,
-                   image_lanes: ImageLanes | None) -> tuple[Tensor, Tensor | None]:
-    """The number of the appearance that each ray hits from the front, (N,) int32, and where the side matters.
+def appearance_met(scene: SceneTensors, hit: Hit, nothing: Tensor, image_lanes: ImageLanes | None,
+                   flight: Tensor | None = None) -> tuple[Tensor, Tensor | None]:
+    """The number of the event that each ray meets, (N,) int32: the appearance from the front; and where the side matters.
 
     Args:
         scene: detached; any part of it.
         hit: (N,).
         nothing: () int32, the number where there is none.
         image_lanes: those of the image alone; None: there are none.
+        flight: (N,) see `Arrival`.
 
     Returns:
         Numbers as of `_numbered`. Also (N,) bool, where that from behind is another; None: nowhere.
     """
     row, met = lookup(scene.triangles.material, hit.prim.clamp_min(0)), hit.prim >= 0
+    number = torch.where(met, lookup(scene.materials.appearance, row), nothing)
+    if flight is not None:  # the end of a flight in a medium comes behind the appearances
+        ends = flight < torch.inf
+        number, met = torch.where(ends, nothing - 1, number), met & ~ends
     differs = None if scene.materials.differs is None else met & lookup(scene.materials.differs, row)
-    return _numbered(torch.where(met, lookup(scene.materials.appearance, row), nothing), nothing, image_lanes), differs
+    return _numbered(number, nothing, image_lanes), differs
 
 
 @stage("scene", "ray", "hit", "image_lanes")

@@ -5,10 +5,12 @@ from __future__ import annotations
 from torch import Tensor
 
 from torch_radbp.jit.order import chosen, nothing
-from torch_radbp.path.event import Ends, events_of
+from torch_radbp.path.event import Ends, FlightEnd, events_of
+from torch_radbp.path.flight import free_flight
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.queues import ImageLanes, Queue, appearance_met, one_queue, queues_by, shines, side_met
+from torch_radbp.path.state import PathState
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.tensors.vec import Ray
@@ -21,27 +23,36 @@ def first_hit(integrand: Integrand, ray: Ray, depth: int) -> Hit:
     return camera_hit(integrand.caster, integrand.proposal, ray, integrand.clipping, integrand.settings.hide_emitters)
 
 
-def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool,
-           image_lanes: ImageLanes | None = None) -> tuple[Tensor | None, Tensor, tuple[Queue, ...]]:
+def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool, image_lanes: ImageLanes | None = None,
+           flight: Tensor | None = None) -> tuple[Tensor | None, Tensor, tuple[Queue, ...]]:
     """Sorts rays with hits into queues: `Step.front`, `Step.order` and `Step.queues`.
 
     Args:
         ray, hit: (N,).
         last: whether only what is emitted counts.
         image_lanes: those of the image alone; None: there are none.
+        flight: (N,) see `Arrival`.
     """
     if last:
         return None, *one_queue(Ends.LAST_BOUNCE, integrand.part(Ends.LAST_BOUNCE).call(shines, hit, image_lanes))
-    number, front = appearances_met(integrand, ray, hit, image_lanes)
+    number, front = appearances_met(integrand, ray, hit, image_lanes, flight)
     return front, *queues_by(number, events_of(integrand.proposal.layout, last), image_lanes is not None)
 
 
-def appearances_met(integrand: Integrand, ray: Ray, hit: Hit,
-                    image_lanes: ImageLanes | None = None) -> tuple[Tensor, Tensor | None]:
-    """The appearance numbers of rays with hits, (N,) int32, for `queues_by`, and `Step.front`; args as for `queued`."""
+def appearances_met(integrand: Integrand, ray: Ray, hit: Hit, image_lanes: ImageLanes | None = None,
+                    flight: Tensor | None = None) -> tuple[Tensor, Tensor | None]:
+    """The event numbers of rays with hits, (N,) int32, for `queues_by`, and `Step.front`; args as for `queued`."""
     part = integrand.part(Ends.SURROUNDINGS)
-    number, differs = part.call(appearance_met, hit, integrand.no_appearance, image_lanes)
+    number, differs = part.call(appearance_met, hit, integrand.no_appearance, image_lanes, flight)
     front = None if differs is None else nothing(differs)
     if differs is not None and len(lanes := chosen(differs)):
         put_rows((number, front), lanes, part.call(side_met, ray, hit, lanes, integrand.no_appearance, image_lanes))
     return number, front
+
+
+def flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -> Tensor | None:
+    """The distances at which paths scatter in a medium before they meet a surface, (N,), see `Arrival.flight`; None: nothing
+    scatters between surfaces, or paths end."""
+    if integrand.proposal.layout.scattering_medium is None or integrand.is_last(depth):
+        return None
+    return integrand.part(FlightEnd.MEDIUM).call(free_flight, state, hit, integrand.at(depth))

@@ -70,6 +70,7 @@ class Arrival(NamedTuple):
     hit: Hit
     front: Tensor | None  # bool: they hit the front, where sides have different appearances; None: nowhere
     picked: LightPick | None = None  # None: lights are selected by constant probabilities
+    flight: Tensor | None = None  # distance to where they scatter before that; infinite: they do not; None: nowhere
 
 
 def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: bool = False,

@@ -30,20 +30,21 @@ class Step(NamedTuple):
     front: Tensor | None  # (N,) bool, see `Arrival`
     order: Tensor  # (M,) int32, these paths sorted by queue; those without surface or light are left out
     queues: tuple[Queue, ...]
-    visible: Tensor  # (K,) bool: the shadow ray was free; of the first K of `order`, which hit a surface
+    visible: Tensor  # (K,) bool: the shadow ray was free; of the first K of `order`, which scatter
     survives: Tensor  # (K,) bool: the path goes on
     picked: LightPick | None = None  # (N,) None: lights are selected by constant probabilities
+    flight: Tensor | None = None  # (N,) see `Arrival`
     # Of each queue those of textures that are read outside; None: not computed. In a forward pass attached to the scene.
     texture_values: tuple[tuple[TextureValue, ...] | None, ...] = ()
 
     @property
     def scattered(self) -> int:
-        """K, the number of lanes that hit a surface."""
+        """K, the number of lanes that scatter."""
         return next((queue.first for queue in self.queues if not queue.event.scatters), self.queues[-1].last)
 
     def arrival(self, state: PathState) -> Arrival:
         """The paths that reach the bounce, with their hits."""
-        return Arrival(state, self.hit, self.front, self.picked)
+        return Arrival(state, self.hit, self.front, self.picked, self.flight)
 
 
 def cut_to_count(state: PathState, step: Step | None) -> tuple[PathState, Step | None]:
@@ -55,8 +56,8 @@ def cut_to_count(state: PathState, step: Step | None) -> tuple[PathState, Step |
     found = [(queue._replace(first=counts[queue.first.number], last=counts[queue.last.number]), values)
              for queue, values in zip(step.queues, step.texture_values)]
     queues, values = zip(*([each for each in found if each[0].first < each[0].last] or [(EMPTY, ())]))
-    hit, front, picked = rows_between((step.hit, step.front, step.picked), 0, len(state.lane))
-    step = Step(hit, front, step.order[:queues[-1].last], queues, step.visible, step.survives, picked, values)
+    hit, front, picked, flight = rows_between((step.hit, step.front, step.picked, step.flight), 0, len(state.lane))
+    step = Step(hit, front, step.order[:queues[-1].last], queues, step.visible, step.survives, picked, flight, values)
     return state, step._replace(visible=step.visible[:step.scattered], survives=step.survives[:step.scattered])
 
 

@@ -19,7 +19,7 @@ from torch_radbp.scene.interaction import Corners, SurfaceInteraction, surface_i
 from torch_radbp.scene.light import emission_places, light_aims, sample_light, sample_places, vantage
 from torch_radbp.scene.light_tree import Vantage
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, material_places, sample, sampling_at
-from torch_radbp.scene.media import attenuated, transmittance
+from torch_radbp.scene.media import attenuated, way_through
 from torch_radbp.scene.outgoing_ray import attached_outgoing_ray, outgoing_ray
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.vec import Ray, Vec3, max_component
@@ -58,7 +58,7 @@ class SurfaceVertex(VertexKind):
         state, key = arrival.state, bounce_key(arrival.state.key, at.counter)
         number = partial(uniform, key, dtype=state.pdf.dtype)
         si = surface_met(scene, arrival, settings, here)
-        through = transmittance(scene, state.ray, si.t)
+        through = way_through(scene, state.ray, si.t, arrival.flight is not None)
         of_material, of_emitter, of_sample = shares_of(scene, texture_values)
 
         # Le: the light that it emits.

@@ -19,7 +19,7 @@ from torch_radbp.path.bounce import Vertex, gathered
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.light_picks import picked_lights
-from torch_radbp.path.sorting import first_hit, queued
+from torch_radbp.path.sorting import first_hit, flights, queued
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Onward, Step, cut_to_count, surviving, survivors
 from torch_radbp.path.vertices import bounce_queues, with_texture_values
@@ -65,12 +65,13 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
     state, step = cut_to_count(state, step)
     if step is not None:
         return *bounce_queues(integrand, state, depth, step, with_light), step
-    # What does each ray meet? Lanes with the same event form a queue.
+    # What does each ray meet, and does its flight end in a medium before? Lanes with the same event form a queue.
     hit = first_hit(integrand, state.ray, depth) if hit is None else hit
-    queues = queued(integrand, state.ray, hit, integrand.is_last(depth), integrand.image_lanes(state))
+    flight = flights(integrand, state, hit, depth)
+    queues = queued(integrand, state.ray, hit, integrand.is_last(depth), integrand.image_lanes(state), flight)
     # Which light shall each vertex connect to, where that depends on the place?
     undecided = hit.prim.new_empty(0, dtype=torch.bool)
-    step = Step(hit, *queues, undecided, undecided, picked_lights(integrand, state, hit, depth))
+    step = Step(hit, *queues, undecided, undecided, picked_lights(integrand, state, hit, depth, flight), flight)
     # Textures that are networks are evaluated for all queues together.
     step = with_texture_values(integrand, state, depth, step, with_light)
     # E_k, but for shadows, F_k and the next rays, queue by queue.

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torch_radbp.scene.light import FAR, LightSample
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot
 
 
@@ -20,6 +21,23 @@ def transmittance(scene: SceneTensors, ray: Ray, distance: Tensor) -> Vec3 | Non
         share = kind.transmittance(table, ray, distance)
         through = share if through is None else through * share
     return through
+
+
+def way_through(scene: SceneTensors, ray: Ray, distance: Tensor, flown: bool) -> Vec3 | None:
+    """What light that surfaces send along rays counts by, (N,), for paths that have met them; None: there are no media.
+
+    In a medium that scatters only some flights reach the surface, so that those count by transmittance over the probability
+    to get there, which is detached.
+
+    Args:
+        ray, distance: as for `transmittance`.
+        flown: whether flights were sampled.
+    """
+    through, number = transmittance(scene, ray, distance), scene.layout.scattering_medium
+    if not flown or number is None:
+        return through
+    _, reaches = scene.layout.media[number].flight_pdf(detached(scene.media[number]), detached(ray), distance.detach())
+    return through / reaches.clamp_min(TINY)
 
 
 def attenuated(light: Vec3, through: Vec3 | None) -> Vec3:

@@ -13,7 +13,7 @@ import torch
 
 from torch_radbp.emitter.kind import Light, stacked
 from torch_radbp.medium.kind import Medium, Table
-from torch_radbp.plugin import BSDF, Texture
+from torch_radbp.plugin import BSDF, SceneError, Texture
 from torch_radbp.scene.attributes import any_attribute_differentiated, check_attributes
 from torch_radbp.scene.geometry import Columns, PlacedShape, TriangleNumbering, placed_shape, shown_instances, triangle_table
 from torch_radbp.scene.light_table import Emission, kinds_of, light_table, takes_tree
@@ -163,6 +163,9 @@ def _lights_of(cache: PackCache, objects: Objects, triangles: TriangleTable, emi
 
 def tables_of_media(cache: PackCache, objects: Objects) -> tuple[Table, ...]:
     """The tables of the media, attached."""
+    scattering = [f"`{objects.scene.name_of(medium)}`" for medium in objects.media if medium.kind().scatters]
+    if len(scattering) > 1:
+        raise SceneError(f"{' and '.join(scattering)} both fill the scene and scatter light: one medium may")
     like = torch.empty(0, dtype=objects.dtype, device=objects.device)
     return tuple(stacked([cache.twin(number, medium).row()], like) for number, medium in enumerate(objects.media))
 

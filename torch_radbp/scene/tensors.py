@@ -64,6 +64,11 @@ class Layout:
         return bool(self.lit) or any(look.outside for look in self.appearances)
 
     @property
+    def scattering_medium(self) -> int | None:
+        """The number of the medium that scatters light; None: none does."""
+        return next((number for number, kind in enumerate(self.media) if kind.scatters), None)
+
+    @property
     def surface_lights(self) -> dict[int, LightKind]:
         """The kinds of light on surfaces, by their index in `lights`."""
         return {number: kind for number, kind in enumerate(self.lights) if kind.on_surface}

@@ -1,0 +1,154 @@
+"""A medium that scatters is a folder, too: a haze is made in `haze/`, and flights that end in it are vertices of paths.
+
+A furnace and single scattering in closed form; lights found by chance and by connection; the gradient of every strategy,
+stride and way of running against the tape's; forward mode as the transpose of backward; differences.
+"""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.gradients import EXACT, REPLAY, cotangent, image_and_gradients, relative_error
+from tests.scenes import diffuse, load, overhead, rectangle, rgb
+from torch_radbp.plugin import REGISTRY, register
+
+SAMPLINGS = ("detached", "hybrid", "attached")
+NEAR = 0.01  # from the camera to where its rays begin, the near plane
+SETTINGS = {"spp": 8, "max_depth": 5, "rr_depth": 2}
+NAMES = ["haze.sigma_t.value", "haze.albedo.value", "haze.g"]
+BLACK = diffuse(0, 0, 0)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def registered():
+    """The category of the haze exists while it is tested: the rest of the tests go over all that the package has."""
+    from tests.medium.haze import Haze
+
+    register("medium", "haze")(Haze)
+    yield
+    del REGISTRY["medium"]
+
+
+def haze(sigma_t=(0.3, 0.6, 1.2), albedo=(0.9, 0.5, 0.2), g=0.4) -> dict:
+    return {"type": "haze", "sigma_t": rgb(*sigma_t), "albedo": rgb(*albedo), "g": g}
+
+
+def furnace():
+    """A box whose walls send 1 everywhere, filled with what absorbs nothing."""
+    return load(torch.float64, haze=haze((0.2, 0.2, 0.2), (1, 1, 1), 0.3), camera=overhead(4, 4.0, 1.0), box={
+        "type": "cube", "to_world": torch.diag(torch.tensor([5.0, 5.0, 5.0, 1.0])), "flip_normals": True, "bsdf": BLACK,
+        "emitter": {"type": "area", "radiance": rgb(1, 1, 1)}})
+
+
+def room(**more):
+    """A floor under a lamp and a point light, from above, in haze."""
+    return load(torch.float64, haze=haze(), camera=overhead(4, 4.0, 1.0),
+                floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)),
+                lamp=rectangle((0.3, -0.8, 2.0), 0.4, (1, 0, 0), 170, bsdf=BLACK,
+                               emitter={"type": "area", "radiance": rgb(3, 2, 1)}),
+                bulb={"type": "point", "position": [-0.5, 0.6, 1.5], "intensity": rgb(2, 3, 4)}, **more)
+
+
+@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+def test_in_a_furnace_radiance_is_1_everywhere(compile):
+    """On every path, as long as none is cut off, for there is one colour and no connection."""
+    image = rb.render(furnace(), spp=16, max_depth=64, rr_depth=100, nee=False, compile=compile, seed=1)
+    torch.testing.assert_close(image, torch.ones_like(image), rtol=1e-12, atol=0)
+
+
+def test_in_a_furnace_radiance_is_1_by_connections_too():
+    image = rb.render(furnace(), spp=4096, max_depth=64, rr_depth=8, seed=1)
+    error = image.mean((0, 1)).flatten() - 1.0  # pixels are independent
+    assert abs(float(error.mean())) < 4 * float(error.std()) / math.sqrt(len(error)) < 0.01
+
+
+def test_lamps_found_by_chance_and_by_connection_agree():
+    """In colours that differ, so that distances are sampled by one of three."""
+    scene = room()
+    del scene._modules["bulb"]  # which chance does not find
+    means = torch.stack([torch.stack([rb.render(scene, spp=1024, max_depth=5, rr_depth=3, nee=nee, seed=seed).mean((0, 2, 3))
+                                      for seed in range(12)]) for nee in (False, True)])
+    assert (means > 0).all()
+    difference, error = means.mean(1).diff(dim=0)[0], (means.var(1) / means.shape[1]).sum(0).sqrt()
+    assert (difference.abs() < 4 * error).all() and (error < 0.05 * means[1].mean(0)).all()
+
+
+def single_scattering(sigma_t, albedo, g, count: int = 20001) -> torch.Tensor:
+    """The light of a point light 1 beside the axis of a camera 4 above a black floor, scattered once along that axis."""
+    t = torch.linspace(0, 4 - NEAR, count, dtype=torch.float64)
+    height, step = 4 - NEAR - t - 1.5, float(t[1] - t[0])
+    distance = (1 + height**2).sqrt()
+    cosine = height / distance  # between the direction of light, from the lamp, and that towards the camera
+    phase = (1 - g * g) / (4 * math.pi * (1 + g * g - 2 * g * cosine)**1.5)
+    value = sigma_t * albedo * (-sigma_t * (t + distance)).exp() * phase / distance**2
+    weights = torch.ones_like(t)
+    weights[0] = weights[-1] = 0.5
+    return (value * weights).sum() * step
+
+
+def test_single_scattering_and_its_derivatives_are_those_of_the_integral():
+    """By extinction, albedo and mean cosine, one colour."""
+    values = torch.tensor([0.5, 0.8, 0.3], dtype=torch.float64, requires_grad=True)
+    expected = single_scattering(*values)
+    wanted, = torch.autograd.grad(expected, values)
+    scene = load(torch.float64, haze=haze((0.5,) * 3, (0.8,) * 3, 0.3), camera=overhead(2, 4.0, 1e-4),
+                 floor=rectangle((0, 0, 0), 3.0, bsdf=BLACK),
+                 bulb={"type": "point", "position": [1.0, 0.0, 1.5], "intensity": rgb(1, 1, 1)})
+    images, found = [], []
+    for seed in range(16):
+        image, gradients = image_and_gradients(scene, NAMES, seed=seed, spp=1024, max_depth=2,
+                                               adj_image=torch.full((1, 3, 2, 2), 1 / 12, dtype=torch.float64))
+        images.append(image.mean())
+        found.append(torch.stack([gradient.sum() for gradient in gradients]))
+    for samples, exact in ((torch.stack(images)[:, None], expected.detach()[None]), (torch.stack(found), wanted)):
+        error = samples.std(0) / math.sqrt(len(samples))
+        assert ((samples.mean(0) - exact).abs() < 4 * error).all() and (error < 0.02 * exact.abs()).all()
+
+
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, sampling):
+    """Of what scatters, and of what moves in it."""
+    names = [*NAMES, "floor.bsdf.reflectance.value", "lamp.emitter.radiance.value", "bulb.position", "floor.to_world"]
+    settings = SETTINGS | {"sampling": sampling}
+    image, expected = image_and_gradients(room(), names, **settings | {"adjoint": rb.TapeAdjoint()})
+    for name, gradient in zip(names, expected):
+        assert torch.isfinite(gradient).all() and gradient.abs().max() > 0, name
+    for adjoint in (*EXACT[:-1], *REPLAY):
+        found, gradients = image_and_gradients(room(), names, compile=compile, **settings | {"adjoint": adjoint})
+        assert relative_error(found, image) < 1e-12
+        for name, gradient, wanted in zip(names, gradients, expected):
+            assert relative_error(gradient, wanted) < 1e-10, (adjoint, name)
+
+
+@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+@pytest.mark.parametrize("name", [NAMES[0], "floor.to_world"])
+def test_forward_mode_is_the_transpose_of_backward(compile, name):
+    scene = room()
+    tangent = torch.linspace(0.5, 1.0, scene.get_parameter(name).numel(), dtype=torch.float64)
+    tangent = tangent.view_as(scene.get_parameter(name))
+    forward = rb.jvp(scene, {name: tangent}, seed=1, compile=compile, terms=(), **SETTINGS)
+    w = cotangent(forward)
+    _, (gradient,) = image_and_gradients(scene, [name], seed=1, adj_image=w, compile=compile, terms=(), **SETTINGS)
+    assert float((gradient * tangent).sum()) == pytest.approx(float((w * forward).sum()), rel=1e-9)
+
+
+@pytest.mark.parametrize("name", [*NAMES, "floor.to_world"])
+def test_derivatives_are_those_of_differences(name):
+    """Independent samples; the floor, of which the camera sees no edge, moves as a whole."""
+    scene = room()
+    direction = None
+    if name == "floor.to_world":
+        direction = torch.zeros(4, 4, dtype=torch.float64)
+        direction[2, 3] = 1.0
+    check = rb.check_gradient(scene, name, direction=direction, spp=4096, max_depth=4, seed=3)
+    assert check.agrees, check
+
+
+def test_two_media_that_scatter_are_refused():
+    with pytest.raises(rb.SceneError, match="`haze` and `other`"):
+        rb.render(room(other=haze()), spp=1, max_depth=2)

@@ -1,0 +1,176 @@
+"""A vertex in a medium that scatters: the flight of a path ends there before it meets a surface.
+
+With T(t) the transmittance over a distance t, sigma_s what is scattered per unit of length, and p(t) the density of flights
+that end at t,
+
+    F = T(t) sigma_s / p(t) * phase / density,    E = T(t) sigma_s / p(t) * Ld
+
+with Ld the light of one sample that the phase function scatters. A flight that ends keeps its distance, as a share of the
+way to the surface where that moves; so flights fill the way at every time, and its length changes their density.
+
+Reference: Chandrasekhar 1960, "Radiative Transfer"; Pharr, Jakob and Humphreys 2023, "Physically Based Rendering",
+chapter 14.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.medium.kind import MediumKind
+from torch_radbp.path.light_connection import connected_to_light, light_numbers
+from torch_radbp.path.state import BSDF_U, BSDF_V, ROULETTE, Arrival, PathState, Position, Settings
+from torch_radbp.path.surface import surface_met
+from torch_radbp.path.vertex import Terms, VertexKind
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.sampling.sampler import bounce_key, uniform
+from torch_radbp.scene.cone import Cone, cone_beyond
+from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
+from torch_radbp.scene.light import light_aims, sample_light, sample_places
+from torch_radbp.scene.light_tree import Vantage
+from torch_radbp.scene.media import transmittance
+from torch_radbp.scene.outgoing_ray import glued_direction
+from torch_radbp.scene.placement import points_in_world
+from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.tensors.differentiated import detached, settled
+from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, max_component
+from torch_radbp.texture.reader import Place, TextureValue
+
+SALT = 0x1B873593  # tells the random numbers of flights from those of bounces
+FLIGHT_U, FLIGHT_V = range(2)
+
+
+class FlightPlace(NamedTuple):
+    """Where a path scatters in a medium, and into which direction."""
+
+    kind: MediumKind
+    table: Any  # attached
+    p: Vec3  # attached
+    t: Tensor  # distance that the ray has come, attached
+    wi: Vec3  # towards where the path comes from
+    wo: Vec3  # in which it goes on
+
+
+@dataclass(frozen=True)
+class FlightVertex(VertexKind):
+    """A vertex in a medium."""
+
+    def places(self, scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position,
+               settings: Settings) -> tuple[Place, ...]:
+        if not scene.layout.lit or not settings.nee:
+            return ()
+        t, _ = distance_flown(scene, arrival, settings)
+        p, numbers = point_on(arrival.state.ray, t), light_numbers(bounce_key(arrival.state.key, at.counter))
+        return sample_places(scene, light_aims(scene, proposal, p, numbers, arrival.picked))
+
+    def terms(self, scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position, settings: Settings,
+              texture_values: tuple[TextureValue, ...], here: Corners | None = None) -> Terms:
+        # Fly to the end, and find what is scattered there of the light that comes back: T sigma_s / p.
+        state, key = arrival.state, bounce_key(arrival.state.key, at.counter)
+        number, medium = partial(uniform, key, dtype=state.pdf.dtype), scene.layout.scattering_medium
+        kind, table = scene.layout.media[medium], scene.media[medium]
+        t, longer = distance_flown(scene, arrival, settings, here)
+        p, wi = point_on(state.ray, t), -state.ray.d
+        density, _ = kind.flight_pdf(detached(table), detached(state.ray), arrival.flight)
+        scattered = transmittance(scene, state.ray, t) * kind.scattering(table, p) * (longer / density.clamp_min(TINY))
+
+        # Ld: the light of one point on a light, as the phase function scatters it.
+        none, there = Vec3.full(state.pdf, 0.0), torch.ones_like(state.pdf, dtype=torch.bool)
+        light, Ld = None, none
+        if settings.nee:
+            light = sample_light(scene, proposal, p, light_numbers(key), arrival.picked, texture_values)
+            scatters_to = partial(phase_to, kind, table, p, wi)
+            light, Ld = connected_to_light(scene, p, there, scatters_to, light, settings.sampling)
+            Ld = Ld * scattered
+
+        # F: sample the phase function for the next direction.
+        wo = kind.sample_phase(table, p, wi, number(BSDF_U), number(BSDF_V))
+        wo = wo if settings.sampling == "attached" else wo.map(torch.Tensor.detach)
+        phase, pdf = kind.phase(table, p, wi, wo)
+        pdf = pdf if settings.sampling == "attached" else pdf.detach()
+        weight = scattered * (phase / pdf)
+
+        # Play roulette.
+        promise = max_component((state.beta * weight).detach())
+        survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
+        survives = number(ROULETTE) < survival
+        place = FlightPlace(kind, table, p, t, wi, wo)
+        return Terms(none, Ld, light, weight, 1.0 / survival, pdf, survives, place)
+
+    def origin(self, terms: Terms, d: Vec3) -> Vec3:
+        return terms.place.p
+
+    def vantage(self, terms: Terms) -> Vantage:
+        return Vantage(terms.place.p.map(settled), Vec3.full(terms.place.t, 0.0))
+
+    def ray(self, terms: Terms) -> Ray:
+        return Ray(terms.place.p, terms.place.wo)
+
+    def attached_ray(self, scene: SceneTensors, terms: Terms, following: Hit, sampling: str,
+                     there: Corners | None = None) -> tuple[Vec3, Ray]:
+        kind, table, p, _, wi, wo = terms.place
+        if sampling == "attached":
+            return terms.weight, Ray(p, wo)
+        # The direction follows the point of the surface that the ray would meet, as from a surface.
+        if there is None:
+            there = at_corners(scene.triangles.vertices.p, corner_rows(scene, following))
+        d, change = glued_direction(points_in_world(scene, following, there), p, wo, following, following.prim >= 0)
+        phase, _ = kind.phase(table, p, wi, d)
+        fixed, _ = kind.phase(table, p, wi, wo)
+        return terms.weight * (change * (1.0 + (phase - fixed) / fixed.detach())), Ray(p, d)
+
+    def cone(self, terms: Terms, cone: Cone) -> Cone:
+        return cone_beyond(cone, terms.place.t, terms.pdf)
+
+
+FLIGHT = FlightVertex()
+
+
+@stage("scene")
+def free_flight(scene: SceneTensors, state: PathState, hit: Hit, at: Position) -> Tensor:
+    """The distances at which paths scatter before they meet a surface, (N,); infinite: they do not.
+
+    Args:
+        scene: detached; any part of it.
+        state, hit: the paths that reach a bounce, and what their rays meet.
+        at: the depth.
+    """
+    # What decides whether there is a flight at all has a point of its own, beside that of the direction that follows.
+    number, key = scene.layout.scattering_medium, bounce_key(state.key, at.counter + SALT)
+    u, v = (uniform(key, dimension, state.pdf.dtype) for dimension in (FLIGHT_U, FLIGHT_V))
+    t = scene.layout.media[number].sample_flight(scene.media[number], state.ray, u, v)
+    return torch.where((hit.prim >= 0) & (t >= hit.t), torch.inf, t)
+
+
+def distance_flown(scene: SceneTensors, arrival: Arrival, settings: Settings,
+                   here: Corners | None = None) -> tuple[Tensor, Tensor | float]:
+    """The distances of flights, (N,), and how much longer the way to the surface is than it was, of value 1; attached if
+    that moves. Args as for `VertexKind.terms`."""
+    if not settings.moving:
+        return arrival.flight, 1.0
+    si = surface_met(scene, arrival, settings, here)
+    way = torch.where(si.valid, si.t, 1.0)
+    longer = way / way.detach()
+    return arrival.flight * longer, longer
+
+
+def point_on(ray: Ray, t: Tensor) -> Vec3:
+    """The points at distances along rays."""
+    return ray.o + ray.d * t
+
+
+def phase_to(kind: MediumKind, table: Any, p: Vec3, wi: Vec3, d: Vec3) -> tuple[Vec3, Tensor]:
+    """The phase function for light from a direction in the world, and the density with which it is sampled."""
+    phase, pdf = kind.phase(table, p, wi, d)
+    return Vec3(phase, phase, phase), pdf
+
+
+def flight_vantage(arrival: Arrival) -> Vantage:
+    """Where flights end, for the choice of lights: in no plane, so that light may come from all around."""
+    p = point_on(arrival.state.ray, torch.where(arrival.flight < torch.inf, arrival.flight, 0.0))
+    return Vantage(p.map(settled), Vec3.full(arrival.flight, 0.0))
