@@ -37,11 +37,14 @@ def haze(sigma_t=(0.3, 0.6, 1.2), albedo=(0.9, 0.5, 0.2), g=0.4) -> dict:
     return {"type": "haze", "sigma_t": rgb(*sigma_t), "albedo": rgb(*albedo), "g": g}
 
 
-def furnace():
-    """A box whose walls send 1 everywhere, filled with what absorbs nothing."""
-    return load(torch.float64, haze=haze((0.2, 0.2, 0.2), (1, 1, 1), 0.3), camera=overhead(4, 4.0, 1.0), box={
+def furnace(fill: dict, radiance=(1, 1, 1), **more):
+    """A box whose walls send light, filled with a medium."""
+    return load(torch.float64, haze=fill, camera=overhead(4, 4.0, 1.0), box={
         "type": "cube", "to_world": torch.diag(torch.tensor([5.0, 5.0, 5.0, 1.0])), "flip_normals": True, "bsdf": BLACK,
-        "emitter": {"type": "area", "radiance": rgb(1, 1, 1)}})
+        "emitter": {"type": "area", "radiance": rgb(*radiance)}}, **more)
+
+
+CLEAR = {"type": "haze", "sigma_t": rgb(0.2, 0.2, 0.2), "albedo": rgb(1, 1, 1), "g": 0.3}  # absorbs nothing
 
 
 def room(**more):
@@ -56,12 +59,12 @@ def room(**more):
 @pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
 def test_in_a_furnace_radiance_is_1_everywhere(compile):
     """On every path, as long as none is cut off, for there is one colour and no connection."""
-    image = rb.render(furnace(), spp=16, max_depth=64, rr_depth=100, nee=False, compile=compile, seed=1)
+    image = rb.render(furnace(CLEAR), spp=16, max_depth=64, rr_depth=100, nee=False, compile=compile, seed=1)
     torch.testing.assert_close(image, torch.ones_like(image), rtol=1e-12, atol=0)
 
 
 def test_in_a_furnace_radiance_is_1_by_connections_too():
-    image = rb.render(furnace(), spp=4096, max_depth=64, rr_depth=8, seed=1)
+    image = rb.render(furnace(CLEAR), spp=4096, max_depth=64, rr_depth=8, seed=1)
     error = image.mean((0, 1)).flatten() - 1.0  # pixels are independent
     assert abs(float(error.mean())) < 4 * float(error.std()) / math.sqrt(len(error)) < 0.01
 
@@ -70,7 +73,7 @@ def test_lamps_found_by_chance_and_by_connection_agree():
     """In colours that differ, so that distances are sampled by one of three."""
     scene = room()
     del scene._modules["bulb"]  # which chance does not find
-    means = torch.stack([torch.stack([rb.render(scene, spp=1024, max_depth=5, rr_depth=3, nee=nee, seed=seed).mean((0, 2, 3))
+    means = torch.stack([torch.stack([rb.render(scene, spp=8192, max_depth=5, rr_depth=3, nee=nee, seed=seed).mean((0, 2, 3))
                                       for seed in range(12)]) for nee in (False, True)])
     assert (means > 0).all()
     difference, error = means.mean(1).diff(dim=0)[0], (means.var(1) / means.shape[1]).sum(0).sqrt()
@@ -106,7 +109,8 @@ def test_single_scattering_and_its_derivatives_are_those_of_the_integral():
         found.append(torch.stack([gradient.sum() for gradient in gradients]))
     for samples, exact in ((torch.stack(images)[:, None], expected.detach()[None]), (torch.stack(found), wanted)):
         error = samples.std(0) / math.sqrt(len(samples))
-        assert ((samples.mean(0) - exact).abs() < 4 * error).all() and (error < 0.02 * exact.abs()).all()
+        assert (error < 0.02 * exact.abs()).all()
+        assert ((samples.mean(0) - exact).abs() < 4 * error + 2e-5 * exact.abs()).all()  # pixels are not quite on the axis
 
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)
@@ -131,22 +135,30 @@ def test_forward_mode_is_the_transpose_of_backward(compile, name):
     scene = room()
     tangent = torch.linspace(0.5, 1.0, scene.get_parameter(name).numel(), dtype=torch.float64)
     tangent = tangent.view_as(scene.get_parameter(name))
-    forward = rb.jvp(scene, {name: tangent}, seed=1, compile=compile, terms=(), **SETTINGS)
+    forward = rb.jvp(scene, {name: tangent}, seed=1, compile=compile, terms=("interior",), **SETTINGS)
     w = cotangent(forward)
-    _, (gradient,) = image_and_gradients(scene, [name], seed=1, adj_image=w, compile=compile, terms=(), **SETTINGS)
+    _, (gradient,) = image_and_gradients(scene, [name], seed=1, adj_image=w, compile=compile, terms=("interior",), **SETTINGS)
     assert float((gradient * tangent).sum()) == pytest.approx(float((w * forward).sum()), rel=1e-9)
 
 
-@pytest.mark.parametrize("name", [*NAMES, "floor.to_world"])
-def test_derivatives_are_those_of_differences(name):
-    """Independent samples; the floor, of which the camera sees no edge, moves as a whole."""
-    scene = room()
-    direction = None
-    if name == "floor.to_world":
-        direction = torch.zeros(4, 4, dtype=torch.float64)
-        direction[2, 3] = 1.0
-    check = rb.check_gradient(scene, name, direction=direction, spp=4096, max_depth=4, seed=3)
-    assert check.agrees, check
+DULL = haze((0.3, 0.4, 0.5), (0.9, 0.6, 0.3), 0.4)
+
+
+@pytest.mark.parametrize("name, step", zip(NAMES, (0.05, 0.05, 0.15)))
+def test_derivatives_are_those_of_differences(name, step):
+    """Independent samples, among walls that send light."""
+    scene = furnace(DULL, (0.3, 0.6, 1.0), floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)))
+    check = rb.check_gradient(scene, name, step=step, spp=16384, max_depth=4, seed=3)
+    assert check.agrees, str(check)
+
+
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+def test_flights_fill_the_way_to_walls_that_move(sampling):
+    """The whole box grows; its walls look alike, so that nothing jumps where they meet."""
+    grows = torch.diag(torch.tensor([1.0, 1.0, 1.0, 0.0], dtype=torch.float64))
+    check = rb.check_gradient(furnace(DULL, (0.3, 0.6, 1.0)), "box.to_world", direction=grows, step=0.4, spp=32768, max_depth=4,
+                              seed=3, sampling=sampling)
+    assert check.agrees, str(check)
 
 
 def test_two_media_that_scatter_are_refused():

@@ -76,7 +76,7 @@ class FlightVertex(VertexKind):
         kind, table = scene.layout.media[medium], scene.media[medium]
         t, longer = distance_flown(scene, arrival, settings, here)
         p, wi = point_on(state.ray, t), -state.ray.d
-        density, _ = kind.flight_pdf(detached(table), detached(state.ray), arrival.flight)
+        density, _ = kind.flight_pdf(proposal.media[medium], detached(state.ray), arrival.flight)
         scattered = transmittance(scene, state.ray, t) * kind.scattering(table, p) * (longer / density.clamp_min(TINY))
 
         # Ld: the light of one point on a light, as the phase function scatters it.

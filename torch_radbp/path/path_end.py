@@ -34,7 +34,7 @@ class PathEnd(VertexKind):
         si = surface_met(scene, arrival, settings, here)
         Le = emission(scene, proposal, arrival, si, settings, texture_values)
         distance = torch.where(si.valid, si.t, FAR)
-        Le = attenuated(Le, way_through(scene, arrival.state.ray, distance, arrival.flight is not None))
+        Le = attenuated(Le, way_through(scene, proposal, arrival.state.ray, distance, arrival.flight is not None))
         return Terms(Le, Vec3.full(si.t, 0.0), None, None, None, None, torch.zeros_like(si.valid), si)
 
 

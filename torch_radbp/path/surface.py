@@ -58,7 +58,7 @@ class SurfaceVertex(VertexKind):
         state, key = arrival.state, bounce_key(arrival.state.key, at.counter)
         number = partial(uniform, key, dtype=state.pdf.dtype)
         si = surface_met(scene, arrival, settings, here)
-        through = way_through(scene, state.ray, si.t, arrival.flight is not None)
+        through = way_through(scene, proposal, state.ray, si.t, arrival.flight is not None)
         of_material, of_emitter, of_sample = shares_of(scene, texture_values)
 
         # Le: the light that it emits.

@@ -23,20 +23,21 @@ def transmittance(scene: SceneTensors, ray: Ray, distance: Tensor) -> Vec3 | Non
     return through
 
 
-def way_through(scene: SceneTensors, ray: Ray, distance: Tensor, flown: bool) -> Vec3 | None:
+def way_through(scene: SceneTensors, proposal: SceneTensors, ray: Ray, distance: Tensor, flown: bool) -> Vec3 | None:
     """What light that surfaces send along rays counts by, (N,), for paths that have met them; None: there are no media.
 
     In a medium that scatters only some flights reach the surface, so that those count by transmittance over the probability
-    to get there, which is detached.
+    to get there.
 
     Args:
-        ray, distance: as for `transmittance`.
+        scene, ray, distance: as for `transmittance`.
+        proposal: the scene, detached; has the probability.
         flown: whether flights were sampled.
     """
     through, number = transmittance(scene, ray, distance), scene.layout.scattering_medium
     if not flown or number is None:
         return through
-    _, reaches = scene.layout.media[number].flight_pdf(detached(scene.media[number]), detached(ray), distance.detach())
+    _, reaches = scene.layout.media[number].flight_pdf(proposal.media[number], detached(ray), distance.detach())
     return through / reaches.clamp_min(TINY)
 
 

@@ -214,8 +214,12 @@ def hits_plain(geometry: Geometry, hit: Hit) -> Tensor:
 
 
 def scatters_as(integrand: Integrand, event: Scatters, following: bool) -> bool:
-    """True if an event's scattering has differentiated directions (`following`), or else hits that are fixed to surfaces."""
-    kind, settings = integrand.scatterer(event).kind, integrand.settings
+    """True if an event's scattering has differentiated directions (`following`), or else hits that are fixed to surfaces; of
+    what scatters between surfaces neither is looked for."""
+    scatterer, settings = integrand.scatterer(event), integrand.settings
+    if scatterer is None:
+        return False
+    kind = scatterer.kind
     return kind.smooth and (settings.sampling == "attached" or settings.following and kind.follows) == following
 
 
