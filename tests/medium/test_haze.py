@@ -132,12 +132,12 @@ def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, sampl
 @pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
 @pytest.mark.parametrize("name", [NAMES[0], "floor.to_world"])
 def test_forward_mode_is_the_transpose_of_backward(compile, name):
-    scene = room()
+    scene, settings = room(), SETTINGS | {"terms": ("interior",), "compile": compile}
     tangent = torch.linspace(0.5, 1.0, scene.get_parameter(name).numel(), dtype=torch.float64)
     tangent = tangent.view_as(scene.get_parameter(name))
-    forward = rb.jvp(scene, {name: tangent}, seed=1, compile=compile, terms=("interior",), **SETTINGS)
+    forward = rb.jvp(scene, {name: tangent}, seed=1, **settings)
     w = cotangent(forward)
-    _, (gradient,) = image_and_gradients(scene, [name], seed=1, adj_image=w, compile=compile, terms=("interior",), **SETTINGS)
+    _, (gradient,) = image_and_gradients(scene, [name], seed=1, adj_image=w, **settings)
     assert float((gradient * tangent).sum()) == pytest.approx(float((w * forward).sum()), rel=1e-9)
 
 
@@ -156,8 +156,8 @@ def test_derivatives_are_those_of_differences(name, step):
 def test_flights_fill_the_way_to_walls_that_move(sampling):
     """The whole box grows; its walls look alike, so that nothing jumps where they meet."""
     grows = torch.diag(torch.tensor([1.0, 1.0, 1.0, 0.0], dtype=torch.float64))
-    check = rb.check_gradient(furnace(DULL, (0.3, 0.6, 1.0)), "box.to_world", direction=grows, step=0.4, spp=32768, max_depth=4,
-                              seed=3, sampling=sampling)
+    check = rb.check_gradient(furnace(DULL, (0.3, 0.6, 1.0)), "box.to_world", direction=grows, step=0.4, spp=32768,
+                              max_depth=4, seed=3, sampling=sampling)
     assert check.agrees, str(check)
 
 

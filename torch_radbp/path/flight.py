@@ -65,7 +65,7 @@ class FlightVertex(VertexKind):
         if not scene.layout.lit or not settings.nee:
             return ()
         t, _ = distance_flown(scene, arrival, settings)
-        p, numbers = point_on(arrival.state.ray, t), light_numbers(bounce_key(arrival.state.key, at.counter))
+        p, numbers = point_along(arrival.state.ray, t), light_numbers(bounce_key(arrival.state.key, at.counter))
         return sample_places(scene, light_aims(scene, proposal, p, numbers, arrival.picked))
 
     def terms(self, scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position, settings: Settings,
@@ -75,7 +75,7 @@ class FlightVertex(VertexKind):
         number, medium = partial(uniform, key, dtype=state.pdf.dtype), scene.layout.scattering_medium
         kind, table = scene.layout.media[medium], scene.media[medium]
         t, longer = distance_flown(scene, arrival, settings, here)
-        p, wi = point_on(state.ray, t), -state.ray.d
+        p, wi = point_along(state.ray, t), -state.ray.d
         density, _ = kind.flight_pdf(proposal.media[medium], detached(state.ray), arrival.flight)
         scattered = transmittance(scene, state.ray, t) * kind.scattering(table, p) * (longer / density.clamp_min(TINY))
 
@@ -159,7 +159,7 @@ def distance_flown(scene: SceneTensors, arrival: Arrival, settings: Settings,
     return arrival.flight * longer, longer
 
 
-def point_on(ray: Ray, t: Tensor) -> Vec3:
+def point_along(ray: Ray, t: Tensor) -> Vec3:
     """The points at distances along rays."""
     return ray.o + ray.d * t
 
@@ -172,5 +172,5 @@ def phase_to(kind: MediumKind, table: Any, p: Vec3, wi: Vec3, d: Vec3) -> tuple[
 
 def flight_vantage(arrival: Arrival) -> Vantage:
     """Where flights end, for the choice of lights: in no plane, so that light may come from all around."""
-    p = point_on(arrival.state.ray, torch.where(arrival.flight < torch.inf, arrival.flight, 0.0))
+    p = point_along(arrival.state.ray, torch.where(arrival.flight < torch.inf, arrival.flight, 0.0))
     return Vantage(p.map(settled), Vec3.full(arrival.flight, 0.0))
