@@ -68,6 +68,11 @@ PAGES = {
     "sampler": Category("Samplers", "Which random numbers the samples of a pixel get."),
     "integrator": Category("Integrators", "What of the light transport an image shows. How derivatives are computed, "
                            "`adjoint=` of {py:obj}`Renderer <torch_radbp.Renderer>` says."),
+    "medium": Category("Media", "What light travels through. A medium fills the whole scene: it is that of the sensors. The "
+                       "pictures show a ball in each."),
+    "phase": Category("Phase functions", "The directions in which media scatter light. The pictures show a ball in a fog with "
+                      "each."),
+    "volume": Category("Volumes", "What a medium is made of at each point. The picture shows a ball in a fog."),
 }
 
 

@@ -53,6 +53,12 @@ def sampled(caption: str, kind: str, like: str = "") -> Example:
     return seen(caption, like=like, film={"width": 64, "height": 64}, sampler={"type": kind, "sample_count": 4})
 
 
+def foggy(caption: str, medium: dict[str, Any]) -> Example:
+    """The scene in fog."""
+    fog = {"type": "homogeneous", "sigma_t": 0.12, "albedo": 0.9} | medium
+    return Example(caption, {"camera": CAMERA | {"medium": fog}}, samples=MANY)
+
+
 FACING = LookAt((0, 0, 0), (-0.3, -1, 0.2))  # the pose of a square that faces the camera
 ABOVE = LookAt((-0.8, -4.6, 1.5), (0, 0, 0.7))
 ASIDE = LookAt((-1.8, -3.0, 2.6))
@@ -209,5 +215,15 @@ INTEGRATORS = {
     **{name: lone("The image of `path`.", "integrator", name, max_depth=8, like="path")
        for name in ("prb", "prb_basic", "prb_projective", "prbvolpath", "ptracer", "volpath", "volpathmis")},
 }
+MEDIA = {"homogeneous": foggy("A ball in fog, which the lamp above it lights.", {})}
+PHASES = {
+    "hg": foggy("Fog that scatters light mostly forwards: it is darker seen from the side of the lamp.", {
+        "phase": {"type": "hg", "g": 0.7}}),
+    "isotropic": foggy("Fog that scatters light into all directions alike.", {"phase": {"type": "isotropic"}}),
+    "rayleigh": foggy("Air, so thick that it is seen.", {"phase": {"type": "rayleigh"}}),
+}
+VOLUMES = {"constvolume": foggy("Fog whose drops are coloured.", {
+    "albedo": {"type": "constvolume", "value": {"type": "rgb", "value": [0.6, 0.8, 1.0]}}})}
 EXAMPLES = {"bsdf": BSDFS, "texture": TEXTURES, "emitter": EMITTERS, "shape": SHAPES, "sensor": SENSORS, "film": FILMS,
-            "rfilter": FILTERS, "sampler": SAMPLERS, "integrator": INTEGRATORS}
+            "rfilter": FILTERS, "sampler": SAMPLERS, "integrator": INTEGRATORS, "medium": MEDIA, "phase": PHASES,
+            "volume": VOLUMES}

@@ -20,7 +20,7 @@ TESTS = Path(__file__).parent
 LAYERS = [
     {"tensors", "plugin", "install_hint"},
     {"jit", "sampling", "film", "transforms", "pose", "losses", "priors", "integrator", "formats"},
-    {"texture", "sensor", "public_call"}, {"shape", "bsdf", "emitter", "medium"}, {"scene"},
+    {"texture", "sensor", "phase", "public_call"}, {"shape", "bsdf", "emitter", "volume"}, {"medium"}, {"scene"},
     {"raycast", "optim", "io", "bake"}, {"path", "photographs"}, {"call"}, {"adjoint"}, {"boundary", "aov"}, {"rendering"},
     {"check"}, {"public"}, {"training"},
 ]

@@ -36,7 +36,7 @@ XML = {
         ['line 2: <bsdf type="sphere">', "'sphere' is a shape, not a bsdf"],
     ),
     "unknown element": ("<material/>", ["line 2: <material>", "not supported", "shape, bsdf"]),
-    "unsupported element": ('<medium type="homogeneous"/>', ["line 2: <medium", "media and volumes are not supported"]),
+    "unsupported element": ('<field type="constfield"/>', ["line 2: <field", "fields are not supported"]),
     "unknown attribute": (
         diffuse('\n<rgb name="reflectence" value="1"/>'),
         [

@@ -18,7 +18,7 @@ from torch_radbp.plugin import REGISTRY, register
 
 SIGMA = (0.25, 0.5, 0.875)
 FOG = {"type": "absorbing_fog", "sigma_a": rgb(*SIGMA)}
-NAME = "fog.sigma_a.value"
+NAME = "camera.medium.sigma_a.value"
 MIRROR = {"type": "conductor", "material": "none"}
 SAMPLINGS = ("detached", "hybrid", "attached")
 NEAR = 0.01  # from the camera to where its rays begin, the near plane
@@ -27,12 +27,12 @@ SETTINGS = {"spp": 8, "max_depth": 4, "rr_depth": 2}
 
 @pytest.fixture(autouse=True, scope="module")
 def registered():
-    """The category of the fog exists while it is tested: the rest of the tests go over all that the package has."""
+    """The fog is registered while it is tested: the rest of the tests go over all that the package has."""
     from tests.medium.fog import AbsorbingFog
 
     register("medium", "absorbing_fog")(AbsorbingFog)
     yield
-    del REGISTRY["medium"]
+    del REGISTRY["medium"]["absorbing_fog"]
 
 
 def lamp(at, half, radiance=(3.0, 2.0, 1.0), **more):
@@ -41,7 +41,7 @@ def lamp(at, half, radiance=(3.0, 2.0, 1.0), **more):
 
 def room(**more):
     """A floor under a lamp and a point light, beside a mirror, from above, in fog."""
-    return load(torch.float64, fog=FOG, camera=overhead(4, 4.0, 1.0),
+    return load(torch.float64, camera=overhead(4, 4.0, 1.0) | {"medium": FOG},
                 floor=rectangle((0, 0, 0), 2.0, bsdf=diffuse(0.6, 0.5, 0.4)),
                 mirror=rectangle((0.9, 0, 0.5), 0.5, (0, 1, 0), -60, bsdf={"type": "twosided", "one": MIRROR}),
                 lamp=lamp((0.3, -0.8, 2.0), 0.4, axis=(1, 0, 0), angle=170),
@@ -66,7 +66,7 @@ def assert_closed_form(scene, expected: torch.Tensor, distance: float, **setting
 
 @pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
 def test_what_a_camera_ray_meets_is_darker_by_its_distance(compile):
-    scene = load(torch.float64, fog=FOG, camera=overhead(4, 4.0, 1.0), lamp=lamp((0, 0, 1), 2.0))
+    scene = load(torch.float64, camera=overhead(4, 4.0, 1.0) | {"medium": FOG}, lamp=lamp((0, 0, 1), 2.0))
     expected = torch.tensor([3.0, 2.0, 1.0]) * torch.exp(-(3.0 - NEAR) * torch.tensor(SIGMA, dtype=torch.float64))
     assert_closed_form(scene, expected, 3.0 - NEAR, spp=2, max_depth=2, compile=compile)
 
@@ -74,7 +74,7 @@ def test_what_a_camera_ray_meets_is_darker_by_its_distance(compile):
 @pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
 def test_light_from_a_mirror_is_darker_by_the_whole_way(compile):
     """Looking down onto a mirror at 45 degrees, and from there sideways at a lamp: 4 + 2."""
-    scene = load(torch.float64, fog=FOG, camera=overhead(2, 4.0, 1e-4),
+    scene = load(torch.float64, camera=overhead(2, 4.0, 1e-4) | {"medium": FOG},
                  mirror=rectangle((0, 0, 0), 1.0, (0, 1, 0), 45, bsdf=MIRROR),
                  lamp=lamp((2, 0, 0), 1.0, axis=(0, 1, 0), angle=-90))
     expected = torch.tensor([3.0, 2.0, 1.0]) * torch.exp(-(6.0 - NEAR) * torch.tensor(SIGMA, dtype=torch.float64))
@@ -87,7 +87,7 @@ def test_light_from_a_mirror_is_darker_by_the_whole_way(compile):
 @pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
 def test_light_that_is_sampled_is_darker_by_the_way_from_the_lamp(compile):
     """A point light 1 above a floor that the camera sees from 4: reflectance / pi x intensity x transmittance of 1 + 4."""
-    scene = load(torch.float64, fog=FOG, camera=overhead(2, 4.0, 1e-4),
+    scene = load(torch.float64, camera=overhead(2, 4.0, 1e-4) | {"medium": FOG},
                  floor=rectangle((0, 0, 0), 2.0, bsdf=diffuse(0.6, 0.5, 0.4)),
                  bulb={"type": "point", "position": [0.0, 0.0, 1.0], "intensity": rgb(2, 3, 4)})
     expected = torch.tensor([1.2, 1.5, 1.6]) / math.pi * torch.exp(-(5.0 - NEAR) * torch.tensor(SIGMA, dtype=torch.float64))
@@ -101,8 +101,8 @@ def test_a_sky_is_not_seen_through_it():
     """Nor behind nothing: it fills all space."""
     sky = {"type": "constant", "radiance": rgb(1, 1, 1)}
     floor = rectangle((0, 0, 0), 0.5, bsdf=diffuse(0.6, 0.5, 0.4))
-    dark, bright = (rb.render(load(torch.float64, camera=overhead(4), sky=sky, floor=floor, **more), seed=1, spp=4,
-                              max_depth=3) for more in ({"fog": FOG}, {}))
+    dark, bright = (rb.render(load(torch.float64, camera=overhead(4) | more, sky=sky, floor=floor), seed=1, spp=4,
+                              max_depth=3) for more in ({"medium": FOG}, {}))
     assert dark.max() == 0 and bright.min() > 0
 
 
@@ -146,4 +146,4 @@ def test_derivatives_are_those_of_differences():
 
 def test_a_medium_that_is_not_known_is_refused_by_name():
     with pytest.raises(rb.SceneError, match="absorbing_fog"):
-        load(torch.float64, camera=overhead(4), lamp=lamp((0, 0, 0), 1.0), fog={"type": "absorbing_fgo"})
+        load(torch.float64, camera=overhead(4) | {"medium": {"type": "absorbing_fgo"}}, lamp=lamp((0, 0, 0), 1.0))

@@ -10,8 +10,8 @@ CATEGORIES = {  # by the first cell of a row: ours, Mitsuba's
     "BSDFs": ("bsdf", "BSDF"), "Emitters": ("emitter", "Emitter"), "Shapes": ("shape", "Shape"),
     "Textures and spectra": ("texture", "Texture"), "Sensors": ("sensor", "Sensor"), "Films": ("film", "Film"),
     "Filters": ("rfilter", "ReconstructionFilter"), "Samplers": ("sampler", "Sampler"),
-    "Integrators": ("integrator", "Integrator"), "Media": (None, "Medium"), "Phase functions": (None, "PhaseFunction"),
-    "Volumes": (None, "Volume"),
+    "Integrators": ("integrator", "Integrator"), "Media": ("medium", "Medium"),
+    "Phase functions": ("phase", "PhaseFunction"), "Volumes": ("volume", "Volume"),
 }
 
 

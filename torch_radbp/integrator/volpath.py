@@ -1,4 +1,4 @@
-"""Mitsuba's integrators for participating media, rendered without media by path tracing."""
+"""Mitsuba's integrators for participating media, which are path tracing here, as all are."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from torch_radbp.integrator.path import Path, PathReplay
 from torch_radbp.plugin import BSDF, boolean, register
 
 
-class WithoutMedia(Path):
-    """Path tracing in place of an integrator for participating media.
+class VolumetricPath(Path):
+    """Path tracing, which sees media whatever the integrator is called.
 
-    Media are not supported, and refused by name. Without them both agree in expectation, but for one thing: there, light
-    that passes straight through a surface (`null`, `mask`, `thindielectric`) is not counted towards `max_depth`, and
-    next-event estimation looks through; here it is a bounce, as in `path`.
+    It agrees with Mitsuba's volumetric integrators in expectation, but for one thing: there, light that passes straight
+    through a surface (`null`, `mask`, `thindielectric`) is not counted towards `max_depth`, and next-event estimation looks
+    through; here it is a bounce, as in `path`.
     """
 
     def check(self, materials: Iterable[BSDF]) -> None:
@@ -26,8 +26,8 @@ class WithoutMedia(Path):
 
 
 @register("integrator", "volpath")
-class VolumePath(WithoutMedia):
-    """Mitsuba's volumetric path tracer, without media: what `path` renders.
+class VolumePath(VolumetricPath):
+    """Mitsuba's volumetric path tracer: what `path` renders, media included.
 
     Light that passes straight through a surface (`null`, `mask`, `thindielectric`) is a bounce here, as in `path`; in
     Mitsuba's it is not counted towards `max_depth`.
@@ -35,14 +35,14 @@ class VolumePath(WithoutMedia):
 
 
 @register("integrator", "volpathmis")
-class SpectralVolumePath(WithoutMedia):
-    """Mitsuba's volumetric path tracer with spectral multiple importance sampling, without media.
+class SpectralVolumePath(VolumetricPath):
+    """Mitsuba's volumetric path tracer with spectral multiple importance sampling: what `path` renders, media included.
 
     Light that passes straight through a surface (`null`, `mask`, `thindielectric`) is a bounce here, as in `path`; in
     Mitsuba's it is not counted towards `max_depth`.
 
     Args:
-        use_spectral_mis: of media; without effect.
+        use_spectral_mis: without effect: distances are always weighted against all three colours.
     """
 
     def __init__(self, *, max_depth: int = -1, rr_depth: int = 5, use_spectral_mis: bool = True,
@@ -53,8 +53,8 @@ class SpectralVolumePath(WithoutMedia):
 
 
 @register("integrator", "prbvolpath")
-class VolumePathReplay(PathReplay, WithoutMedia):
-    """Mitsuba's path replay backpropagation through media, without media: what `prb` renders.
+class VolumePathReplay(PathReplay, VolumetricPath):
+    """Mitsuba's path replay backpropagation through media: what `prb` renders, media included.
 
     Light that passes straight through a surface (`null`, `mask`, `thindielectric`) is a bounce here, as in `path`; in
     Mitsuba's it is not counted towards `max_depth`.

@@ -26,7 +26,7 @@ from torch_radbp.io.xml_values import PROPERTIES, check_element, property_value
 from torch_radbp.plugin import REGISTRY, nearest
 
 DIRECTIVES = ("default", "include", "path", "alias")
-UNSUPPORTED_OBJECTS = ("medium", "phase", "volume", "field")
+UNSUPPORTED_OBJECTS = ("field",)
 
 # A few small files can describe more than any machine can hold, by including each other and by variables in variables.
 MAX_CHAIN = 50  # files that are open at once, each including the next
@@ -133,8 +133,7 @@ class _Reader:
     def plugin(self, element: Element) -> XMLObject:
         """Converts one object with its attributes and nested objects."""
         if element.tag in UNSUPPORTED_OBJECTS:
-            raise element.fail("media and volumes are not supported, light travels between surfaces only; supported here: "
-                               f"{_supported()}")
+            raise element.fail(f"fields are not supported; supported here: {_supported()}")
         if element.tag not in (*REGISTRY, "spectrum"):
             raise element.fail(f"this element is not supported; supported here: {_supported()}, "
                                f"{', '.join(PROPERTIES)}")

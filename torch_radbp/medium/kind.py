@@ -1,8 +1,8 @@
 """The interface between media and the tracer.
 
-A medium fills the whole scene. It has two parts, as an emitter has: its `MediumKind`, a hashable value that names the
-functions, and a table of its numbers, attached to its parameters. What a vertex sends along a ray, and the light that
-reaches it along a connection, counts by the share that the medium lets through:
+A medium fills the whole scene: it is that of the sensors. It has two parts, as an emitter has: its `MediumKind`, a hashable
+value that names the functions, and a table of its numbers, attached to its parameters. What a vertex sends along a ray, and
+the light that reaches it along a connection, counts by the share that the medium lets through:
 
     L = T(ray) (E + F L'),    E = Le + visible T(connection) Ld
 
@@ -18,7 +18,6 @@ from typing import Any, ClassVar
 
 from torch import Tensor
 
-from torch_radbp.plugin import Plugin
 from torch_radbp.tensors.vec import Ray, Vec3
 
 Table = Any  # a NamedTuple of columns of one row
@@ -66,17 +65,3 @@ class MediumKind(ABC):
     def sample_phase(self, table: Table, p: Vec3, wi: Vec3, u: Tensor, v: Tensor) -> Vec3:
         """Samples unit directions in the world in which paths go on, (N,); attached."""
         raise TypeError(f"{type(self).__name__} does not scatter")
-
-
-class Medium(Plugin):
-    """What a medium's plugin gives to the tracer."""
-
-    category = "medium"
-
-    def kind(self) -> MediumKind:
-        """The functions."""
-        raise TypeError(f"{type(self).__name__} does not define its kind")
-
-    def row(self) -> Table:
-        """The table: a record of () tensors, attached."""
-        raise TypeError(f"{type(self).__name__} does not define its row")

@@ -5,12 +5,15 @@ from torch_radbp.plugin.base import (
     Emitter,
     Film,
     Integrator,
+    Medium,
+    Phase,
     Plugin,
     ReconstructionFilter,
     Sampler,
     Sensor,
     Shape,
     Texture,
+    Volume,
     no_module,
     plugin_categories,
 )
@@ -19,7 +22,8 @@ from torch_radbp.plugin.registry import ABSENT, REGISTRY, absent, register
 from torch_radbp.plugin.schema import Attribute, Filename, Matrix4, Point3, TriangleMesh, attributes, options
 from torch_radbp.plugin.values import boolean, finite, integer, no_gradient, positive, warn_of_radians
 
-__all__ = ["ABSENT", "BSDF", "REGISTRY", "Attribute", "Emitter", "Filename", "Film", "Integrator", "Matrix4", "Plugin",
-           "Point3", "ReconstructionFilter", "Sampler", "SceneError", "SceneWarning", "Sensor", "Shape", "Texture",
-           "TriangleMesh", "absent", "attributes", "boolean", "finite", "integer", "nearest", "no_gradient", "no_module",
-           "options", "plugin_categories", "positive", "register", "warn_of_radians", "with_article"]
+__all__ = ["ABSENT", "BSDF", "REGISTRY", "Attribute", "Emitter", "Filename", "Film", "Integrator", "Matrix4", "Medium",
+           "Phase", "Plugin", "Point3", "ReconstructionFilter", "Sampler", "SceneError", "SceneWarning", "Sensor",
+           "Shape", "Texture", "TriangleMesh", "Volume", "absent", "attributes", "boolean", "finite", "integer",
+           "nearest", "no_gradient", "no_module", "options", "plugin_categories", "positive", "register",
+           "warn_of_radians", "with_article"]

@@ -136,9 +136,33 @@ class Sensor(Plugin):
     category = "sensor"
     up: tuple[float, float, float] | None = None  # up direction of the world, if its data set says so
 
+    def __init__(self) -> None:
+        super().__init__()
+        self.medium: Medium | None = None  # in which it stands
+
     def views(self) -> dict[str, Sensor]:
         """The sensors that make one image each, by the suffix that is added to the name of this one."""
         return {"": self}
+
+
+class Medium(Plugin):
+    category = "medium"
+
+    def kind(self) -> Any:
+        """The functions, a `medium.kind.MediumKind`."""
+        raise TypeError(f"{type(self).__name__} does not define its kind")
+
+    def row(self) -> Any:
+        """The numbers that these read: a record of () tensors, attached."""
+        raise TypeError(f"{type(self).__name__} does not define its row")
+
+
+class Phase(Plugin):
+    category = "phase"
+
+
+class Volume(Plugin):
+    category = "volume"
 
 
 class Film(Plugin):

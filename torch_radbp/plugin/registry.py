@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, MutableMapping
 from typing import TypeVar
 
 Class = TypeVar("Class", bound=type)
-PACKAGES = ("bsdf", "emitter", "film", "integrator", "medium", "sensor", "shape", "texture")  # register plugins
+PACKAGES = ("bsdf", "emitter", "film", "integrator", "medium", "phase", "sensor", "shape", "texture", "volume")  # of plugins
 
 
 class PluginTypes(MutableMapping):
@@ -40,7 +40,8 @@ class PluginTypes(MutableMapping):
 
 REGISTRY: dict[str, PluginTypes] = {
     name: PluginTypes()
-    for name in ("shape", "bsdf", "texture", "emitter", "sensor", "film", "rfilter", "sampler", "integrator")
+    for name in ("shape", "bsdf", "texture", "emitter", "sensor", "film", "rfilter", "sampler", "integrator",
+                 "medium", "phase", "volume")
 }
 
 

@@ -28,8 +28,8 @@ KIND = operator.attrgetter("shape", "dtype", "device", "layout", "requires_grad"
 class Inventory:
     """The attributes of a module and of all modules in it, at one rendering.
 
-    Of a scene, sensors are left out: each is a root of its own, so that what a rendering costs does not depend on how many
-    there are that it does not show.
+    Of a scene, sensors are left out, but for the medium in which they stand: each is a root of its own, so that what a
+    rendering costs does not depend on how many there are that it does not show.
 
     Args:
         root: the module.
@@ -37,7 +37,8 @@ class Inventory:
 
     def __init__(self, root: nn.Module):
         left_out = set(root.named_sensors.values()) if isinstance(root, Scene) else set()
-        self.root, self.modules = root, list(_held_by([root], left_out))
+        self.media = media_of(root)
+        self.root, self.modules = root, list(_held_by([*self.media, root], left_out))
         self.inner = [each for module in self.modules for each in dicts_of(module)[1:]]  # found in `vars` of the modules
         dicts = self.dicts()
         self.sizes, self.names = list(map(len, dicts)), list(chain.from_iterable(dicts))
@@ -61,7 +62,7 @@ class Inventory:
     def holds(self, root: nn.Module) -> bool:
         """True if a module and all modules in it still have the same attributes, whatever the values of tensors are."""
         dicts = self.dicts()
-        return (root is self.root and not inside_dual_level()
+        return (root is self.root and not inside_dual_level() and media_of(root) == self.media
                 and list(map(len, dicts)) == self.sizes and list(chain.from_iterable(dicts)) == self.names
                 and all(map(operator.is_, chain.from_iterable(map(dict.values, dicts)), self.values))
                 and list(map(KIND, self.tensors)) == self.kinds)
@@ -71,6 +72,11 @@ class Inventory:
         if modules not in self.reaches:
             self.reaches[modules] = reach_of(modules)
         return self.reaches[modules]
+
+
+def media_of(root: nn.Module) -> list[nn.Module]:
+    """The media of a scene, which sensors hold; of other modules none."""
+    return root.media if isinstance(root, Scene) else []
 
 
 def reach_of(modules: Iterable[nn.Module]) -> frozenset[int]:

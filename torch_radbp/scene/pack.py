@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import torch
 
 from torch_radbp.emitter.kind import Light, stacked
-from torch_radbp.medium.kind import Medium, Table
-from torch_radbp.plugin import BSDF, SceneError, Texture
+from torch_radbp.medium.kind import Table
+from torch_radbp.plugin import BSDF, Medium, SceneError, Texture
 from torch_radbp.scene.attributes import any_attribute_differentiated, check_attributes
 from torch_radbp.scene.geometry import Columns, PlacedShape, TriangleNumbering, placed_shape, shown_instances, triangle_table
 from torch_radbp.scene.light_table import Emission, kinds_of, light_table, takes_tree

@@ -18,7 +18,7 @@ from torch_radbp.plugin.domain import LARGEST_COORDINATE, LEEWAY, Domain
 from torch_radbp.scene.inventory import reach_of, tensors_of
 from torch_radbp.scene.module_attributes import modules_in
 from torch_radbp.scene.pack_cache import PackCache
-from torch_radbp.scene.scene import Scene
+from torch_radbp.scene.scene import Scene, modules_of
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
 from torch_radbp.tensors.differentiated import differentiated, primal
@@ -59,7 +59,7 @@ def held_values(scene: Scene) -> dict[str, Held]:
 
 def held_in(root: nn.Module, prefix: str = "") -> dict[str, Held]:
     """The parameters of one sensor, or of a scene without its sensors, by name; a part of `held_values`."""
-    named = modules_in(root, prefix, set(root.named_sensors.values()) if isinstance(root, Scene) else ())
+    named = modules_of(root, prefix)
     plugins = [(name, module) for name, module in named if isinstance(module, Plugin)]
     names = {id(plugin): name for name, plugin in plugins}
     note_uses(plugins)

@@ -11,8 +11,8 @@ from torch import Tensor, nn
 
 from torch_radbp.formats.html_table import html_table
 from torch_radbp.integrator.path import Path
-from torch_radbp.medium.kind import Medium
-from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Integrator, Plugin, SceneError, Sensor, nearest, with_article
+from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Integrator, Medium, Plugin, SceneError, Sensor, nearest, with_article
+from torch_radbp.scene.module_attributes import modules_in
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
 
@@ -50,6 +50,10 @@ class Scene(nn.Module):
             raise SceneError("the scene has no emitter, so that every image is black: add an emitter of type "
                              f"{', '.join(sorted(REGISTRY['emitter']))}")
         self._check_places()
+        media = self.media
+        for name, child in self._modules.items():
+            if isinstance(child, Medium) and child not in media:
+                raise SceneError(f"`{name}` is a medium in which no sensor stands: write it as the medium of the sensors")
         surrounds = [emitter.type for emitter in self.emitters if emitter.kind().surround]
         if len(surrounds) > 1:
             raise SceneError(f"the scene has more than one emitter that surrounds it ({', '.join(surrounds)}): add up "
@@ -77,7 +81,7 @@ class Scene(nn.Module):
             TypeError: if it is of another category.
         """
         old = self._modules.get(name)
-        if old is None and plugin.category in ("shape", "emitter", "sensor", "medium"):
+        if old is None and plugin.category in ("shape", "emitter", "sensor"):
             return
         if old is None:
             raise AttributeError(f"the scene has no object {name!r}, and {with_article(plugin.category)} that no shape has "
@@ -170,8 +174,18 @@ class Scene(nn.Module):
 
     @property
     def media(self) -> list[Medium]:
-        """What light travels through, everywhere between the surfaces."""
-        return [child for child in self._modules.values() if isinstance(child, Medium)]
+        """What light travels through, everywhere between the surfaces: that of the sensors, one or none.
+
+        Raises:
+            SceneError: if sensors stand in different media.
+        """
+        media = {name: sensor.medium for name, sensor in self.named_sensors.items()}
+        one, *others = media.values() or (None,)
+        if any(other is not one for other in others):
+            each = ", ".join(f"`{name}` in {medium.type if medium else 'none'}" for name, medium in media.items())
+            raise SceneError(f"a medium fills the whole scene, and sensors stand in different ones: {each}; give all the "
+                             "same object, by a reference to it")
+        return [] if one is None else [one]
 
     @property
     def dtype(self) -> torch.dtype:
@@ -285,3 +299,12 @@ def half_precision(dtype: torch.dtype) -> TypeError:
     """The error about a half-precision dtype."""
     return TypeError(f"a scene is rendered in torch.float32 or torch.float64, not in {dtype}, which rounds "
                      f"positions to 3 digits; convert the image instead")
+
+
+def modules_of(root: nn.Module, prefix: str = "") -> list[tuple[str, nn.Module]]:
+    """The modules of one sensor, or of a scene without its sensors but with their medium, as `modules_in` lists them."""
+    if not isinstance(root, Scene):
+        return modules_in(root, prefix)
+    named = modules_in(root, prefix, set(root.named_sensors.values()))
+    met = {module for _, module in named}
+    return named + [each for medium in root.media if medium not in met for each in modules_in(medium, root.name_of(medium))]

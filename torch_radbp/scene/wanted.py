@@ -8,9 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from torch_radbp.plugin import Sensor
-from torch_radbp.scene.module_attributes import modules_in
 from torch_radbp.scene.pack_cache import PackCache
-from torch_radbp.scene.scene import Scene
+from torch_radbp.scene.scene import Scene, modules_of
 
 
 def wanted_parameters(scene: Scene, seen: Sequence[Sensor], cache: PackCache,
@@ -31,7 +30,7 @@ def wanted_parameters(scene: Scene, seen: Sequence[Sensor], cache: PackCache,
 def differentiable_in(root: nn.Module, prefix: str = "") -> list[tuple[str, Tensor]]:
     """The parameters that require a gradient, each once, of one sensor or of a scene without its sensors."""
     by_id: dict[int, tuple[str, Tensor]] = {}
-    for name, module in modules_in(root, prefix, set(root.named_sensors.values()) if isinstance(root, Scene) else ()):
+    for name, module in modules_of(root, prefix):
         for attribute, value in module._parameters.items():
             if value is not None and value.requires_grad:
                 by_id.setdefault(id(value), (f"{name}.{attribute}".removeprefix("."), value))

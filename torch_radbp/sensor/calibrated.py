@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple, TypedDict
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import Film, Matrix4, Plugin, Sampler, nearest, positive, register
+from torch_radbp.plugin import Film, Matrix4, Medium, Plugin, Sampler, nearest, positive, register
 from torch_radbp.plugin.domain import NUMBER, Domain
 from torch_radbp.sensor.distortion import BrownConrady, Distortion, FieldOfView, KannalaBrandt, ThinPrismFisheye
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
@@ -206,9 +206,9 @@ class Calibrated(ProjectiveCamera):
                  p1: float | None = None, p2: float | None = None, sx1: float | None = None, sy1: float | None = None,
                  omega: float | None = None, to_world: Matrix4 | None = None, near_clip: float = 1e-2,
                  far_clip: float = 1e4, shutter_open: float = 0.0, shutter_close: float = 0.0, film: Film | None = None,
-                 sampler: Sampler | None = None):
+                 sampler: Sampler | None = None, medium: Medium | None = None):
         super().__init__()
-        self.place(to_world, near_clip, far_clip, film, sampler)
+        self.place(to_world, near_clip, far_clip, film, sampler, medium)
         self.shutter_open, self.shutter_close = shutter_open, shutter_close
         self.freeze("fx", number(positive("fx", fx)))
         self.freeze("fy", number(positive("fy", fx if fy is None else fy)))
@@ -279,7 +279,8 @@ class Calibrated(ProjectiveCamera):
         width, height = self.film.width, self.film.height
         fx, cx, cy = (float(value) for value in (self.fx, self.cx, self.cy))
         sensor = Perspective(fov=45.0, near_clip=self.near_clip, far_clip=self.far_clip, shutter_open=self.shutter_open,
-                             shutter_close=self.shutter_close, film=self.film, sampler=self.sampler).to(self.fx.dtype)
+                             shutter_close=self.shutter_close, film=self.film, sampler=self.sampler,
+                             medium=self.medium).to(self.fx.dtype)
         values = {"to_world": self.to_world, "x_fov": math.degrees(2.0 * math.atan(width / (2.0 * fx))),
                   "principal_point_offset_x": 0.5 - (cx + 0.5) / width,
                   "principal_point_offset_y": 0.5 - (cy + 0.5) / height}

@@ -17,7 +17,7 @@ from torch.nn.utils import parametrize
 
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.film.position import FilmTensors
-from torch_radbp.plugin import Film, Matrix4, Sampler, Sensor, positive
+from torch_radbp.plugin import Film, Matrix4, Medium, Sampler, Sensor, positive
 from torch_radbp.plugin.domain import POSE, Domain
 from torch_radbp.sensor.frustum import Frustum
 from torch_radbp.sensor.sampler import LowDiscrepancy
@@ -160,13 +160,14 @@ class ProjectiveCamera(Sensor):
         focus_distance, shutter_open, shutter_close: accepted, but without effect on a camera without lens and motion.
         film: the size of the image; an `hdrfilm` by default.
         sampler: the random numbers; an `ldsampler` by default.
+        medium: what the sensor stands in, and with it the whole scene.
     """
 
     takes_scale: ClassVar[bool] = False  # the lengths of its axes set the size of its view
     in_pixels: ClassVar[tuple[str, ...]] = ()  # its parameters in units of pixels
 
-    def place(self, to_world: Matrix4 | None, near_clip: float, far_clip: float, film: Film | None,
-              sampler: Sampler | None) -> None:
+    def place(self, to_world: Matrix4 | None, near_clip: float, far_clip: float, film: Film | None, sampler: Sampler | None,
+              medium: Medium | None) -> None:
         """Stores the attributes that all such cameras have.
 
         Raises:
@@ -174,6 +175,7 @@ class ProjectiveCamera(Sensor):
         """
         self.film = HDRFilm() if film is None else film
         self.sampler = LowDiscrepancy() if sampler is None else sampler
+        self.medium = medium
         if not 0 < near_clip < far_clip:
             raise ValueError(f"near_clip must be positive and less than far_clip, got {near_clip} and {far_clip}")
         self.near_clip, self.far_clip = positive("near_clip", near_clip), float(far_clip)

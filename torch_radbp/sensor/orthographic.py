@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import Film, Matrix4, Sampler, register
+from torch_radbp.plugin import Film, Matrix4, Medium, Sampler, register
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
 from torch_radbp.sensor.kind import ProjectiveCamera, ProjectiveKind
 from torch_radbp.tensors.vec import Frame, Ray, Vec2, Vec3, dot, normalize
@@ -90,9 +90,9 @@ class Orthographic(ProjectiveCamera):
 
     def __init__(self, *, to_world: Matrix4 | None = None, near_clip: float = 1e-2, far_clip: float = 1e4,
                  focus_distance: float | None = None, shutter_open: float = 0.0, shutter_close: float = 0.0,
-                 film: Film | None = None, sampler: Sampler | None = None):
+                 film: Film | None = None, sampler: Sampler | None = None, medium: Medium | None = None):
         super().__init__()
-        self.place(to_world, near_clip, far_clip, film, sampler)
+        self.place(to_world, near_clip, far_clip, film, sampler, medium)
         self.focus_distance, self.shutter_open, self.shutter_close = focus_distance, shutter_open, shutter_close
 
     def kind(self) -> OrthographicKind:

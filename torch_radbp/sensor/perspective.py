@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import Film, Matrix4, Sampler, nearest, positive, register, warn_of_radians
+from torch_radbp.plugin import Film, Matrix4, Medium, Sampler, nearest, positive, register, warn_of_radians
 from torch_radbp.plugin.domain import NUMBER, Domain
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
 from torch_radbp.sensor.kind import ProjectiveCamera, ProjectiveKind, number
@@ -137,10 +137,10 @@ class Perspective(FieldOfViewCamera):
                  fov_axis: str = "x", near_clip: float = 1e-2, far_clip: float = 1e4,
                  principal_point_offset_x: float = 0.0, principal_point_offset_y: float = 0.0,
                  focus_distance: float | None = None, shutter_open: float = 0.0, shutter_close: float = 0.0,
-                 film: Film | None = None, sampler: Sampler | None = None):
+                 film: Film | None = None, sampler: Sampler | None = None, medium: Medium | None = None):
         super().__init__()
         self.place_view(fov, focal_length, fov_axis, shutter_open, shutter_close, to_world=to_world, near_clip=near_clip,
-                        far_clip=far_clip, film=film, sampler=sampler)
+                        far_clip=far_clip, film=film, sampler=sampler, medium=medium)
         self.focus_distance = focus_distance
         self.freeze("principal_point_offset_x", number(principal_point_offset_x))
         self.freeze("principal_point_offset_y", number(principal_point_offset_y))

@@ -8,7 +8,7 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import Film, Matrix4, Sampler, positive, register
+from torch_radbp.plugin import Film, Matrix4, Medium, Sampler, positive, register
 from torch_radbp.plugin.domain import NUMBER, Domain
 from torch_radbp.sampling.warp import square_to_uniform_disk_concentric
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
@@ -93,10 +93,10 @@ class ThinLens(FieldOfViewCamera):
     def __init__(self, *, aperture_radius: float, to_world: Matrix4 | None = None, fov: float | None = None,
                  focal_length: str | None = None, fov_axis: str = "x", near_clip: float = 1e-2, far_clip: float = 1e4,
                  focus_distance: float | None = None, shutter_open: float = 0.0, shutter_close: float = 0.0,
-                 film: Film | None = None, sampler: Sampler | None = None):
+                 film: Film | None = None, sampler: Sampler | None = None, medium: Medium | None = None):
         super().__init__()
         self.place_view(fov, focal_length, fov_axis, shutter_open, shutter_close, to_world=to_world, near_clip=near_clip,
-                        far_clip=far_clip, film=film, sampler=sampler)
+                        far_clip=far_clip, film=film, sampler=sampler, medium=medium)
         focus_distance = self.far_clip if focus_distance is None else focus_distance
         self.freeze("aperture_radius", number(positive("aperture_radius", aperture_radius)))
         self.freeze("focus_distance", number(positive("focus_distance", focus_distance)))

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.medium.kind import Medium, MediumKind
-from torch_radbp.plugin import Texture, register
+from torch_radbp.medium.kind import MediumKind
+from torch_radbp.plugin import Medium, Texture, register
 from torch_radbp.plugin.domain import AMOUNT, Domain
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Ray, Vec3

@@ -1,4 +1,4 @@
-"""A medium that scatters is a folder, too: a haze is made in `haze/`, and flights that end in it are vertices of paths.
+"""A medium that scatters: flights of paths that end in it are vertices.
 
 A furnace and single scattering in closed form; lights found by chance and by connection; the gradient of every strategy,
 stride and way of running against the tape's; forward mode as the transpose of backward; differences.
@@ -14,42 +14,31 @@ import torch
 import torch_radbp as rb
 from tests.gradients import EXACT, REPLAY, cotangent, image_and_gradients, relative_error
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
-from torch_radbp.plugin import REGISTRY, register
 
 SAMPLINGS = ("detached", "hybrid", "attached")
 NEAR = 0.01  # from the camera to where its rays begin, the near plane
 SETTINGS = {"spp": 8, "max_depth": 5, "rr_depth": 2}
-NAMES = ["haze.sigma_t.value", "haze.albedo.value", "haze.g"]
+NAMES = [f"camera.medium.{name}" for name in ("sigma_t.value.value", "albedo.value.value", "phase_function.g")]
 BLACK = diffuse(0, 0, 0)
 
 
-@pytest.fixture(autouse=True, scope="module")
-def registered():
-    """The category of the haze exists while it is tested: the rest of the tests go over all that the package has."""
-    from tests.medium.haze import Haze
-
-    register("medium", "haze")(Haze)
-    yield
-    del REGISTRY["medium"]
-
-
 def haze(sigma_t=(0.3, 0.6, 1.2), albedo=(0.9, 0.5, 0.2), g=0.4) -> dict:
-    return {"type": "haze", "sigma_t": rgb(*sigma_t), "albedo": rgb(*albedo), "g": g}
+    return {"type": "homogeneous", "sigma_t": rgb(*sigma_t), "albedo": rgb(*albedo), "phase": {"type": "hg", "g": g}}
 
 
 def furnace(fill: dict, radiance=(1, 1, 1), **more):
     """A box whose walls send light, filled with a medium."""
-    return load(torch.float64, haze=fill, camera=overhead(4, 4.0, 1.0), box={
+    return load(torch.float64, camera=overhead(4, 4.0, 1.0) | {"medium": fill}, box={
         "type": "cube", "to_world": torch.diag(torch.tensor([5.0, 5.0, 5.0, 1.0])), "flip_normals": True, "bsdf": BLACK,
         "emitter": {"type": "area", "radiance": rgb(*radiance)}}, **more)
 
 
-CLEAR = {"type": "haze", "sigma_t": rgb(0.2, 0.2, 0.2), "albedo": rgb(1, 1, 1), "g": 0.3}  # absorbs nothing
+CLEAR = haze((0.2, 0.2, 0.2), (1, 1, 1), 0.3)  # absorbs nothing
 
 
 def room(**more):
     """A floor under a lamp and a point light, from above, in haze."""
-    return load(torch.float64, haze=haze(), camera=overhead(4, 4.0, 1.0),
+    return load(torch.float64, camera=overhead(4, 4.0, 1.0) | {"medium": haze()},
                 floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)),
                 lamp=rectangle((0.3, -0.8, 2.0), 0.4, (1, 0, 0), 170, bsdf=BLACK,
                                emitter={"type": "area", "radiance": rgb(3, 2, 1)}),
@@ -98,7 +87,7 @@ def test_single_scattering_and_its_derivatives_are_those_of_the_integral():
     values = torch.tensor([0.5, 0.8, 0.3], dtype=torch.float64, requires_grad=True)
     expected = single_scattering(*values)
     wanted, = torch.autograd.grad(expected, values)
-    scene = load(torch.float64, haze=haze((0.5,) * 3, (0.8,) * 3, 0.3), camera=overhead(2, 4.0, 1e-4),
+    scene = load(torch.float64, camera=overhead(2, 4.0, 1e-4) | {"medium": haze((0.5,) * 3, (0.8,) * 3, 0.3)},
                  floor=rectangle((0, 0, 0), 3.0, bsdf=BLACK),
                  bulb={"type": "point", "position": [1.0, 0.0, 1.5], "intensity": rgb(1, 1, 1)})
     images, found = [], []
@@ -161,6 +150,11 @@ def test_flights_fill_the_way_to_walls_that_move(sampling):
     assert check.agrees, str(check)
 
 
-def test_two_media_that_scatter_are_refused():
-    with pytest.raises(rb.SceneError, match="`haze` and `other`"):
-        rb.render(room(other=haze()), spp=1, max_depth=2)
+def test_one_medium_fills_the_scene():
+    with pytest.raises(rb.SceneError, match="sensors stand in different ones: `camera` in homogeneous, `other` in none"):
+        room(other=overhead(2))
+    with pytest.raises(rb.SceneError, match="`lost` is a medium in which no sensor stands"):
+        room(lost=haze())
+    shared = load(torch.float64, air=haze(), first=overhead(2) | {"medium": {"type": "ref", "id": "air"}},
+                  second=overhead(2) | {"medium": {"type": "ref", "id": "air"}}, sky={"type": "constant"})
+    assert shared.media == [shared.air] and "air.sigma_t.value.value" in dict(shared.named_parameters())

@@ -1,0 +1,100 @@
+"""A medium that is the same everywhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.medium.kind import MediumKind
+from torch_radbp.phase.isotropic import Isotropic
+from torch_radbp.phase.kind import PhaseKind
+from torch_radbp.plugin import Medium, Phase, Texture, Volume, finite, register
+from torch_radbp.plugin.domain import AMOUNT, FRACTION, NUMBER, Domain
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot
+from torch_radbp.volume.constvolume import as_volume
+
+
+class HomogeneousTable(NamedTuple):
+    """One row, attached."""
+
+    sigma_t: Vec3  # extinction, 1 / length
+    albedo: Vec3  # the share of it that is scattered
+    phase: Any  # numbers of the phase function
+
+
+@dataclass(frozen=True)
+class HomogeneousKind(MediumKind):
+    """Beer's law: what is left falls by the same factor with each unit of length, exp(-sigma_t t)."""
+
+    scatters: ClassVar[bool] = True
+    phase_function: PhaseKind
+
+    def transmittance(self, table: HomogeneousTable, ray: Ray, distance: Tensor) -> Vec3:
+        return of_lanes(table.sigma_t, distance).map(lambda sigma: torch.exp(-sigma * distance))
+
+    def sample_flight(self, table: HomogeneousTable, ray: Ray, u: Tensor, v: Tensor) -> Tensor:
+        # The exponential distribution of one of the three colours.
+        sigma = of_lanes(table.sigma_t, u)
+        of_colour = torch.where(v * 3.0 < 1.0, sigma.x, torch.where(v * 3.0 < 2.0, sigma.y, sigma.z))
+        return torch.where(of_colour > 0, -torch.log1p(-u) / of_colour.clamp_min(TINY), torch.inf)
+
+    def flight_pdf(self, table: HomogeneousTable, ray: Ray, distance: Tensor) -> tuple[Tensor, Tensor]:
+        sigma, through = of_lanes(table.sigma_t, distance), self.transmittance(table, ray, distance)
+        return dot(sigma, through) / 3.0, (through.x + through.y + through.z) / 3.0
+
+    def scattering(self, table: HomogeneousTable, p: Vec3) -> Vec3:
+        return of_lanes(table.sigma_t, p.x) * of_lanes(table.albedo, p.x)
+
+    def phase(self, table: HomogeneousTable, p: Vec3, wi: Vec3, wo: Vec3) -> tuple[Tensor, Tensor]:
+        return self.phase_function.eval_pdf(table.phase, -dot(wi, wo))
+
+    def sample_phase(self, table: HomogeneousTable, p: Vec3, wi: Vec3, u: Tensor, v: Tensor) -> Vec3:
+        return self.phase_function.direction(table.phase, -wi, u, v)
+
+
+@register("medium", "homogeneous")
+class Homogeneous(Medium):
+    """A medium that absorbs and scatters light everywhere alike, such as fog.
+
+    Parameters: `sigma_t`, `albedo`, `scale`, and those of the phase function. Derivatives: with respect to all of them, also
+    where the extinction or the albedo is 0. The distances at which paths scatter are sampled by one of the three colours,
+    and weighted against all.
+
+    Args:
+        albedo: the share of the extinction that is scattered, in [0, 1].
+        sigma_t: extinction, by colour, 1 / length.
+        scale: a factor of `sigma_t`.
+        sample_emitters: whether light is looked for from vertices in the medium; must be true.
+        phase_function: the directions of scattered light; `isotropic` by default.
+
+    Raises:
+        ValueError: if a value is out of range.
+    """
+
+    def __init__(self, *, albedo: Volume | Texture | float = 0.75, sigma_t: Volume | Texture | float = 1.0,
+                 scale: float = 1.0, sample_emitters: bool = True, phase_function: Phase | None = None):
+        super().__init__()
+        if not sample_emitters:
+            raise ValueError("sample_emitters must be true: Renderer(nee=False) turns next-event estimation off everywhere")
+        self.sample_emitters = True
+        self.albedo, self.sigma_t = as_volume(self, "albedo", albedo), as_volume(self, "sigma_t", sigma_t)
+        self.freeze("scale", finite("scale", scale, ()).to(torch.get_default_dtype()))
+        self.phase_function = Isotropic() if phase_function is None else phase_function
+
+    def domains(self) -> dict[str, Domain]:
+        return {"albedo": FRACTION, "sigma_t": AMOUNT, "scale": NUMBER._replace(low=0.0)}
+
+    def kind(self) -> HomogeneousKind:
+        return HomogeneousKind(self.phase_function.kind())
+
+    def row(self) -> HomogeneousTable:
+        return HomogeneousTable(self.sigma_t.colour() * self.scale, self.albedo.colour(), self.phase_function.row())
+
+
+def of_lanes(row: Vec3, like: Tensor) -> Vec3:
+    """The values of the only row, for every lane."""
+    return lookup(row, torch.zeros_like(like, dtype=torch.int32))

@@ -1,0 +1,60 @@
+"""The interface between phase functions and media.
+
+A phase function has two parts, as a material has: its `PhaseKind`, a hashable value that names the functions, and a row of
+numbers, attached to its parameters. It tells which share of the scattered light goes into each direction, and integrates
+to 1.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torch_radbp.plugin import Phase
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import TINY, Frame, Vec3
+
+Table = Any  # a NamedTuple of columns of one row
+
+
+@dataclass(frozen=True)
+class PhaseKind(ABC):
+    """The functions of one kind of phase function; all tensors are (N,).
+
+    `cosine` is that of the angle by which light turns: 1 goes straight on.
+    """
+
+    @abstractmethod
+    def eval_pdf(self, table: Table, cosine: Tensor) -> tuple[Tensor, Tensor]:
+        """The phase function, 1 / sr, and the density over solid angle of `sample`; attached."""
+
+    @abstractmethod
+    def sample(self, table: Table, u: Tensor) -> Tensor:
+        """Samples cosines by random numbers; attached."""
+
+    def direction(self, table: Table, d: Vec3, u: Tensor, v: Tensor) -> Vec3:
+        """Samples unit directions in which light goes on that came along `d`, in the world; attached."""
+        cosine, phi = self.sample(table, u), 2.0 * torch.pi * v
+        sine = torch.sqrt((1.0 - cosine * cosine).clamp_min(TINY))
+        return Frame.of(d).to_world(Vec3(sine * torch.cos(phi), sine * torch.sin(phi), cosine))
+
+
+class PhaseFunction(Phase):
+    """What a phase function's plugin gives to media."""
+
+    def kind(self) -> PhaseKind:
+        """The functions."""
+        raise TypeError(f"{type(self).__name__} does not define its kind")
+
+    def row(self) -> Table:
+        """The numbers: a record of () tensors, attached."""
+        return ()
+
+
+def entry(column: Tensor, like: Tensor) -> Tensor:
+    """The only entry of a column, for every lane."""
+    return lookup(column, torch.zeros_like(like, dtype=torch.int32))
