@@ -158,3 +158,38 @@ def test_one_medium_fills_the_scene():
     shared = load(torch.float64, air=haze(), first=overhead(2) | {"medium": {"type": "ref", "id": "air"}},
                   second=overhead(2) | {"medium": {"type": "ref", "id": "air"}}, sky={"type": "constant"})
     assert shared.media == [shared.air] and "air.sigma_t.value.value" in dict(shared.named_parameters())
+
+
+XML = """<scene version="3.0.0">
+    <sensor type="perspective">
+        <transform name="to_world"><lookat origin="0, -4, 1" target="0, 0, 0" up="0, 0, 1"/></transform>
+        <film type="hdrfilm"><integer name="width" value="4"/><integer name="height" value="4"/></film>
+        <medium type="homogeneous">
+            <rgb name="sigma_t" value="0.3, 0.2, 0.1"/>
+            <volume name="albedo" type="constvolume"><rgb name="value" value="0.9, 0.8, 0.7"/></volume>
+            <float name="scale" value="1.5"/>
+            <phase type="hg"><float name="g" value="0.25"/></phase>
+        </medium>
+    </sensor>
+    <shape type="sphere"><bsdf type="diffuse"/></shape>
+    <emitter type="point"><point name="position" x="0" y="-2" z="3"/></emitter>
+</scene>"""
+
+
+def test_xml_is_read_and_written(tmp_path):
+    (tmp_path / "scene.xml").write_text(XML)
+    scene = rb.load(tmp_path / "scene.xml")
+    medium, = scene.media
+    assert float(medium.phase_function.g) == 0.25 and float(medium.scale) == 1.5
+    assert medium.albedo.value.value.tolist() == pytest.approx([0.9, 0.8, 0.7])
+    rb.save(scene, tmp_path / "again.xml")
+    again = rb.load(tmp_path / "again.xml")
+    for name, value in scene.named_parameters():
+        torch.testing.assert_close(dict(again.named_parameters())[name], value)
+    image, other = (rb.render(each, spp=4, max_depth=3, seed=1) for each in (scene, again))
+    assert image.min() > 0 and torch.equal(image, other)
+
+
+def test_a_boundary_of_a_medium_is_refused():
+    with pytest.raises(rb.SceneError, match="interior.*fills the whole scene"):
+        room(ball={"type": "sphere", "interior": haze()})

@@ -45,6 +45,7 @@ from torch_radbp.shape.mesh import TensorMesh
 MAX_DEPTH = 100  # of objects in objects, references followed
 MAX_OBJECTS = 100_000
 
+FILLS_THE_SCENE = {"medium": "; a medium fills the whole scene, and is that of its sensors"}
 PARTS_OF_SENSORS = ("sampler", "film", "rfilter")  # stand there to be referred to
 
 
@@ -208,7 +209,8 @@ class _Builder:
         name = str(node["type"])
         tag = node.category if isinstance(node, XMLObject) else None
         if tag is not None and tag not in expected:
-            raise self.error(path, node, f"{with_article(tag)} cannot stand here; supported: {', '.join(expected)}")
+            raise self.error(path, node, f"{with_article(tag)} cannot stand here; supported: {', '.join(expected)}"
+                             f"{FILLS_THE_SCENE.get(tag, '')}")
         possible = [tag] if tag else list(expected)
         plugin_class = next((REGISTRY[category][name] for category in possible if name in REGISTRY[category]), None)
         if plugin_class is not None:
@@ -219,7 +221,7 @@ class _Builder:
                              f"write <{elsewhere} type=\"{name}\">")
         if elsewhere:
             raise self.error(path, node, f"{name!r} is {with_article(elsewhere)}, which cannot stand here; supported: "
-                             f"{', '.join(expected)}")
+                             f"{', '.join(expected)}{FILLS_THE_SCENE.get(elsewhere, '')}")
         known = [known for category in possible for known in REGISTRY[category]]
         missing = next((category for category, other in ABSENT if other == name and (not tag or category == tag)), None)
         if missing is not None:

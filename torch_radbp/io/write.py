@@ -32,7 +32,8 @@ from torch_radbp.transforms import transform_normals, transform_points
 
 VERSION = "3.0.0"
 FILED = ("data", "grid")  # attributes that are written as files
-ORDER = ("texture", "bsdf", "sensor", "emitter", "shape")  # so that what is referred to comes first
+# So that what is referred to comes first.
+ORDER = ("texture", "volume", "phase", "medium", "bsdf", "sensor", "emitter", "shape")
 MESH_PARAMETERS = ("vertex_positions", "vertex_normals", "vertex_texcoords")
 
 
@@ -204,7 +205,7 @@ class _Writer:
             if plugin.id is not None or id(plugin) in self.shared:  # others may refer to it, or do
                 self.ids[id(plugin)] = self.new_id(name) if plugin.id is None else plugin.id
                 element.set("id", _text(self.ids[id(plugin)]))
-        if isinstance(plugin, Plugin) and plugin.category == "texture":
+        if isinstance(plugin, Plugin) and plugin.category in ("texture", "volume"):  # told apart by names
             element.set("name", attribute)
         return element
 

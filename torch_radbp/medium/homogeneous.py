@@ -34,20 +34,20 @@ class HomogeneousKind(MediumKind):
     phase_function: PhaseKind
 
     def transmittance(self, table: HomogeneousTable, ray: Ray, distance: Tensor) -> Vec3:
-        return of_lanes(table.sigma_t, distance).map(lambda sigma: torch.exp(-sigma * distance))
+        return everywhere(table.sigma_t, distance).map(lambda sigma: torch.exp(-sigma * distance))
 
     def sample_flight(self, table: HomogeneousTable, ray: Ray, u: Tensor, v: Tensor) -> Tensor:
         # The exponential distribution of one of the three colours.
-        sigma = of_lanes(table.sigma_t, u)
+        sigma = everywhere(table.sigma_t, u)
         of_colour = torch.where(v * 3.0 < 1.0, sigma.x, torch.where(v * 3.0 < 2.0, sigma.y, sigma.z))
         return torch.where(of_colour > 0, -torch.log1p(-u) / of_colour.clamp_min(TINY), torch.inf)
 
     def flight_pdf(self, table: HomogeneousTable, ray: Ray, distance: Tensor) -> tuple[Tensor, Tensor]:
-        sigma, through = of_lanes(table.sigma_t, distance), self.transmittance(table, ray, distance)
+        sigma, through = everywhere(table.sigma_t, distance), self.transmittance(table, ray, distance)
         return dot(sigma, through) / 3.0, (through.x + through.y + through.z) / 3.0
 
     def scattering(self, table: HomogeneousTable, p: Vec3) -> Vec3:
-        return of_lanes(table.sigma_t, p.x) * of_lanes(table.albedo, p.x)
+        return everywhere(table.sigma_t, p.x) * everywhere(table.albedo, p.x)
 
     def phase(self, table: HomogeneousTable, p: Vec3, wi: Vec3, wo: Vec3) -> tuple[Tensor, Tensor]:
         return self.phase_function.eval_pdf(table.phase, -dot(wi, wo))
@@ -95,6 +95,6 @@ class Homogeneous(Medium):
         return HomogeneousTable(self.sigma_t.colour() * self.scale, self.albedo.colour(), self.phase_function.row())
 
 
-def of_lanes(row: Vec3, like: Tensor) -> Vec3:
+def everywhere(row: Vec3, like: Tensor) -> Vec3:
     """The values of the only row, for every lane."""
     return lookup(row, torch.zeros_like(like, dtype=torch.int32))

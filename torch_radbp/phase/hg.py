@@ -16,7 +16,7 @@ from torch_radbp.plugin.domain import NUMBER, Domain
 NEARLY_EVEN = 1e-3  # a mean cosine below which cosines are sampled evenly, and so off by less than rounding shows
 
 
-class Lobe(NamedTuple):
+class HenyeyGreensteinTable(NamedTuple):
     """One row, attached."""
 
     g: Tensor  # mean cosine
@@ -26,13 +26,13 @@ class Lobe(NamedTuple):
 class HenyeyGreensteinKind(PhaseKind):
     """(1 - g^2) / (4 pi (1 + g^2 - 2 g cos)^1.5)."""
 
-    def eval_pdf(self, table: Lobe, cosine: Tensor) -> tuple[Tensor, Tensor]:
+    def eval_pdf(self, table: HenyeyGreensteinTable, cosine: Tensor) -> tuple[Tensor, Tensor]:
         g = entry(table.g, cosine)
         base = 1.0 + g * g - 2.0 * g * cosine
         value = (1.0 - g * g) / (4.0 * math.pi * base * torch.sqrt(base))
         return value, value
 
-    def sample(self, table: Lobe, u: Tensor) -> Tensor:
+    def sample(self, table: HenyeyGreensteinTable, u: Tensor) -> Tensor:
         # The inverse of the cumulative distribution; near g = 0 by its first two terms.
         g = entry(table.g, u)
         by, x = torch.where(g.abs() < NEARLY_EVEN, 1.0, g), 2.0 * u - 1.0
@@ -62,5 +62,5 @@ class HenyeyGreenstein(PhaseFunction):
     def kind(self) -> HenyeyGreensteinKind:
         return HenyeyGreensteinKind()
 
-    def row(self) -> Lobe:
-        return Lobe(self.g)
+    def row(self) -> HenyeyGreensteinTable:
+        return HenyeyGreensteinTable(self.g)
