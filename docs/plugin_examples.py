@@ -56,7 +56,8 @@ def sampled(caption: str, kind: str, like: str = "") -> Example:
 def foggy(caption: str, medium: dict[str, Any]) -> Example:
     """The scene in fog."""
     fog = {"type": "homogeneous", "sigma_t": 0.12, "albedo": 0.9} | medium
-    return Example(caption, {"camera": CAMERA | {"medium": fog}}, samples=MANY)
+    lamp = {"type": "rectangle", "to_world": LookAt((-2.5, -2, 3.5)), "emitter": {"type": "area", "radiance": 30.0}}
+    return Example(caption, {"camera": CAMERA | {"medium": fog}, "lamp": lamp}, samples=MANY)
 
 
 FACING = LookAt((0, 0, 0), (-0.3, -1, 0.2))  # the pose of a square that faces the camera

@@ -23,7 +23,7 @@ SCENE = {
 LACKING = {  # what the examples of a category bring along, or what would hide them
     "bsdf": ("ball",), "texture": ("ball",), "shape": ("ball",), "emitter": ("sky", "lamp"), "sensor": ("camera",),
     "film": ("camera",), "rfilter": ("camera", "ball"), "sampler": ("camera",), "integrator": ("integrator", "sky"),
-    "medium": ("camera", "sky"), "phase": ("camera", "sky"), "volume": ("camera", "sky"),
+    **dict.fromkeys(("medium", "phase", "volume"), ("camera", "sky", "lamp")),
 }
 ASSETS = 'assets=rb.asset("patches.png").parent'
 PLACE = "<!-- the example -->"
