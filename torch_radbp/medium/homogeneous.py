@@ -17,6 +17,8 @@ from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot
 from torch_radbp.volume.constvolume import as_volume
 
+THINNEST = 0.05  # the least optical thickness of a way by which distances are sampled
+
 
 class HomogeneousTable(NamedTuple):
     """One row, attached."""
@@ -36,14 +38,14 @@ class HomogeneousKind(MediumKind):
     def transmittance(self, table: HomogeneousTable, ray: Ray, distance: Tensor) -> Vec3:
         return everywhere(table.sigma_t, distance).map(lambda sigma: torch.exp(-sigma * distance))
 
-    def sample_flight(self, table: HomogeneousTable, ray: Ray, u: Tensor, v: Tensor) -> Tensor:
+    def sample_flight(self, table: HomogeneousTable, ray: Ray, way: Tensor, u: Tensor, v: Tensor) -> Tensor:
         # The exponential distribution of one of the three colours.
-        sigma = everywhere(table.sigma_t, u)
-        of_colour = torch.where(v * 3.0 < 1.0, sigma.x, torch.where(v * 3.0 < 2.0, sigma.y, sigma.z))
-        return torch.where(of_colour > 0, -torch.log1p(-u) / of_colour.clamp_min(TINY), torch.inf)
+        sigma = at_least(everywhere(table.sigma_t, u), way)
+        return -torch.log1p(-u) / torch.where(v * 3.0 < 1.0, sigma.x, torch.where(v * 3.0 < 2.0, sigma.y, sigma.z))
 
-    def flight_pdf(self, table: HomogeneousTable, ray: Ray, distance: Tensor) -> tuple[Tensor, Tensor]:
-        sigma, through = everywhere(table.sigma_t, distance), self.transmittance(table, ray, distance)
+    def flight_pdf(self, table: HomogeneousTable, ray: Ray, way: Tensor, distance: Tensor) -> tuple[Tensor, Tensor]:
+        sigma = at_least(everywhere(table.sigma_t, distance), way)
+        through = sigma.map(lambda each: torch.exp(-each * distance))
         return dot(sigma, through) / 3.0, (through.x + through.y + through.z) / 3.0
 
     def scattering(self, table: HomogeneousTable, p: Vec3) -> Vec3:
@@ -61,8 +63,8 @@ class Homogeneous(Medium):
     """A medium that absorbs and scatters light everywhere alike, such as fog.
 
     Parameters: `sigma_t`, `albedo`, `scale`, and those of the phase function. Derivatives: with respect to all of them, also
-    where the extinction or the albedo is 0. The distances at which paths scatter are sampled by one of the three colours,
-    and weighted against all.
+    where the albedo is 0, or the extinction on ways that end at surfaces. The distances at which paths scatter are sampled
+    by one of the three colours, and weighted against all.
 
     Args:
         albedo: the share of the extinction that is scattered, in [0, 1].
@@ -93,6 +95,12 @@ class Homogeneous(Medium):
 
     def row(self) -> HomogeneousTable:
         return HomogeneousTable(self.sigma_t.colour() * self.scale, self.albedo.colour(), self.phase_function.row())
+
+
+def at_least(sigma: Vec3, way: Tensor) -> Vec3:
+    """The extinction by which distances are sampled: where there is hardly any, some flights end nevertheless on the way to
+    the next surface. They bring little light, and all of its derivative by an extinction of 0."""
+    return sigma.map(lambda each: torch.maximum(each, THINNEST / way.clamp_min(TINY)))
 
 
 def everywhere(row: Vec3, like: Tensor) -> Vec3:

@@ -39,11 +39,18 @@ class MediumKind(ABC):
             distance: (N,) to the next surface; 1e10 where there is none.
         """
 
-    def sample_flight(self, table: Table, ray: Ray, u: Tensor, v: Tensor) -> Tensor:
-        """Distances at which paths scatter, (N,), sampled by two random numbers; infinite: never. Detached."""
+    def sample_flight(self, table: Table, ray: Ray, way: Tensor, u: Tensor, v: Tensor) -> Tensor:
+        """Distances at which paths scatter, (N,), sampled by two random numbers. Detached.
+
+        Args:
+            table: of the medium.
+            ray: (N,) world, unit directions.
+            way: (N,) to the next surface; 1e10 where there is none. Distances beyond it count as none.
+            u, v: (N,) uniform in [0, 1).
+        """
         raise TypeError(f"{type(self).__name__} does not scatter")
 
-    def flight_pdf(self, table: Table, ray: Ray, distance: Tensor) -> tuple[Tensor, Tensor]:
+    def flight_pdf(self, table: Table, ray: Ray, way: Tensor, distance: Tensor) -> tuple[Tensor, Tensor]:
         """The density of `sample_flight` over distance, and the probability of flying farther, (N,) each."""
         raise TypeError(f"{type(self).__name__} does not scatter")
 

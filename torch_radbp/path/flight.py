@@ -30,7 +30,7 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import bounce_key, uniform
 from torch_radbp.scene.cone import Cone, cone_beyond
 from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
-from torch_radbp.scene.light import light_aims, sample_light, sample_places
+from torch_radbp.scene.light import FAR, light_aims, sample_light, sample_places
 from torch_radbp.scene.light_tree import Vantage
 from torch_radbp.scene.media import transmittance
 from torch_radbp.scene.outgoing_ray import glued_direction
@@ -76,7 +76,8 @@ class FlightVertex(VertexKind):
         kind, table = scene.layout.media[medium], scene.media[medium]
         t, longer = distance_flown(scene, arrival, settings, here)
         p, wi = point_along(state.ray, t), -state.ray.d
-        density, _ = kind.flight_pdf(proposal.media[medium], detached(state.ray), arrival.flight)
+        way = torch.where(arrival.hit.prim >= 0, arrival.hit.t, FAR)
+        density, _ = kind.flight_pdf(proposal.media[medium], detached(state.ray), way, arrival.flight)
         scattered = transmittance(scene, state.ray, t) * kind.scattering(table, p) * (longer / density.clamp_min(TINY))
 
         # Ld: the light of one point on a light, as the phase function scatters it.
@@ -143,8 +144,9 @@ def free_flight(scene: SceneTensors, state: PathState, hit: Hit, at: Position) -
     # What decides whether there is a flight at all has a point of its own, beside that of the direction that follows.
     number, key = scene.layout.scattering_medium, bounce_key(state.key, at.counter + SALT)
     u, v = (uniform(key, dimension, state.pdf.dtype) for dimension in (FLIGHT_U, FLIGHT_V))
-    t = scene.layout.media[number].sample_flight(scene.media[number], state.ray, u, v)
-    return torch.where((hit.prim >= 0) & (t >= hit.t), torch.inf, t)
+    way = torch.where(hit.prim >= 0, hit.t, FAR)
+    t = scene.layout.media[number].sample_flight(scene.media[number], state.ray, way, u, v)
+    return torch.where(t >= way, torch.inf, t)
 
 
 def distance_flown(scene: SceneTensors, arrival: Arrival, settings: Settings,

@@ -37,7 +37,8 @@ def way_through(scene: SceneTensors, proposal: SceneTensors, ray: Ray, distance:
     through, number = transmittance(scene, ray, distance), scene.layout.scattering_medium
     if not flown or number is None:
         return through
-    _, reaches = scene.layout.media[number].flight_pdf(proposal.media[number], detached(ray), distance.detach())
+    _, reaches = scene.layout.media[number].flight_pdf(proposal.media[number], detached(ray), distance.detach(),
+                                                         distance.detach())
     return through / reaches.clamp_min(TINY)
 
 
