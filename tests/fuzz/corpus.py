@@ -142,6 +142,7 @@ def _scenes(root: Path) -> list[Seed]:
     plain = OTHERS.format("").replace('<integrator type="prb" name="image"><integer name="max_depth" value="3"/>', direct)
     projective = plain.replace(direct, '<integrator type="direct_projective">')
     seeds += [Seed(root / "others", text.encode()) for text in (plain, projective)]
+    seeds += [Seed(root / "others", FOG.format(phase).encode()) for phase in PHASES]
     seeds += [Seed(root / "others", CAMERAS.replace("independent", name).encode()) for name in ("orthogonal", "stratified")]
     return [*seeds, Seed(root / "assets" / "cornell_box", including), Seed(root / "others", _others().encode()),
             Seed(root / "others", OLD.encode())]
@@ -297,6 +298,21 @@ OTHERS = """<scene version="3.0.0">
   {}
 </scene>
 """
+FOG = """<scene version="3.0.0">
+  <sensor type="perspective">
+    <transform name="to_world"><lookat origin="0.3, 0.4, 3" target="0, 0, 0" up="0, 1, 0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>
+    <medium type="homogeneous">
+      <rgb name="sigma_t" value="0.1, 0.2, 0.3"/> <float name="scale" value="0.5"/>
+      <volume name="albedo" type="constvolume"><float name="value" value="0.6"/></volume>
+      {}
+    </medium>
+  </sensor>
+  <emitter type="point"><point name="position" x="0" y="2" z="3"/></emitter>
+  <shape type="sphere"/>
+</scene>
+"""
+PHASES = ('<phase type="isotropic"/>', '<phase type="rayleigh"/>', '<phase type="hg"><float name="g" value="0.3"/></phase>')
 OLD = """<scene version="0.6.0">
   <default name="maxDepth" value="3"/>
   <integrator type="path"><integer name="maxDepth" value="$maxDepth"/></integrator>
