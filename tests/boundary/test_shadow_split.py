@@ -129,7 +129,7 @@ def test_the_derivative_is_the_same_with_those_that_tell_the_noise(monkeypatch):
         worth.append(effort(first, tried))
         return worth[-1]
 
-    def as_worth(call, number, casting, *, first):
+    def as_worth(call, number, casting, amount, *, first):
         return hidden_light.as_worth(NOISE, lambda amount: cuts(call, number, casting, amount, first=first))
 
     monkeypatch.setattr(split, "effort", noted)

@@ -25,6 +25,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Geometry, geometry_of, largest_coordinate
 from torch_radbp.boundary.intersections import TOUCHING
 from torch_radbp.boundary.outline import Outline
@@ -50,6 +51,8 @@ from torch_radbp.boundary.shadows.seen_edges import (
     salted,
     unhidden,
 )
+from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, films_have_area, shadow_term
+from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.shadows.ways_down import picked_ones
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.view import View
@@ -63,7 +66,7 @@ from torch_radbp.sampling.sampler import LaneKey, SampleKey, bounce_key, fine_un
 from torch_radbp.scene.cone import camera_cone
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.differentiated import any_differentiated, detached
 from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows, unit_normal
 
@@ -73,6 +76,7 @@ SHARP_SHARE = 4  # the same where some lights have no extent: all that shadows m
 LOOKS = 4  # for edges from each light sample
 ASIDE = 4.0 * APART  # share of its distance by which a border is looked at from aside, in the shade
 ALIKE = 0.9  # cosine between normals of triangles of one surface
+BYTES_OF_TRIED = 20, 240  # an edge that is tried from a light sample: in fused loops, in plain torch
 
 
 class Lights(NamedTuple):
@@ -81,6 +85,19 @@ class Lights(NamedTuple):
     sharp: bool  # lights without extent
     soft: bool  # area lights
     around: bool  # the environment
+
+    @staticmethod
+    def covered(call: RenderCall) -> Lights:
+        """The lights whose borders `DirectShadows` samples; along single rays, which see no borders, those of none."""
+        if not films_have_area(call):
+            return Lights(False, False, False)
+        emitters, lights, layout = call.module.emitters, call.scene.lights, call.scene.layout
+        surfaces, around = (all(emitter.sampled_whole() for emitter in emitters if emitter.kind().surround == around)
+                            for around in (False, True))
+        if layout.surround is not None:
+            number, kind = layout.surround
+            around = around and not kind.even(detached(lights.tables[number]))
+        return Lights(call.integrand.settings.nee, surfaces, around or layout.surround is None)
 
     def of(self, scene: SceneTensors) -> Tensor:
         """For each kind of light in a scene, whether it is covered; bool."""
@@ -144,17 +161,52 @@ class BorderCourse(NamedTuple):
     sweep: Tensor
 
 
-def jumps_of_borders(call: RenderCall, number: int, casting: Casting, found: BordersInView) -> FilmJumps:
-    """The boundary term of direct shadows that view `number` sees.
+@shadow_term
+class DirectShadows(ShadowTerm):
+    """Borders of shadows on surfaces that the camera sees."""
 
-    Args:
-        call: of which something moves.
-        casting: the edges of all that casts shadows.
-        found: of the view.
-    """
-    on_border = border(call.scene, attached_geometry(call.scene), casting.outline, found.borders)
-    seen = on_film(call.views[number].camera, on_border, found.aperture)
-    return FilmJumps(found.place, found.strength * swept_areas(seen, found.normal))
+    rank = 0
+
+    @classmethod
+    def size(cls, call: RenderCall) -> TermSize:
+        samples = most_samples(call)
+        return TermSize(samples * LOOKS * GROUP * BYTES_OF_TRIED[not call.stages.is_compiled], samples, samples)
+
+    def applies(self) -> bool:
+        return films_have_area(self.call)
+
+    def samples(self, number: int, amount: Amount = ALL) -> BordersInView | None:
+        call, outline = self.still, self.casting.outline
+        view, scene = call.views[number], call.scene
+        found = borders_of(call, number, self.casting, Lights.covered(call), share_of(scene))
+        if found is None:
+            return None
+        borders, passed, inwards, times = found
+        integrand = integrand_of(call, call.integrand, number)
+        geometry, camera, aperture = geometry_of(scene), view.camera, aperture_of(view, passed.key)
+        course = integrand.part(Ends.SURROUNDINGS).call(border_course, geometry, outline, camera, borders,
+                                                        inwards, times, aperture)
+        counted = ((course.normal.x != 0.0) | (course.normal.y != 0.0)).nonzero().squeeze(1)
+        borders, course, key = rows((borders, course, passed.key), counted)
+        sample = camera_sample(call, view, course.film, course.aperture, key)
+        shown = sees(integrand, sample.ray, borders.receiver, course.on_border).nonzero().squeeze(1)
+        borders, course, key, sample = rows((borders, course, key, sample), shown)
+        in_shade = camera_sample(call, view, into_shade(camera, course.film, course.aside), course.aperture, key)
+        shown = sees(integrand, in_shade.ray, borders.receiver, course.on_border).nonzero().squeeze(1)
+        if not len(shown):
+            return None
+        borders, course, sample = rows((borders, course, sample), shown)
+        light = light_sent_back(integrand, started(call, sample), seen_at(borders.receiver, sample.ray, course.on_border),
+                                borders.draw)
+        light = light if sample.weight is None else light * sample.weight
+        strength = torch.stack(tuple(light)).double()
+        return BordersInView(borders, course.film, course.aperture, course.normal,
+                             torch.where(course.sweep > 0, strength, -strength), course.sweep)
+
+    def jumps(self, number: int, found: BordersInView) -> FilmJumps:
+        on_border = border(self.call.scene, attached_geometry(self.call.scene), self.casting.outline, found.borders)
+        seen = on_film(self.call.views[number].camera, on_border, found.aperture)
+        return FilmJumps(found.place, found.strength * swept_areas(seen, found.normal))
 
 
 def border(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,
@@ -186,6 +238,16 @@ def share_of(scene: SceneTensors) -> int:
     return SHARP_SHARE if any(kind.delta for kind in scene.layout.lights) else SHARE
 
 
+def samples_of(call: RenderCall, view: View, share: int) -> int:
+    """The number of samples on borders for a view, one for `share` paths of its image."""
+    return max(FEWEST, min(MOST, view.width * view.height * call.spp // share))
+
+
+def most_samples(call: RenderCall) -> int:
+    """The greatest number of samples on borders of direct shadows for a view."""
+    return max(samples_of(call, view, share_of(call.scene)) for view in call.views)
+
+
 def lit_edges(call: RenderCall, number: int, casting: Casting, lights: Lights, share: int) -> LitEdges | None:
     """Samples silhouette edges as seen from light samples; None: they see none.
 
@@ -197,8 +259,7 @@ def lit_edges(call: RenderCall, number: int, casting: Casting, lights: Lights, s
         share: one place for so many paths of the image.
     """
     view, scene = call.views[number], call.scene
-    paths = view.width * view.height * call.spp
-    points = light_points(call.stages, scene, view, max(FEWEST, min(MOST, paths // share)))
+    points = light_points(call.stages, scene, view, samples_of(call, view, share))
     count, meant = len(points.kind), lights.of(scene)[points.kind].nonzero().squeeze(1)
     points = rows(points, meant)
     if not len(meant):
@@ -234,41 +295,6 @@ def places_lit(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes,
         return places_seen(stages, geometry, casting, eyes, seed, LOOKS, count)
     found, eye = edges_tried(stages, geometry, outline, eyes, seed, each, extent_of(geometry))
     return places_on(stages, geometry, outline, eyes, seed, picked_ones(found, eye, 1, count))
-
-
-def borders_in_view(call: RenderCall, number: int, casting: Casting, lights: Lights) -> BordersInView | None:
-    """Samples shadow borders of direct light that view `number` sees; None: there are none.
-
-    Args:
-        call: detached.
-        casting: the edges of all that casts shadows.
-        lights: whose shadows are meant.
-    """
-    view, scene = call.views[number], call.scene
-    found = borders_of(call, number, casting, lights, share_of(scene))
-    if found is None:
-        return None
-    borders, passed, inwards, times = found
-    integrand = integrand_of(call, call.integrand, number)
-    geometry, camera, aperture = geometry_of(scene), view.camera, aperture_of(view, passed.key)
-    course = integrand.part(Ends.SURROUNDINGS).call(border_course, geometry, casting.outline, camera, borders,
-                                                    inwards, times, aperture)
-    counted = ((course.normal.x != 0.0) | (course.normal.y != 0.0)).nonzero().squeeze(1)
-    borders, course, key = rows((borders, course, passed.key), counted)
-    sample = camera_sample(call, view, course.film, course.aperture, key)
-    shown = sees(integrand, sample.ray, borders.receiver, course.on_border).nonzero().squeeze(1)
-    borders, course, key, sample = rows((borders, course, key, sample), shown)
-    in_shade = camera_sample(call, view, into_shade(camera, course.film, course.aside), course.aperture, key)
-    shown = sees(integrand, in_shade.ray, borders.receiver, course.on_border).nonzero().squeeze(1)
-    if not len(shown):
-        return None
-    borders, course, sample = rows((borders, course, sample), shown)
-    light = light_sent_back(integrand, started(call, sample), seen_at(borders.receiver, sample.ray, course.on_border),
-                            borders.draw)
-    light = light if sample.weight is None else light * sample.weight
-    strength = torch.stack(tuple(light)).double()
-    return BordersInView(borders, course.film, course.aperture, course.normal,
-                         torch.where(course.sweep > 0, strength, -strength), course.sweep)
 
 
 @stage("scene", "geometry", "outline", "camera")

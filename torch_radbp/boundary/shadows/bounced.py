@@ -24,7 +24,9 @@ from torch_radbp.boundary.shadows.border import Borders, Lights, light_through, 
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
 from torch_radbp.boundary.shadows.lines_through_edges import solid_angle
 from torch_radbp.boundary.shadows.seen_edges import BEFORE, Casting, corners_of, crossed_at, pace, unhidden, uniform_numbers
+from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, glues, shadow_term, sharp_lights_later
 from torch_radbp.boundary.shadows.slid import less_what_slides
+from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.shadows.spread_borders import spread_borders
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
@@ -49,12 +51,42 @@ class ConnectedBorders(NamedTuple):
     strength: Tensor  # (3, K) float64, radiance from behind less that from ahead
 
 
-def jumps_of_connected_borders(call: RenderCall, number: int, casting: Casting, found: ConnectedBorders) -> FilmJumps:
-    """The boundary term of such borders for view `number`; args as of `border.jumps_of_borders`."""
-    geometry = attached_geometry(call.scene)
-    seen = on_receiver(call.scene, geometry, casting.outline, found.borders)
-    seen = less_what_slides(call, number, geometry, found.points, found.start, found.borders.receiver, seen)
-    return FilmJumps(found.points.place, found.strength * swept_areas(seen, found.normal))
+@shadow_term
+class BouncedShadows(ShadowTerm):
+    """Borders of lights without extent on surfaces that paths meet after the first, glued to them."""
+
+    rank = 5
+
+    def applies(self) -> bool:
+        return glues(self.call) and sharp_lights_later(self.call)
+
+    def samples(self, number: int, amount: Amount = ALL) -> ConnectedBorders | None:
+        call, casting = self.still, self.casting
+        pairs = pairs_of(call, number, casting, False)
+        if pairs is None:
+            return None
+        points, start, borders, inwards, times, key = pairs
+        scene, geometry, integrand = call.scene, geometry_of(call.scene), integrand_of(call, call.integrand, number)
+        here, along = pace(lambda step: on_receiver(scene, geometry, casting.outline, borders, step), times)
+        shade = on_receiver(scene, geometry, casting.outline, borders, off=inwards)
+        normal = Vec2(-along.y * times, along.x * times)
+        ahead = (shade.x - here.x) * normal.x + (shade.y - here.y) * normal.y > 0
+        way = way_to(start, interpolated(corners_of(geometry, borders.receiver), here.x, here.y), scene.dtype)
+        light = light_sent_on(call, integrand, borders, way, key)
+        beta = points.beta * scattered_light(integrand, path_of(call, points.ray, points.key), points.hit, way.ray.d)
+        light = light * torch.stack(tuple(beta)).double() * solid_angle(scene, borders.receiver, Ray(start, way.reach))
+        light = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light, 0.0)
+        kept = (light != 0).any(0).nonzero().squeeze(1)
+        if not len(kept):
+            return None
+        light, ahead = light[:, kept], ahead[kept]
+        return ConnectedBorders(*rows((points, start, borders, normal), kept), torch.where(ahead, light, -light))
+
+    def jumps(self, number: int, found: ConnectedBorders) -> FilmJumps:
+        geometry = attached_geometry(self.call.scene)
+        seen = on_receiver(self.call.scene, geometry, self.casting.outline, found.borders)
+        seen = less_what_slides(self.call, number, geometry, found.points, found.start, found.borders.receiver, seen)
+        return FilmJumps(found.points.place, found.strength * swept_areas(seen, found.normal))
 
 
 def on_receiver(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,
@@ -72,29 +104,6 @@ class ConnectedPlaces(NamedTuple):
     inwards: Vec3  # as of `CastShadows`
     times: Tensor  # weight: edges per light sample times paths that a pair stands for
     key: LaneKey  # of random numbers
-
-
-def connected_borders_of_paths(call: RenderCall, number: int, casting: Casting) -> ConnectedBorders | None:
-    """Samples borders, each connected to a path vertex of view `number`; args as of `border.borders_in_view`."""
-    pairs = pairs_of(call, number, casting, False)
-    if pairs is None:
-        return None
-    points, start, borders, inwards, times, key = pairs
-    scene, geometry, integrand = call.scene, geometry_of(call.scene), integrand_of(call, call.integrand, number)
-    here, along = pace(lambda step: on_receiver(scene, geometry, casting.outline, borders, step), times)
-    shade = on_receiver(scene, geometry, casting.outline, borders, off=inwards)
-    normal = Vec2(-along.y * times, along.x * times)
-    ahead = (shade.x - here.x) * normal.x + (shade.y - here.y) * normal.y > 0
-    way = way_to(start, interpolated(corners_of(geometry, borders.receiver), here.x, here.y), scene.dtype)
-    light = light_sent_on(call, integrand, borders, way, key)
-    beta = points.beta * scattered_light(integrand, path_of(call, points.ray, points.key), points.hit, way.ray.d)
-    light = light * torch.stack(tuple(beta)).double() * solid_angle(scene, borders.receiver, Ray(start, way.reach))
-    light = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light, 0.0)
-    kept = (light != 0).any(0).nonzero().squeeze(1)
-    if not len(kept):
-        return None
-    light, ahead = light[:, kept], ahead[kept]
-    return ConnectedBorders(*rows((points, start, borders, normal), kept), torch.where(ahead, light, -light))
 
 
 def pairs_of(call: RenderCall, number: int, casting: Casting, following: bool) -> ConnectedPlaces | None:

@@ -33,6 +33,7 @@ from torch import Tensor
 from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows import film_density, split
+from torch_radbp.boundary.shadows.border import Lights, most_samples
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
 from torch_radbp.boundary.shadows.light_points import light_lobes, light_points
@@ -52,6 +53,7 @@ from torch_radbp.boundary.shadows.seen_edges import (
     unhidden,
     uniform_numbers,
 )
+from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, glues, shadow_term
 from torch_radbp.boundary.shadows.slid import less_what_slides
 from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.shadows.thinning import chances, thinned
@@ -74,6 +76,7 @@ SHARE, MOST = 16, 1 << 16  # one path for so many of the image; and at most at o
 ROUNDS = 16  # of `MOST` paths, at most
 LOOKS, PLACES = 8, 4  # for edges from each, and places on edges that were found
 FEWEST_PATHS = 16
+BYTES_OF_WAY = 120  # down the tree of edges: where it is, and what it has found
 EVEN = 0.1  # how much edges count at grazing angles, by the cosine of interpolated normals
 
 
@@ -82,6 +85,12 @@ class FirstVertex(NamedTuple):
 
     surfaces: bool
     surroundings: bool
+
+    @staticmethod
+    def uncovered(call: RenderCall) -> FirstVertex:
+        """The lights whose borders `border.DirectShadows` does not sample."""
+        lights = Lights.covered(call)
+        return FirstVertex(not lights.soft, not lights.around)
 
     def meant(self, scene: SceneTensors) -> Tensor:
         """For each kind of light in a scene, whether it counts; bool."""
@@ -127,11 +136,43 @@ class CutsOfView(NamedTuple):
                      for part in (tried, ~tried))
 
 
-def jumps_of_cuts(call: RenderCall, number: int, casting: Casting, found: CutsOfView) -> FilmJumps:
-    """The boundary term of light that edges occlude from paths, for view `number`; args as of `border.jumps_of_borders`."""
+@shadow_term
+class HiddenLight(ShadowTerm):
+    """Light that edges occlude from vertices of paths, which see points that are glued to surfaces."""
+
+    rank = 3
+    is_split = True
+
+    @classmethod
+    def size(cls, call: RenderCall) -> TermSize:
+        paths = most_paths(call)
+        places = glues(call) * paths * PLACES
+        # Those of a round beside those that others have kept. Where they are few, they are where places on borders were.
+        more = places if any(view.width * view.height * call.spp > SHARE * MOST for view in call.views) else 0
+        found = max(0, places - most_samples(call)) + more
+        return TermSize(paths * LOOKS * BYTES_OF_WAY, found, found)
+
+    def applies(self) -> bool:
+        return glues(self.call) and (self.call.integrand.max_depth > 2 or any(FirstVertex.uncovered(self.call)))
+
+    def samples(self, number: int, amount: Amount = ALL) -> CutsOfView | None:
+        return cuts_of_view(self.still, number, self.casting, amount, first=FirstVertex.uncovered(self.still))
+
+    def jumps(self, number: int, found: CutsOfView) -> FilmJumps:
+        return jumps_of_cuts(self.call, number, self.casting.outline, found)
+
+
+def jumps_of_cuts(call: RenderCall, number: int, outline: Outline, found: CutsOfView) -> FilmJumps:
+    """The boundary term of light that edges occlude from paths, for view `number`.
+
+    Args:
+        call: of which something moves.
+        outline: the edges of all that casts shadows.
+        found: of the view.
+    """
     geometry = attached_geometry(call.scene)
     at, viewpoint = vertex_at(call, geometry, number, found.points), found.cuts.viewpoint
-    seen, start = cut_at(geometry, casting.outline, at, found.cuts), rows(at.map(primal), viewpoint)
+    seen, start = cut_at(geometry, outline, at, found.cuts), rows(at.map(primal), viewpoint)
     seen = less_what_slides(call, number, geometry, rows(found.points, viewpoint), start, found.cuts.hit, seen)
     return FilmJumps(rows(found.points.place, found.cuts.viewpoint), found.strength * swept_areas(seen, found.normal))
 
@@ -302,6 +343,11 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
 def number_of_paths(call: RenderCall, view: View, share: float = 1.0, most: int = MOST) -> int:
     """The number of paths whose vertices sample edges, for a share of the samples; 0: none."""
     return max(FEWEST_PATHS, int(share * min(most, view.width * view.height * call.spp // SHARE))) if share else 0
+
+
+def most_paths(call: RenderCall) -> int:
+    """The greatest number of paths whose vertices sample edges for a view."""
+    return max(number_of_paths(call, view) for view in call.views)
 
 
 def cuts_that_matter(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed,

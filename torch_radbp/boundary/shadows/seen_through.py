@@ -31,25 +31,28 @@ from torch import Tensor
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.shadows import split
 from torch_radbp.boundary.shadows.eyes import Eyes
+from torch_radbp.boundary.shadows.film_jumps import FilmJumps
 from torch_radbp.boundary.shadows.hidden_light import (
     EVEN,
     LOOKS,
     PLACES,
     CutsOfView,
     cuts_that_matter,
+    jumps_of_cuts,
+    most_paths,
     number_of_paths,
 )
 from torch_radbp.boundary.shadows.lines_through_edges import scattered_towards, solid_angle
 from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
     BESIDE,
-    Casting,
     Passed,
     corners_of,
     extent_of,
     places_seen,
     salted,
 )
+from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, glues, shadow_term
 from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
@@ -69,36 +72,54 @@ def passes_straight(scene: SceneTensors) -> bool:
     return any(look.kind.straight for look in scene.layout.appearances)
 
 
-def cuts_seen_through(call: RenderCall, number: int, casting: Casting, amount: Amount = ALL) -> CutsOfView | None:
-    """Samples edges seen through null-scattering surfaces; None: none. Args as for `hidden_light.cuts_of_view`."""
-    geometry, begun = geometry_of(call.scene), number_of_paths(call, call.views[number], amount.before)
-    integrand = integrand_of(call, call.integrand, number)
-    points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1),
-                        number_of_paths(call, call.views[number], amount.counted), begun=begun,
-                        tried=number_of_paths(call, call.views[number], amount.tried))
-    if not len(points.depth):
-        return None
-    call = split.with_numbers(call, SALT + begun) if begun else call
-    at = vertex_at(call, geometry, number, points)
-    one, corners = torch.ones_like(at.x), corners_of(geometry, points.hit)
-    eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, (points.lobe,))
-    passed = places_seen(call.stages, geometry, casting, eyes, salted(call.views[number], SALT), LOOKS,
-                         PLACES * len(points.depth), points.tried)
-    if passed is None:
-        return None
-    hidden = integrand.caster.occluded(passed.back, passed.distance).nonzero().squeeze(1)
-    if not len(hidden):
-        return None
-    passed, off = rows(passed, hidden), BESIDE * extent_of(geometry)
-    start = rows(at, passed.eye)
-    beside, on = (through(integrand, start, passed.p + passed.outwards * (way * off)) for way in (1.0, -1.0))
-    # On a curved surface light comes from nearer than the edge.
-    reached = (beside.reaches & (beside.hit.prim == on.hit.prim)).nonzero().squeeze(1)
-    if not len(reached):
-        return None
-    passed, beside, on = rows((passed, beside, on), reached)
-    return cuts_that_matter(call.stages, geometry, casting, points, at, passed, beside.hit,
-                            lambda cuts: _difference(call, integrand, points, at, passed, (beside, on)))
+@shadow_term
+class SeenThrough(ShadowTerm):
+    """Edges that vertices of paths see through surfaces which let light pass straight."""
+
+    rank = 4
+    is_split = True
+
+    @classmethod
+    def size(cls, call: RenderCall) -> TermSize:
+        places = passes_straight(call.scene) * most_paths(call) * PLACES
+        return TermSize(0, places, places)
+
+    def applies(self) -> bool:
+        return glues(self.call) and self.call.integrand.max_depth > 2 and passes_straight(self.call.scene)
+
+    def samples(self, number: int, amount: Amount = ALL) -> CutsOfView | None:
+        call, casting = self.still, self.casting
+        geometry, begun = geometry_of(call.scene), number_of_paths(call, call.views[number], amount.before)
+        integrand = integrand_of(call, call.integrand, number)
+        points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1),
+                            number_of_paths(call, call.views[number], amount.counted), begun=begun,
+                            tried=number_of_paths(call, call.views[number], amount.tried))
+        if not len(points.depth):
+            return None
+        call = split.with_numbers(call, SALT + begun) if begun else call
+        at = vertex_at(call, geometry, number, points)
+        one, corners = torch.ones_like(at.x), corners_of(geometry, points.hit)
+        eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, (points.lobe,))
+        passed = places_seen(call.stages, geometry, casting, eyes, salted(call.views[number], SALT), LOOKS,
+                             PLACES * len(points.depth), points.tried)
+        if passed is None:
+            return None
+        hidden = integrand.caster.occluded(passed.back, passed.distance).nonzero().squeeze(1)
+        if not len(hidden):
+            return None
+        passed, off = rows(passed, hidden), BESIDE * extent_of(geometry)
+        start = rows(at, passed.eye)
+        beside, on = (through(integrand, start, passed.p + passed.outwards * (way * off)) for way in (1.0, -1.0))
+        # On a curved surface light comes from nearer than the edge.
+        reached = (beside.reaches & (beside.hit.prim == on.hit.prim)).nonzero().squeeze(1)
+        if not len(reached):
+            return None
+        passed, beside, on = rows((passed, beside, on), reached)
+        return cuts_that_matter(call.stages, geometry, casting, points, at, passed, beside.hit,
+                                lambda cuts: _difference(call, integrand, points, at, passed, (beside, on)))
+
+    def jumps(self, number: int, found: CutsOfView) -> FilmJumps:
+        return jumps_of_cuts(self.call, number, self.casting.outline, found)
 
 
 class Through(NamedTuple):
@@ -106,8 +127,8 @@ class Through(NamedTuple):
 
     ray: Ray
     hit: Hit  # the first surface
-    reaches: Tensor  # of the first surface
-  # (N,) bool: light reaches the origin from the target
+    reaches: Tensor  # (N,) bool: light reaches the origin from the target
+
 
 def through(integrand: Integrand, start: Vec3, target: Vec3) -> Through:
     """Traces rays from points, (N,) float64 world, straight through surfaces to occluded targets."""
