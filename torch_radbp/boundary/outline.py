@@ -55,6 +55,10 @@ class Outline(NamedTuple):
     parts: EdgeParts | None = None  # (E,) the part of each edge; None: whole edges, which lie on no other surface
     slots: EdgeSlots | None = None  # of everything, see `edge_order.slots_of`
 
+    def triangle(self, edge: Tensor) -> Tensor:
+        """The first triangle at each of some edges, (N,) int32."""
+        return torch.div(rows(self.edges.corner[0], edge), 3, rounding_mode="floor")
+
 
 class Jumps(NamedTuple):
     """The discontinuity curves of a view."""
@@ -172,15 +176,15 @@ class Outlines:
         """The expected number of edges of so many triangles: that of last time, or the greatest possible."""
         return self.sizes[1] if self.sizes is not None and self.sizes[0] == triangles else 3 * triangles
 
-    def of_everything(self, rendering: Rendering, call: RenderCall, seed: int) -> Outline | None:
-        """The edges of all shapes; None: there are none. Args as for `of_views`."""
+    def of_everything(self, rendering: Rendering, call: RenderCall, seed: int, whole: bool = False) -> Outline | None:
+        """The edges of all shapes; None: there are none. Args as for `of_views`; `whole`: not divided where they rest."""
         everything = Moving(*((True,) * len(part) for part in (rendering.movers, rendering.moving_instances)))
         generator, sizes = torch.Generator("cpu").manual_seed(seed % (1 << 63)), rendering.sizes
         scene = call.still_scene
         found = self.of(scene, sizes, everything, generator)
         if found is None:
             return None
-        if (passing := moving_or_sliding(rendering)) is not None:
+        if not whole and (passing := moving_or_sliding(rendering)) is not None:
             found = in_parts(scene, found, self.passing.of_pairs(
                 rendering, call, passing, self.edges_of_shape(scene, sizes), seed).resting)
         self.sizes = len(scene.triangles.material), len(found.crease)

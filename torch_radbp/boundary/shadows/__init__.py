@@ -19,6 +19,7 @@ from torch import Tensor
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.outline import Outline, outlines_of
 from torch_radbp.boundary.places import taken_by
+from torch_radbp.boundary.rendering import Rendering, whole_sight
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.boundary.shadows import split
 from torch_radbp.boundary.shadows.edge_tree import edge_tree
@@ -31,9 +32,11 @@ from torch_radbp.boundary.term import LineNumbers
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.plugin.folder import import_files
 from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.stage import EAGER
 
 import_files(__name__, __path__)
 
+PATHS = 1 << 14  # of a view at least, for a warning
 BYTES_OF_EDGE = 300, 900  # nodes of the tree, and what they are made of: in fused loops, in plain torch
 BYTES_OF_PLACE = 1200  # where it lies, what it is made of, and how it moves, while it is found
 BYTES_OF_JUMP = 800  # what is kept of it for the backward pass
@@ -79,6 +82,21 @@ def shadow_jumps(call: RenderCall, casting: Outline | None, crossing: Segments |
             found = samples_of_view(still, number, terms)
         jumps.append([term.jumps(number, own) for term, own in zip(terms, found) if own is not None])
     return torch.stack([image_of(view, own, call.scene.dtype) for view, own in zip(call.views, jumps)])
+
+
+def shadows_left_out(rendering: Rendering) -> set[str]:
+    """The parameters that move places of terms that are off, in all of each film; by a few samples, in plain torch."""
+    call = rendering.call.still()
+    views = [view._replace(window=view.sensor.film.window(), camera=whole_sight(view, view.camera.lens).camera)
+             for view in call.views]
+    spp = max(1, PATHS // min(view.width * view.height for view in views))
+    call = call._replace(stages=EAGER, spp=spp, integrand=call.integrand.with_stages(EAGER)).with_views(views)
+    edges = outlines_of(rendering.scene).of_everything(rendering, call, 0, whole=True)
+    if edges is None:
+        return set()
+    casting = Casting(edges, edge_tree(EAGER, geometry_of(call.scene), edges))
+    search = ShadowSearch(call, call, casting, None, None)
+    return set().union(*(term(search).left_out(rendering) for term in SHADOW_TERMS))
 
 
 def samples_of_view(still: RenderCall, number: int, terms: Sequence[ShadowTerm]) -> list[Any]:

@@ -30,6 +30,7 @@ from torch_radbp.boundary.geometry import Geometry, geometry_of, largest_coordin
 from torch_radbp.boundary.intersections import TOUCHING
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import APART, APERTURE_COUNTER, FEWEST, counts_somewhere, on_film
+from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.shadows.edges_tried import edges_tried, eyes_for_each
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
@@ -53,7 +54,9 @@ from torch_radbp.boundary.shadows.seen_edges import (
 )
 from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, films_have_area, shadow_term
 from torch_radbp.boundary.shadows.split import ALL, Amount
+from torch_radbp.boundary.shadows.viewpoints import path_of
 from torch_radbp.boundary.shadows.ways_down import picked_ones
+from torch_radbp.boundary.silhouette import crosses_view
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.view import View
 from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, CameraSample
@@ -68,7 +71,7 @@ from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.differentiated import any_differentiated, detached
 from torch_radbp.tensors.stage import Stages, stage
-from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows, unit_normal
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, max_component, rows, unit_normal
 
 SALT = 0x1F83D9AB  # tells the random numbers of borders from others
 SHARE, MOST = 16, 1 << 19  # one place for so many paths of the image; and at most
@@ -76,6 +79,7 @@ SHARP_SHARE = 4  # the same where some lights have no extent: all that shadows m
 LOOKS = 4  # for edges from each light sample
 ASIDE = 4.0 * APART  # share of its distance by which a border is looked at from aside, in the shade
 ALIKE = 0.9  # cosine between normals of triangles of one surface
+FEW = 1024  # light samples of a warning
 BYTES_OF_TRIED = 20, 240  # an edge that is tried from a light sample: in fused loops, in plain torch
 
 
@@ -202,6 +206,23 @@ class DirectShadows(ShadowTerm):
         strength = torch.stack(tuple(light)).double()
         return BordersInView(borders, course.film, course.aperture, course.normal,
                              torch.where(course.sweep > 0, strength, -strength), course.sweep)
+
+    def left_out(self, rendering: Rendering) -> set[str]:
+        if rendering.shadows and rendering.has_area:
+            return set()
+        call, outline, view = self.still, self.casting.outline, self.still.views[0]
+        lights = Lights.covered(call)._replace(sharp=call.integrand.settings.nee)
+        found = borders_of(call, 0, self.casting, lights, max(1, call.spp * view.width * view.height // FEW))
+        if found is None:
+            return set()
+        borders, passed = found.borders, found.passed
+        light = light_sent_back(call.integrand, path_of(call, passed.onwards, passed.key), borders.receiver, borders.draw)
+        p = border(call.scene, geometry_of(call.scene), outline, borders)
+        seen = torch.stack([crosses_view(p, p, sight) for sight in rendering.sights]) & (max_component(light) > 0.0)
+        borders = rows(borders, seen.any(0).nonzero().squeeze(1))
+        lamps = [rendering.light_movers[element] for element in borders.draw.picked.element.unique().tolist()]
+        cameras = [names for names, own in zip(rendering.camera_movers, seen) if own.any()]
+        return rendering.movers_at(outline.triangle(borders.edge), borders.receiver.prim).union(*lamps, *cameras)
 
     def jumps(self, number: int, found: BordersInView) -> FilmJumps:
         on_border = border(self.call.scene, attached_geometry(self.call.scene), self.casting.outline, found.borders)

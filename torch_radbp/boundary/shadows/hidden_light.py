@@ -32,6 +32,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.shadows import film_density, split
 from torch_radbp.boundary.shadows.border import Lights, most_samples
 from torch_radbp.boundary.shadows.eyes import Eyes
@@ -76,6 +77,8 @@ SHARE, MOST = 16, 1 << 16  # one path for so many of the image; and at most at o
 ROUNDS = 16  # of `MOST` paths, at most
 LOOKS, PLACES = 8, 4  # for edges from each, and places on edges that were found
 FEWEST_PATHS = 16
+FEW = 1024  # paths of a warning
+GRAZING = 0.1  # cosine with the normal below which a warning leaves edges out: all such give 1% of a uniform sky's light
 BYTES_OF_WAY = 120  # down the tree of edges: where it is, and what it has found
 EVEN = 0.1  # how much edges count at grazing angles, by the cosine of interpolated normals
 
@@ -158,6 +161,23 @@ class HiddenLight(ShadowTerm):
     def samples(self, number: int, amount: Amount = ALL) -> CutsOfView | None:
         return cuts_of_view(self.still, number, self.casting, amount, first=FirstVertex.uncovered(self.still))
 
+    def left_out(self, rendering: Rendering) -> set[str]:
+        first, outline, names = FirstVertex.uncovered(self.still), self.casting.outline, set()
+        if rendering.shadows or not any(first):
+            return names
+        call = self.still._replace(integrand=self.still.integrand._replace(max_depth=2))  # light straight from lamps
+        for number, view in enumerate(call.views):
+            share = min(1.0, FEW / number_of_paths(call, view))
+            found = cuts_of_view(call, number, self.casting, Amount(share), first=first)
+            if found is None:
+                continue
+            cuts = rows(found.cuts, (rise_of(call, number, outline, found) > GRAZING).nonzero().squeeze(1))
+            if len(cuts.edge):
+                standing = rows(found.points.hit.prim, cuts.viewpoint)
+                names |= rendering.movers_at(outline.triangle(cuts.edge), standing, cuts.hit.prim)
+                names |= {*rendering.moving(view.sensor)}
+        return names
+
     def jumps(self, number: int, found: CutsOfView) -> FilmJumps:
         return jumps_of_cuts(self.call, number, self.casting.outline, found)
 
@@ -175,6 +195,16 @@ def jumps_of_cuts(call: RenderCall, number: int, outline: Outline, found: CutsOf
     seen, start = cut_at(geometry, outline, at, found.cuts), rows(at.map(primal), viewpoint)
     seen = less_what_slides(call, number, geometry, rows(found.points, viewpoint), start, found.cuts.hit, seen)
     return FilmJumps(rows(found.points.place, found.cuts.viewpoint), found.strength * swept_areas(seen, found.normal))
+
+
+def rise_of(call: RenderCall, number: int, outline: Outline, found: CutsOfView) -> Tensor:
+    """The cosine between the normal of a path's vertex, on the side it came from, and the way to an edge; (K,) detached."""
+    geometry, cuts = geometry_of(call.scene), found.cuts
+    points, at = rows((found.points, vertex_at(call, geometry, number, found.points)), cuts.viewpoint)
+    corners = corners_of(geometry, points.hit)
+    n = unit_normal(corners[1] - corners[0], corners[2] - corners[0])
+    reach = normalize(point_of_edge(geometry, outline, cuts.edge, cuts.along) - at)
+    return -dot(n, reach) * torch.sign(dot(n, points.ray.d.map(torch.Tensor.double)))
 
 
 class CutCourse(NamedTuple):

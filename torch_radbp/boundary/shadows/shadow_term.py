@@ -13,6 +13,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
+from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps
 from torch_radbp.boundary.shadows.seen_edges import Casting
@@ -70,6 +71,10 @@ class ShadowTerm(ABC):
 
         `amount`: how many, if `is_split`.
         """
+
+    def left_out(self, rendering: Rendering) -> set[str]:
+        """The parameters that move places of the term, as far as it is off and a few samples find them; `call` is eager."""
+        return set()
 
     @abstractmethod
     def jumps(self, number: int, found: Any) -> FilmJumps:
