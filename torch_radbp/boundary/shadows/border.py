@@ -55,7 +55,7 @@ from torch_radbp.boundary.shadows.seen_edges import (
 from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, films_have_area, shadow_term
 from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.shadows.viewpoints import path_of
-from torch_radbp.boundary.shadows.ways_down import picked_ones
+from torch_radbp.boundary.shadows.ways_down import lot_of_found
 from torch_radbp.boundary.silhouette import crosses_view
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.view import View
@@ -315,7 +315,7 @@ def places_lit(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes,
     if not each:
         return places_seen(stages, geometry, casting, eyes, seed, LOOKS, count)
     found, eye = edges_tried(stages, geometry, outline, eyes, seed, each, extent_of(geometry))
-    return places_on(stages, geometry, outline, eyes, seed, picked_ones(found, eye, 1, count))
+    return places_on(stages, geometry, outline, eyes, seed, lot_of_found(found, eye, 1, count))
 
 
 @stage("scene", "geometry", "outline", "camera")

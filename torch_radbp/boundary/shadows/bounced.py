@@ -28,7 +28,7 @@ from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, glues, shadow_t
 from torch_radbp.boundary.shadows.slid import less_what_slides
 from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.shadows.spread_borders import spread_borders
-from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
+from torch_radbp.boundary.shadows.viewpoints import PathBatch, Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.direct_light import light_sent_back, scattered_light
 from torch_radbp.path.integrand import Integrand
@@ -117,7 +117,7 @@ def pairs_of(call: RenderCall, number: int, casting: Casting, following: bool) -
     if lit is None:
         return None
     integrand, geometry, count = integrand_of(call, call.integrand, number), geometry_of(call.scene), len(lit.passed.edge)
-    points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1), count, following)
+    points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1), PathBatch(count), following)
     if not len(points.depth):
         return None
     place = torch.arange(count, dtype=torch.int32, device=call.scene.device)

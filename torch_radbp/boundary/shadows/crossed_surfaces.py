@@ -30,7 +30,6 @@ from torch import Tensor
 
 from torch_radbp.boundary.geometry import Between, Corners, Geometry, geometry_of
 from torch_radbp.boundary.segments import Segments, height_above, heights_by, level_on_lines, place_of
-from torch_radbp.boundary.shadows.edge_tree import numbers_to
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry
 from torch_radbp.boundary.shadows.hidden_light import EVEN, FirstVertex, light_beyond, most_paths, number_of_paths
@@ -46,8 +45,8 @@ from torch_radbp.boundary.shadows.segment_tree import (
 from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, glues, shadow_term
 from torch_radbp.boundary.shadows.slid import what_slides
 from torch_radbp.boundary.shadows.split import ALL, Amount
-from torch_radbp.boundary.shadows.viewpoints import Viewpoints, vertex_at, viewpoints
-from torch_radbp.boundary.shadows.ways_down import picked_ones, ways_down
+from torch_radbp.boundary.shadows.viewpoints import PathBatch, Viewpoints, vertex_at, viewpoints
+from torch_radbp.boundary.shadows.ways_down import lot_of_found, ways_down
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tensors import SceneTensors
@@ -108,7 +107,7 @@ class CrossedSurfaces(ShadowTerm):
         call = self.still
         view, geometry = call.views[number], geometry_of(call.scene)
         integrand = integrand_of(call, call.integrand, number)
-        points = viewpoints(call, number, integrand, number_of_paths(call, view, PATHS))
+        points = viewpoints(call, number, integrand, PathBatch(number_of_paths(call, view, PATHS)))
         if not len(points.depth):
             return None
         at, corners = vertex_at(call, geometry, number, points), corners_of(geometry, points.hit)
@@ -117,11 +116,10 @@ class CrossedSurfaces(ShadowTerm):
         seed, count, (segments, tree) = salted(view, SALT), PLACES * len(points.depth), self.curves
         ways = ways_down(call.stages, tree, eyes, seed, LOOKS, extent)
         found = call.stages(segment_found)(geometry, segments, tree.slots, eyes, ways, extent)
-        found = picked_ones(found, ways.eye, LOOKS, count)
+        found = lot_of_found(found, ways.eye, LOOKS, count)
         if found is None:
             return None
-        passed = call.stages(segment_passed)(geometry, segments, eyes, found.lot, found.found, found.eye, seed, extent,
-                                            numbers_to(count, found.eye))
+        passed = call.stages(segment_passed)(geometry, segments, eyes, found[0], seed, extent, found[1])
         passed = rows(passed, unhidden(call.integrand, passed))
         if not len(passed.edge):
             return None

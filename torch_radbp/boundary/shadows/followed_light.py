@@ -22,20 +22,10 @@ from torch import Tensor
 
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.rendering import asks_for_derivatives
+from torch_radbp.boundary.shadows.cuts import CutsOfView, all_cuts, cut_at, matter, some_cuts
 from torch_radbp.boundary.shadows.drawn_directions import DirectionNumbers, Drawn, directions_drawn, drawn
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
-from torch_radbp.boundary.shadows.hidden_light import (
-    LOOKS,
-    CutsOfView,
-    FirstVertex,
-    all_cuts,
-    cut_at,
-    eyes_of,
-    matter,
-    most_paths,
-    number_of_paths,
-    some_cuts,
-)
+from torch_radbp.boundary.shadows.hidden_light import LOOKS, FirstVertex, eyes_of, most_paths, number_of_paths
 from torch_radbp.boundary.shadows.lines_through_edges import solid_angle
 from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
@@ -48,7 +38,15 @@ from torch_radbp.boundary.shadows.seen_edges import (
 )
 from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, follows, shadow_term
 from torch_radbp.boundary.shadows.split import ALL, Amount
-from torch_radbp.boundary.shadows.viewpoints import Viewpoints, arriving, path_of, vertex_at, vertex_on, viewpoints
+from torch_radbp.boundary.shadows.viewpoints import (
+    PathBatch,
+    Viewpoints,
+    arriving,
+    path_of,
+    vertex_at,
+    vertex_on,
+    viewpoints,
+)
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
@@ -120,7 +118,7 @@ class FollowedLight(ShadowTerm):
         call, casting = self.still, self.casting
         view, geometry = call.views[number], geometry_of(call.scene)
         integrand = integrand_of(call, call.integrand, number)
-        points = viewpoints(call, number, integrand, number_of_paths(call, view), following=True)
+        points = viewpoints(call, number, integrand, PathBatch(number_of_paths(call, view)), following=True)
         if not len(points.depth):
             return None
         at = vertex_at(call, geometry, number, points)

@@ -30,18 +30,10 @@ from torch import Tensor
 
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.shadows import split
+from torch_radbp.boundary.shadows.cuts import CutsOfView, cuts_that_matter, jumps_of_cuts
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.film_jumps import FilmJumps
-from torch_radbp.boundary.shadows.hidden_light import (
-    EVEN,
-    LOOKS,
-    PLACES,
-    CutsOfView,
-    cuts_that_matter,
-    jumps_of_cuts,
-    most_paths,
-    number_of_paths,
-)
+from torch_radbp.boundary.shadows.hidden_light import EVEN, LOOKS, PLACES, most_paths, number_of_paths
 from torch_radbp.boundary.shadows.lines_through_edges import scattered_towards, solid_angle
 from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
@@ -54,7 +46,7 @@ from torch_radbp.boundary.shadows.seen_edges import (
 )
 from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, glues, shadow_term
 from torch_radbp.boundary.shadows.split import ALL, Amount
-from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
+from torch_radbp.boundary.shadows.viewpoints import PathBatch, Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
@@ -89,11 +81,11 @@ class SeenThrough(ShadowTerm):
 
     def samples(self, number: int, amount: Amount = ALL) -> CutsOfView | None:
         call, casting = self.still, self.casting
-        geometry, begun = geometry_of(call.scene), number_of_paths(call, call.views[number], amount.before)
+        geometry, view = geometry_of(call.scene), call.views[number]
+        paths, tried, begun = (number_of_paths(call, view, share) for share in amount)
         integrand = integrand_of(call, call.integrand, number)
-        points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1),
-                            number_of_paths(call, call.views[number], amount.counted), begun=begun,
-                            tried=number_of_paths(call, call.views[number], amount.tried))
+        shorter = integrand._replace(max_depth=integrand.max_depth - 1)
+        points = viewpoints(call, number, shorter, PathBatch(paths, begun=begun, tried=tried))
         if not len(points.depth):
             return None
         call = split.with_numbers(call, SALT + begun) if begun else call

@@ -60,6 +60,15 @@ class Begun(NamedTuple):
     camera: CameraSample
 
 
+class PathBatch(NamedTuple):
+    """Camera paths of which one vertex each is sampled."""
+
+    count: int
+    density: Tensor | None = None  # (cells,) float64, by which they are spread over the cells of the film; None: evenly
+    begun: int = 0  # how many others have begun before, with random numbers of their own
+    tried: int = 0  # of how many paths more the vertices only tell how much noise there is, likewise; they come first
+
+
 class Picked(NamedTuple):
     """One selected vertex for each of M paths, for reservoir sampling."""
 
@@ -93,23 +102,20 @@ class PathsAtBounce(NamedTuple):
     onwards: PathState  # with these states
 
 
-def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, following: bool = False,
-               density: Tensor | None = None, begun: int = 0, tried: int = 0) -> Viewpoints:
+def viewpoints(call: RenderCall, number: int, integrand: Integrand, batch: PathBatch, following: bool = False) -> Viewpoints:
     """Samples one vertex per camera path, in proportion to throughput; paths without candidates are dropped.
 
     Args:
         call, number: of the view.
         integrand: of the detached scene.
-        count: of the paths.
+        batch: the paths.
         following: vertices whose scattered directions carry derivatives are meant; else those after which points are glued.
-        density: (cells,) float64, by which the paths are spread over the cells of the film; None: evenly.
-        begun: how many others have begun before, with random numbers of their own.
-        tried: of how many paths more the vertices only tell how much noise there is, likewise; they come first.
     """
-    key = salted(call.views[number], SALT)
-    paths = paths_begun(call, number, key, count, density, begun)
+    key, (_, _, begun, tried) = salted(call.views[number], SALT), batch
+    paths = paths_begun(call, number, key, batch)
     if tried:
-        paths = joined([paths_begun(call, number, salted(call.views[number], OF_TRIED), tried, density, begun), paths])
+        pilots = paths_begun(call, number, salted(call.views[number], OF_TRIED), batch._replace(count=tried))
+        paths = joined([pilots, paths])
     pixel, sample, place, area, camera = paths
     chosen = key._replace(seed=hash32(key.seed ^ begun)) if begun else key
     picked = picked_vertices(integrand, started(call, camera), chosen, following)
@@ -127,9 +133,9 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, 
     return found._replace(slides=found.slides | (near & (found.depth > 0)))
 
 
-def paths_begun(call: RenderCall, number: int, key: SampleKey, count: int, density: Tensor | None, begun: int) -> Begun:
+def paths_begun(call: RenderCall, number: int, key: SampleKey, batch: PathBatch) -> Begun:
     """Starts paths that are distributed over the film; args as for `viewpoints`, `key`: of random numbers."""
-    view, grid = call.views[number], call.views[number].grid
+    view, grid, (count, density, begun, _) = call.views[number], call.views[number].grid, batch
     sample = torch.arange(begun, begun + count, dtype=torch.int32, device=call.scene.device)
     jitter = uniform_numbers(key, sample, SALT, torch.float64)
     cell, area = cells_begun(sample - begun + jitter, count, grid.columns * grid.rows, density)
@@ -147,7 +153,7 @@ def cells_begun(along: Tensor, count: int, cells: int, density: Tensor | None) -
     Args:
         along: (N,) float64 from 0 to `count`, the number of all paths.
         cells: how many there are.
-        density: as for `viewpoints`.
+        density: as of `PathBatch`.
     """
     if density is None:
         return (along * (cells / count)).floor().clamp_max(cells - 1).to(torch.int32), along.new_tensor(cells / count)
