@@ -22,13 +22,13 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.boundary.contour import contour_length, contour_place, crosses
+from torch_radbp.boundary.deposit import Deposit, image_of
 from torch_radbp.boundary.edge_places import edge_place, edge_weight
 from torch_radbp.boundary.faces import Faces
 from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.in_sight import PathsBeside, Sent, in_sight, paths_beside
-from torch_radbp.boundary.jump_function import JumpPlaces, image_of_jumps, recorded_jumps
+from torch_radbp.boundary.motion import JumpPlaces, moved_places
 from torch_radbp.boundary.moving import MOST_SHOWN
 from torch_radbp.boundary.outline import Jumps, Outline
 from torch_radbp.boundary.places import (
@@ -144,12 +144,12 @@ def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps
         if places:
             integrand = integrand_of(still, still.integrand, number)
             found = strengths(still, integrand, viewed, joined(places), seen)
-    if found is None:
-        return torch.zeros(len(seen.turns), view.height, view.width, dtype=call.scene.dtype, device=call.scene.device)
-    geometry, shape = geometry_of(call.scene)._replace(lines=jumps.lines), (view.height, view.width)
-    if call.adjoint.taped or has_tangents((geometry, view.camera)):
-        return recorded_jumps(call.stages, geometry, view.camera, found, shape)
-    return image_of_jumps(call.stages, geometry, view.camera, found, shape)
+    deposits = []
+    if found is not None:
+        geometry = geometry_of(call.scene)._replace(lines=jumps.lines)
+        moved = moved_places(call.stages, geometry, view.camera, found, call.adjoint.taped)
+        deposits = [Deposit(rows(found.places.film, found.shown), found.strength, moved)]
+    return image_of(call, number, deposits, len(seen.turns))
 
 
 def _places_of(call: RenderCall, number: int, viewed: ExaminedView, jumps: Jumps, rims: bool) -> list[Places]:

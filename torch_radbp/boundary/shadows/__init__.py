@@ -16,6 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.deposit import image_of
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.outline import Outline, outlines_of
 from torch_radbp.boundary.places import taken_by
@@ -23,7 +24,6 @@ from torch_radbp.boundary.rendering import Rendering, whole_sight
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.boundary.shadows import split
 from torch_radbp.boundary.shadows.edge_tree import edge_tree
-from torch_radbp.boundary.shadows.film_jumps import image_of
 from torch_radbp.boundary.shadows.followed_light import directions_turn
 from torch_radbp.boundary.shadows.hidden_light import as_worth
 from torch_radbp.boundary.shadows.seen_edges import Casting
@@ -73,15 +73,16 @@ def shadow_jumps(call: RenderCall, casting: Outline | None, crossing: Segments |
         crossing: where surfaces pass through each other, of which something moves, and lines that slide; None: nowhere.
         lines: what those follow, attached.
     """
-    still, jumps = call.still(), []
+    still, images = call.still(), []
     with torch.no_grad():
         edges = None if casting is None else Casting(casting, edge_tree(call.stages, geometry_of(still.scene), casting))
         terms = terms_of(ShadowSearch(call, still, edges, crossing, lines))
     for number in range(len(call.views)):
         with torch.no_grad():
             found = samples_of_view(still, number, terms)
-        jumps.append([term.jumps(number, own) for term, own in zip(terms, found) if own is not None])
-    return torch.stack([image_of(view, own, call.scene.dtype) for view, own in zip(call.views, jumps)])
+        deposits = [deposit for term, own in zip(terms, found) if own is not None for deposit in term.jumps(number, own)]
+        images.append(image_of(call, number, deposits))
+    return torch.stack(images)
 
 
 def shadows_left_out(rendering: Rendering) -> set[str]:

@@ -33,26 +33,25 @@ from torch_radbp.boundary.places import APART, APERTURE_COUNTER, FEWEST, counts_
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.shadows.edges_tried import edges_tried, eyes_for_each
 from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
 from torch_radbp.boundary.shadows.light_points import light_eyes, light_line, light_points
 from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
     BESIDE,
     Casting,
+    Course,
     Passed,
     corners_of,
+    course_of,
     crossed_at,
     extent_of,
-    finite_normal,
     onto_surfaces,
-    pace,
     places_on,
     places_seen,
     point_of_edge,
     salted,
     unhidden,
 )
-from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, films_have_area, shadow_term
+from torch_radbp.boundary.shadows.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, films_have_area, shadow_term
 from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.shadows.viewpoints import path_of
 from torch_radbp.boundary.shadows.ways_down import lot_of_found
@@ -137,32 +136,10 @@ class CastShadows(NamedTuple):
 
 
 class BordersInView(NamedTuple):
-    """K shadow border samples that a view sees; detached.
-
-    The border sweeps an area where its edge moves outwards; by that, parts of the derivative are compared (`split.py`).
-    """
+    """K samples on borders that a view sees; detached."""
 
     borders: Borders
-    place: Vec2  # on the film, pixels from the upper left corner of the window
-    aperture: Vec2 | None  # of the lens
-    normal: Vec2  # normal of the border on the film; its length is that of the piece per sample
-    strength: Tensor  # (3, K) float64, radiance behind less radiance ahead
-    sweep: Tensor  # (K,) swept area if all edges move by an equal step
-
-    def independent(self) -> Tensor:
-        """The contributions in independent parts, see `split.SampledIntegral`: each sample by itself."""
-        return self.strength * self.sweep
-
-
-class BorderCourse(NamedTuple):
-    """The course of N shadow borders on the film; detached, float64."""
-
-    on_border: Vec3  # (N,) world
-    film: Vec2  # (N,) its image
-    aperture: Vec2 | None
-    normal: Vec2  # as of `BordersInView`; 0 where unknown, or outside of all pixels
-    aside: Vec2  # direction to points right beside the border in shadow
-    sweep: Tensor
+    aperture: Vec2 | None  # of the rays that see them
 
 
 @shadow_term
@@ -179,7 +156,7 @@ class DirectShadows(ShadowTerm):
     def applies(self) -> bool:
         return films_have_area(self.call)
 
-    def samples(self, number: int, amount: Amount = ALL) -> BordersInView | None:
+    def samples(self, number: int, amount: Amount = ALL) -> CutOff | None:
         call, outline = self.still, self.casting.outline
         view, scene = call.views[number], call.scene
         found = borders_of(call, number, self.casting, Lights.covered(call), share_of(scene))
@@ -188,24 +165,22 @@ class DirectShadows(ShadowTerm):
         borders, passed, inwards, times = found
         integrand = integrand_of(call, call.integrand, number)
         geometry, camera, aperture = geometry_of(scene), view.camera, aperture_of(view, passed.key)
-        course = integrand.part(Ends.SURROUNDINGS).call(border_course, geometry, outline, camera, borders,
-                                                        inwards, times, aperture)
+        on_border, course = integrand.part(Ends.SURROUNDINGS).call(border_course, geometry, outline, camera, borders,
+                                                                   inwards, times, aperture)
         counted = ((course.normal.x != 0.0) | (course.normal.y != 0.0)).nonzero().squeeze(1)
-        borders, course, key = rows((borders, course, passed.key), counted)
-        sample = camera_sample(call, view, course.film, course.aperture, key)
-        shown = sees(integrand, sample.ray, borders.receiver, course.on_border).nonzero().squeeze(1)
-        borders, course, key, sample = rows((borders, course, key, sample), shown)
-        in_shade = camera_sample(call, view, into_shade(camera, course.film, course.aside), course.aperture, key)
-        shown = sees(integrand, in_shade.ray, borders.receiver, course.on_border).nonzero().squeeze(1)
+        own, course, on_border, key = rows((BordersInView(borders, aperture), course, on_border, passed.key), counted)
+        sample = camera_sample(call, view, course.at, own.aperture, key)
+        shown = sees(integrand, sample.ray, own.borders.receiver, on_border).nonzero().squeeze(1)
+        own, course, on_border, key, sample = rows((own, course, on_border, key, sample), shown)
+        in_shade = camera_sample(call, view, into_shade(camera, course.at, course.aside), own.aperture, key)
+        shown = sees(integrand, in_shade.ray, own.borders.receiver, on_border).nonzero().squeeze(1)
         if not len(shown):
             return None
-        borders, course, sample = rows((borders, course, sample), shown)
-        light = light_sent_back(integrand, started(call, sample), seen_at(borders.receiver, sample.ray, course.on_border),
-                                borders.draw)
+        own, course, on_border, sample = rows((own, course, on_border, sample), shown)
+        hit = seen_at(own.borders.receiver, sample.ray, on_border)
+        light = light_sent_back(integrand, started(call, sample), hit, own.borders.draw)
         light = light if sample.weight is None else light * sample.weight
-        strength = torch.stack(tuple(light)).double()
-        return BordersInView(borders, course.film, course.aperture, course.normal,
-                             torch.where(course.sweep > 0, strength, -strength), course.sweep)
+        return cut_off(course.at, course, torch.stack(tuple(light)).double(), own)
 
     def left_out(self, rendering: Rendering) -> set[str]:
         if rendering.shadows and rendering.has_area:
@@ -224,10 +199,10 @@ class DirectShadows(ShadowTerm):
         cameras = [names for names, own in zip(rendering.camera_movers, seen) if own.any()]
         return rendering.movers_at(outline.triangle(borders.edge), borders.receiver.prim).union(*lamps, *cameras)
 
-    def jumps(self, number: int, found: BordersInView) -> FilmJumps:
-        on_border = border(self.call.scene, attached_geometry(self.call.scene), self.casting.outline, found.borders)
-        seen = on_film(self.call.views[number].camera, on_border, found.aperture)
-        return FilmJumps(found.place, found.strength * swept_areas(seen, found.normal))
+    def seen(self, number: int, geometry: Geometry, found: CutOff) -> Vec2:
+        borders, aperture = found.samples
+        on_border = border(self.call.scene, geometry, self.casting.outline, borders)
+        return on_film(self.call.views[number].camera, on_border, aperture)
 
 
 def border(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,
@@ -320,8 +295,8 @@ def places_lit(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes,
 
 @stage("scene", "geometry", "outline", "camera")
 def border_course(scene: SceneTensors, geometry: Geometry, outline: Outline, camera: Camera, borders: Borders,
-                  inwards: Vec3, times: Tensor, aperture: Vec2 | None) -> BorderCourse:
-    """Computes how shadow borders run on the film: image, normal and swept area.
+                  inwards: Vec3, times: Tensor, aperture: Vec2 | None) -> tuple[Vec3, Course]:
+    """The points of shadow borders, world, and the borders' course on the film, 0 outside of all pixels.
 
     Args:
         scene, geometry, outline, borders: as for `border`, detached.
@@ -332,11 +307,10 @@ def border_course(scene: SceneTensors, geometry: Geometry, outline: Outline, cam
     def seen(step: Tensor | float = 0.0, off: Vec3 | None = None) -> Vec2:
         return on_film(camera, border(scene, geometry, outline, borders, step, off), aperture)
 
-    (film, along), shade = pace(seen, times), seen(off=inwards)
-    counts, aside = counts_somewhere(camera, film), Vec2(shade.x - film.x, shade.y - film.y)
-    normal = finite_normal(along, times).map(lambda c: torch.where(counts, c, 0.0))
-    return BorderCourse(border(scene, geometry, outline, borders), film, aperture, normal, aside,
-                        aside.x * normal.x + aside.y * normal.y)
+    course = course_of(seen, times, inwards)
+    counts = counts_somewhere(camera, course.at)
+    return border(scene, geometry, outline, borders), course._replace(
+        normal=course.normal.map(lambda c: torch.where(counts, c, 0.0)))
 
 
 def aperture_of(view: View, key: LaneKey) -> Vec2 | None:

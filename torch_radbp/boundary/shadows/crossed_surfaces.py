@@ -28,10 +28,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.deposit import Deposit, attached_geometry
 from torch_radbp.boundary.geometry import Between, Corners, Geometry, geometry_of
 from torch_radbp.boundary.segments import Segments, height_above, heights_by, level_on_lines, place_of
 from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry
 from torch_radbp.boundary.shadows.hidden_light import EVEN, FirstVertex, light_beyond, most_paths, number_of_paths
 from torch_radbp.boundary.shadows.seen_edges import BESIDE, Passed, corners_of, extent_of, salted, unhidden
 from torch_radbp.boundary.shadows.segment_tree import (
@@ -132,7 +132,7 @@ class CrossedSurfaces(ShadowTerm):
             return None
         return CrossedOfView(points, passed.eye[kept], rows(at, passed.eye[kept]), rows(sheets, kept), light[:, kept])
 
-    def jumps(self, number: int, found: CrossedOfView) -> FilmJumps:
+    def jumps(self, number: int, found: CrossedOfView) -> list[Deposit]:
         geometry, sheets = attached_geometry(self.call.scene)._replace(lines=self.lines), found.sheets
         met, seen_from = hit_at(sheets, sheets.at, found.points.hit.u.dtype), rows(found.points, found.viewpoint)
         near, ways = what_slides(self.call, number, geometry, seen_from, found.start, met, sheets.at)
@@ -143,7 +143,7 @@ class CrossedSurfaces(ShadowTerm):
         if self.lines is not None:
             between = Between(*lookup(geometry.triangles.corners, sheets.triangle))
             level = torch.where(sheets.line >= 0, level_on_lines(geometry, between, u, v, sheets.line), level)
-        return FilmJumps(seen_from.place, found.strength * (level - primal(level)))
+        return [Deposit(seen_from.place, found.strength.unbind(), level - primal(level))]
 
 
 def surfaces_shine(scene: SceneTensors, segments: Segments) -> bool:

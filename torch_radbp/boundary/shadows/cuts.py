@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.deposit import Deposit, attached_geometry, swept_areas
 from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
 from torch_radbp.boundary.shadows.seen_edges import (
     BESIDE,
     Casting,
     Passed,
     corners_of,
+    course_of,
     crossed_at,
     extent_of,
-    finite_normal,
-    pace,
     point_of_edge,
 )
 from torch_radbp.boundary.shadows.slid import less_what_slides
@@ -66,7 +66,7 @@ class CutsOfView(NamedTuple):
                      for part in (tried, ~tried))
 
 
-def jumps_of_cuts(call: RenderCall, number: int, outline: Outline, found: CutsOfView) -> FilmJumps:
+def jumps_of_cuts(call: RenderCall, number: int, outline: Outline, found: CutsOfView) -> Deposit:
     """The boundary term of light that edges occlude from paths, for view `number`.
 
     Args:
@@ -78,7 +78,7 @@ def jumps_of_cuts(call: RenderCall, number: int, outline: Outline, found: CutsOf
     at, viewpoint = vertex_at(call, geometry, number, found.points), found.cuts.viewpoint
     seen, start = cut_at(geometry, outline, at, found.cuts), rows(at.map(primal), viewpoint)
     seen = less_what_slides(call, number, geometry, rows(found.points, viewpoint), start, found.cuts.hit, seen)
-    return FilmJumps(rows(found.points.place, found.cuts.viewpoint), found.strength * swept_areas(seen, found.normal))
+    return Deposit(rows(found.points.place, viewpoint), found.strength.unbind(), swept_areas(seen, found.normal))
 
 
 def rise_of(call: RenderCall, number: int, outline: Outline, found: CutsOfView) -> Tensor:
@@ -133,10 +133,8 @@ def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, h
     sight = normalize(passed.p - rows(at, passed.eye))
     side = normalize(cross(passed.outwards, sight))
     cuts = Cuts(passed.eye, passed.edge, passed.along, hit, (cross(sight, side), side))
-    here, along = pace(lambda step: cut_at(geometry, outline, at, cuts, step), passed.times)
-    open_at = cut_at(geometry, outline, at, cuts, off=passed.outwards * (BESIDE * extent))
-    normal = finite_normal(along, passed.times)
-    return CutCourse(cuts.basis, normal, (open_at.x - here.x) * normal.x + (open_at.y - here.y) * normal.y)
+    course = course_of(partial(cut_at, geometry, outline, at, cuts), passed.times, passed.outwards * (BESIDE * extent))
+    return CutCourse(cuts.basis, course.normal, course.sweep)
 
 
 def all_cuts(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed, hit: Hit,

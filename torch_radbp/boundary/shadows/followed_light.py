@@ -20,11 +20,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.deposit import Deposit, attached_geometry, swept_areas
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.rendering import asks_for_derivatives
 from torch_radbp.boundary.shadows.cuts import CutsOfView, all_cuts, cut_at, matter, some_cuts
 from torch_radbp.boundary.shadows.drawn_directions import DirectionNumbers, Drawn, directions_drawn, drawn
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
 from torch_radbp.boundary.shadows.hidden_light import LOOKS, FirstVertex, eyes_of, most_paths, number_of_paths
 from torch_radbp.boundary.shadows.lines_through_edges import solid_angle
 from torch_radbp.boundary.shadows.seen_edges import (
@@ -148,7 +148,7 @@ class FollowedLight(ShadowTerm):
             return None
         return FollowedCuts(some_cuts(directions, kept), rows(found.numbers, kept), some_cuts(lamps, of_lamps))
 
-    def jumps(self, number: int, found: FollowedCuts) -> FilmJumps:
+    def jumps(self, number: int, found: FollowedCuts) -> list[Deposit]:
         call, geometry, own, lamps = self.call, attached_geometry(self.call.scene), found.directions, found.lamps
         points, viewpoint = own.points, own.cuts.viewpoint
         rays = arriving(call, number, points, all_of_them=True)
@@ -156,9 +156,9 @@ class FollowedLight(ShadowTerm):
         seen, of_lamps = (cut_at(geometry, self.casting.outline, at, cuts) for cuts in (own.cuts, lamps.cuts))
         d = moved_directions(call, rows(points, viewpoint), rows(rays, viewpoint), found.numbers)
         seen = Vec2(*(place - dot(d, across) for place, across in zip(seen, own.cuts.basis)))
-        amount = torch.cat([own.strength * swept_areas(seen, own.normal),
-                            lamps.strength * swept_areas(of_lamps, lamps.normal)], 1)
-        return FilmJumps(rows(points.place, torch.cat([viewpoint, lamps.cuts.viewpoint])), amount)
+        parts = (own, viewpoint, swept_areas(seen, own.normal)), (
+            lamps, lamps.cuts.viewpoint, swept_areas(of_lamps, lamps.normal))
+        return [Deposit(rows(points.place, number), part.strength.unbind(), moved) for part, number, moved in parts]
 
 
 def moved_directions(call: RenderCall, points: Viewpoints, rays: Ray, numbers: DirectionNumbers) -> Vec3:

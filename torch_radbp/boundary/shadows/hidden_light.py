@@ -29,6 +29,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.deposit import Deposit
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.shadows import film_density, split
@@ -43,7 +44,6 @@ from torch_radbp.boundary.shadows.cuts import (
     with_used_viewpoints,
 )
 from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps
 from torch_radbp.boundary.shadows.light_points import light_lobes, light_points
 from torch_radbp.boundary.shadows.lines_through_edges import scattered_towards, solid_angle
 from torch_radbp.boundary.shadows.seen_edges import (
@@ -142,8 +142,8 @@ class HiddenLight(ShadowTerm):
                 names |= {*rendering.moving(view.sensor)}
         return names
 
-    def jumps(self, number: int, found: CutsOfView) -> FilmJumps:
-        return jumps_of_cuts(self.call, number, self.casting.outline, found)
+    def jumps(self, number: int, found: CutsOfView) -> list[Deposit]:
+        return [jumps_of_cuts(self.call, number, self.casting.outline, found)]
 
 
 def as_worth(first: float, found: Callable[[Amount], CutsOfView | None]) -> CutsOfView | None:

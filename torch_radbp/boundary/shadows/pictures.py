@@ -13,12 +13,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.deposit import Deposit
 from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.places import NEIGHBOURS, counts_somewhere, lot_of, on_film, picked
 from torch_radbp.boundary.shadows.border import SHARE, aperture_of, camera_sample, most_samples, samples_of, seen_at, sees
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
-from torch_radbp.boundary.shadows.seen_edges import corners_of, crossed_at, pace, salted
-from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, films_have_area, shadow_term
+from torch_radbp.boundary.shadows.seen_edges import Course, corners_of, crossed_at, finite_normal, pace, salted
+from torch_radbp.boundary.shadows.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, films_have_area, shadow_term
 from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.path.bounce import light_numbers
@@ -100,10 +100,7 @@ class PictureBorders(NamedTuple):
 
     kind: int  # of lights
     curves: LitCurves
-    place: Vec2  # on the film
     aperture: Vec2 | None  # of the rays that see them
-    normal: Vec2  # normal of the curve on the film; its length is that of the piece per sample
-    strength: Tensor  # (3, K) float64, light lost per unit of motion of the curve
 
 
 @shadow_term
@@ -120,18 +117,17 @@ class ProjectedImages(ShadowTerm):
     def applies(self) -> bool:
         return films_have_area(self.call) and self.call.integrand.settings.nee
 
-    def samples(self, number: int, amount: Amount = ALL) -> list[PictureBorders] | None:
+    def samples(self, number: int, amount: Amount = ALL) -> list[CutOff] | None:
         found = [borders_seen(self.still, number, kind, *lit) for kind, lines in lines_of_pictures(self.still).items()
                  if (lit := curves_lit(self.still, number, kind, lines)) is not None]
         return [own for own in found if own is not None] or None
 
-    def jumps(self, number: int, found: list[PictureBorders]) -> FilmJumps:
-        camera, scene, parts = self.call.views[number].camera, self.call.scene, []
-        geometry = attached_geometry(scene)
-        for own in found:
-            seen = on_film(camera, lit_at(scene, geometry, own.kind, own.curves), own.aperture)
-            parts.append(FilmJumps(own.place, own.strength * swept_areas(seen, own.normal)))
-        return joined(parts)
+    def jumps(self, number: int, found: list[CutOff]) -> list[Deposit]:
+        return [deposit for own in found for deposit in super(ProjectedImages, self).jumps(number, own)]
+
+    def seen(self, number: int, geometry: Geometry, found: CutOff) -> Vec2:
+        kind, curves, aperture = found.samples
+        return on_film(self.call.views[number].camera, lit_at(self.call.scene, geometry, kind, curves), aperture)
 
 
 def lit_at(scene: SceneTensors, geometry: Geometry, kind: int, curves: LitCurves, step: Tensor | float = 0.0,
@@ -189,14 +185,13 @@ def curves_lit(call: RenderCall, number: int, kind: int,
 
 
 def borders_seen(call: RenderCall, number: int, kind: int, curves: LitCurves, times: Tensor,
-                 key: LaneKey) -> PictureBorders | None:
+                 key: LaneKey) -> CutOff | None:
     """Selects samples on curves that a view sees; args as of `curves_lit`, and its results."""
     view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
     integrand, camera = integrand_of(call, call.integrand, number), view.camera
     aperture, one = aperture_of(view, key), torch.ones_like(curves.receiver.t)
     film, along = pace(lambda step: on_film(camera, lit_at(scene, geometry, kind, curves, step), aperture), times)
-    normal = Vec2(-along.y * times, along.x * times)
-    seen = counts_somewhere(camera, film) & torch.isfinite(normal.x) & torch.isfinite(normal.y)
+    normal, seen = finite_normal(along, times), counts_somewhere(camera, film)
     draw = LightDraw(light_numbers(bounce_key(key, SALT)), LightPick(curves.element, one, torch.zeros_like(one)))
     beside, lights = [], []
     for way in (-BESIDE, BESIDE):
@@ -208,7 +203,7 @@ def borders_seen(call: RenderCall, number: int, kind: int, curves: LitCurves, ti
         hit = seen_at(curves.receiver._replace(u=u.to(scene.dtype), v=v.to(scene.dtype)), sample.ray, p)
         light = light_sent_back(integrand, started(call, sample), hit, draw)
         lights.append(torch.stack(tuple(light if sample.weight is None else light * sample.weight)).double())
-    ahead = (beside[1].x - beside[0].x) * normal.x + (beside[1].y - beside[0].y) * normal.y > 0
-    strength = torch.where(ahead, lights[0] - lights[1], lights[1] - lights[0])
-    kept = (seen & (strength != 0).any(0)).nonzero().squeeze(1)
-    return PictureBorders(kind, *rows((curves, film, aperture, normal), kept), strength[:, kept]) if len(kept) else None
+    aside = Vec2(*(after - before for before, after in zip(*beside)))
+    course = Course(film, normal, aside, aside.x * normal.x + aside.y * normal.y)
+    found = cut_off(film, course, torch.where(seen, lights[0] - lights[1], 0.0), (curves, aperture))
+    return found and found._replace(samples=PictureBorders(kind, *found.samples))

@@ -276,6 +276,28 @@ def crossed_at(corners: tuple[Vec3, Vec3, Vec3], line: Ray) -> Vec2:
     return Vec2(of_u / volume, of_v / volume)
 
 
+class Course(NamedTuple):
+    """The course of borders at N samples, in two coordinates; detached, float64."""
+
+    at: Vec2
+    normal: Vec2  # across the border; its length is that of the piece per sample; 0 where unknown
+    aside: Vec2  # towards points right beside it
+    sweep: Tensor  # what the border sweeps if points move there
+
+
+def course_of(seen: Callable[..., Vec2], times: Tensor, off: Vec3) -> Course:
+    """The course of borders.
+
+    Args:
+        seen: gives where they are, of `step` and `off`, as for `border.border`.
+        times: (N,) of edges for which each sample stands.
+        off: (N,) from edges to points beside them.
+    """
+    (at, along), beside = pace(seen, times), seen(off=off)
+    normal, aside = finite_normal(along, times), Vec2(beside.x - at.x, beside.y - at.y)
+    return Course(at, normal, aside, aside.x * normal.x + aside.y * normal.y)
+
+
 def finite_normal(along: Vec2, times: Tensor) -> Vec2:
     """Normals of curves whose length is that of the piece per sample; 0 where too long to be counted; (N,) each.
 

@@ -28,11 +28,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.deposit import Deposit
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.shadows import split
 from torch_radbp.boundary.shadows.cuts import CutsOfView, cuts_that_matter, jumps_of_cuts
 from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps
 from torch_radbp.boundary.shadows.hidden_light import EVEN, LOOKS, PLACES, most_paths, number_of_paths
 from torch_radbp.boundary.shadows.lines_through_edges import scattered_towards, solid_angle
 from torch_radbp.boundary.shadows.seen_edges import (
@@ -110,8 +110,8 @@ class SeenThrough(ShadowTerm):
         return cuts_that_matter(call.stages, geometry, casting, points, at, passed, beside.hit,
                                 lambda cuts: _difference(call, integrand, points, at, passed, (beside, on)))
 
-    def jumps(self, number: int, found: CutsOfView) -> FilmJumps:
-        return jumps_of_cuts(self.call, number, self.casting.outline, found)
+    def jumps(self, number: int, found: CutsOfView) -> list[Deposit]:
+        return [jumps_of_cuts(self.call, number, self.casting.outline, found)]
 
 
 class Through(NamedTuple):

@@ -13,13 +13,18 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.deposit import Deposit, attached_geometry, swept_areas
+from torch_radbp.boundary.geometry import Geometry
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps
-from torch_radbp.boundary.shadows.seen_edges import Casting
+from torch_radbp.boundary.shadows.seen_edges import Casting, Course
 from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.term import LineNumbers
 from torch_radbp.call.render_call import RenderCall
+from torch_radbp.tensors.vec import Vec2, rows
 
 
 class ShadowSearch(NamedTuple):
@@ -38,6 +43,39 @@ class TermSize(NamedTuple):
     search: int = 0  # bytes, while edges are looked for
     found: int = 0  # samples, while it is computed how they move
     kept: int = 0  # samples, for the backward pass
+
+
+class CutOff(NamedTuple):
+    """K samples of borders at which light that reaches a view is cut off; detached.
+
+    A border sweeps an area where its edge moves outwards; by that, parts of the derivative are compared (`split.py`).
+    """
+
+    place: Vec2  # on the film, of the paths that see them: pixels from the upper left corner of the window
+    normal: Vec2  # across the border, in the coordinates of `ShadowTerm.seen`; its length is that of the piece per sample
+    strength: Tensor  # (3, K) float64, light lost per unit of motion along the normal
+    samples: Any  # a record of the term's own, of what tells where they are
+    sweep: Tensor | None = None  # (K,) swept area if all edges move by an equal step; None: unknown
+
+    def independent(self) -> Tensor:
+        """The contributions in independent parts, see `split.SampledIntegral`: each sample by itself."""
+        return self.strength * self.sweep
+
+
+def cut_off(place: Vec2, course: Course, light: Tensor, samples: Any) -> CutOff | None:
+    """The samples at which there is any light; None: there are none.
+
+    Args:
+        place, samples: as of `CutOff`.
+        course: of the border.
+        light: (3, N) float64, on the side of the border that is not in shadow.
+    """
+    lost = torch.where((course.normal.x != 0.0) | (course.normal.y != 0.0), light, 0.0)
+    kept = (lost != 0).any(0).nonzero().squeeze(1)
+    place, course, samples = rows((place, course, samples), kept)
+    lost = lost[:, kept]
+    strength = torch.where(course.sweep > 0, lost, -lost)
+    return CutOff(place, course.normal, strength, samples, course.sweep) if len(kept) else None
 
 
 class ShadowTerm(ABC):
@@ -76,9 +114,14 @@ class ShadowTerm(ABC):
         """The parameters that move places of the term, as far as it is off and a few samples find them; `call` is eager."""
         return set()
 
-    @abstractmethod
-    def jumps(self, number: int, found: Any) -> FilmJumps:
+    def jumps(self, number: int, found: Any) -> list[Deposit]:
         """What places, `found` by `samples`, add to the derivative of view `number`; attached."""
+        seen = self.seen(number, attached_geometry(self.call.scene), found)
+        return [Deposit(found.place, found.strength.unbind(), swept_areas(seen, found.normal))]
+
+    def seen(self, number: int, geometry: Geometry, found: CutOff) -> Vec2:
+        """Where samples are, attached, in two coordinates in which their border sweeps areas; `geometry`: attached."""
+        raise NotImplementedError
 
 
 Term = TypeVar("Term", bound="type[ShadowTerm]")

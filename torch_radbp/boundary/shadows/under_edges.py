@@ -25,10 +25,9 @@ from torch_radbp.boundary.places import Places, Sight, lot_of, on_film, sight_of
 from torch_radbp.boundary.primary import lanes
 from torch_radbp.boundary.segments import place_of, segment_place, segment_weight
 from torch_radbp.boundary.shadows.border import SHARE, camera_sample, samples_of, seen_at, sees
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
 from torch_radbp.boundary.shadows.light_points import light_line, light_points
 from torch_radbp.boundary.shadows.seen_edges import BEFORE, BESIDE, FAR, crossed_at, extent_of
-from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, films_have_area, shadow_term
+from torch_radbp.boundary.shadows.shadow_term import CutOff, ShadowTerm, films_have_area, shadow_term
 from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
@@ -45,8 +44,6 @@ class Strips(NamedTuple):
     places: Places  # on the triangles at the edges
     draw: LightDraw
     surface: Hit  # on what the edges lie, there
-    normal: Vec2  # direction in which x grows on the film; its length is that of the piece per sample
-    strength: Tensor  # (3, K) float64, gain of the strip per unit of x_l - x_c
 
 
 @shadow_term
@@ -59,7 +56,7 @@ class OpeningStrips(ShadowTerm):
     def applies(self) -> bool:
         return films_have_area(self.call) and self.call.integrand.settings.nee
 
-    def samples(self, number: int, amount: Amount = ALL) -> Strips | None:
+    def samples(self, number: int, amount: Amount = ALL) -> CutOff | None:
         call, contacts = self.still, resting_among(self.crossing)
         if contacts is None:
             return None
@@ -94,16 +91,14 @@ class OpeningStrips(ShadowTerm):
         aside, normal = Vec2(film.x - places.film.x, film.y - places.film.y), places.normal
         outwards = torch.sign(aside.x * normal.x + aside.y * normal.y)
         strength = torch.stack(tuple(light)).double() * torch.where(across.through, 1.0, -1.0)
-        return Strips(places, draw, surface, normal * outwards, strength)
+        return CutOff(places.film, normal * outwards, strength, Strips(places, draw, surface))
 
-    def jumps(self, number: int, found: Strips) -> FilmJumps:
-        scene, camera, places = self.call.scene, self.call.views[number].camera, found.places
-        geometry = attached_geometry(scene)
+    def seen(self, number: int, geometry: Geometry, found: CutOff) -> Vec2:
+        camera, places = self.call.views[number].camera, found.samples.places
         p = places.at(geometry)
-        light_ends = on_film(camera, shadow_of(scene, geometry, found, p), places.aperture)
-        sight_ends = on_film(camera, p, places.aperture)
-        amount = found.strength * (swept_areas(light_ends, found.normal) - swept_areas(sight_ends, found.normal))
-        return FilmJumps(places.film, amount)
+        light_end = on_film(camera, shadow_of(self.call.scene, geometry, found.samples, p), places.aperture)
+        sight_end = on_film(camera, p, places.aperture)
+        return Vec2(light_end.x - sight_end.x, light_end.y - sight_end.y)
 
 
 def shadow_of(scene: SceneTensors, geometry: Geometry, strips: Strips, p: Vec3) -> Vec3:
