@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.creases import FOLD, SHADED, TURNED, WHOLE
+from torch_radbp.boundary.film_term import CurvesInView, ExaminedView, FilmTerm, film_term, lines_in_view
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, point_at, vertex_normals
-from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.outline import Jumps, Outline
 from torch_radbp.boundary.places import (
     CREASE,
     SILHOUETTE,
@@ -38,6 +39,16 @@ STEP = 1e-5  # of the width of a triangle, by which it is told on which side of 
 CLEARANCES = 8.0  # how far off an edge a triangle is looked at, in units of how far off it rays leave it
 INWARDS = 1e-3  # the same as a barycentric weight of the vertex opposite: at most, and where normals are seen askance:
 ASKANCE = 1e-2  # cosine between line of sight and interpolated normal at the edge, up to which they are
+
+
+@film_term
+class OutlineEdges(FilmTerm):
+    """Edges of meshes that are silhouettes or creases."""
+
+    rank = 0
+
+    def in_view(self, viewed: ExaminedView, jumps: Jumps) -> list[CurvesInView]:
+        return lines_in_view(viewed, jumps.outline, edge_weight, edge_place)
 
 
 @stage("geometry", "sight")

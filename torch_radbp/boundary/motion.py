@@ -14,11 +14,10 @@ from torch_radbp.adjoint.bounce import TableAdjoint, table_adjoints, vector_jaco
 from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.adjoint.function import asks_for_gradient
 from torch_radbp.adjoint.scatter import Contribution, Gradients, gradients_of
-from torch_radbp.boundary.contour import LEVELS, level_at
 from torch_radbp.boundary.deposit import MotionFunction
+from torch_radbp.boundary.film_term import FILM_TERMS
 from torch_radbp.boundary.geometry import Geometry
-from torch_radbp.boundary.places import INTERSECTION, TEXTURE, Places
-from torch_radbp.boundary.segments import height_above, number_of_line, place_of
+from torch_radbp.boundary.places import Places
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.differentiated import detached, differentiable, primal
 from torch_radbp.tensors.lookup import Tap, summed, tapped
@@ -83,19 +82,11 @@ def signed_area(geometry: Geometry, camera: Camera, places: Places, kinds: tuple
     seen = camera.kind.project(camera.lens, places.at(geometry), places.aperture)
     area = seen.x * camera.film.size_x * places.normal.x + seen.y * camera.film.size_y * places.normal.y
     for kind in kinds:
-        level = level_of(geometry, camera, places, kind)
+        term, = (term for term in FILM_TERMS if kind in term.kinds)
+        level = term.level(geometry, camera, places, kind)
         if level is not None:
             area = area + torch.where(places.kind == kind, places.drift * level, 0.0)
     return area
-
-
-def level_of(geometry: Geometry, camera: Camera, places: Places, kind: int) -> Tensor | None:
-    """The level function by which curves of a kind move over triangles, at fixed samples; None: such curves do not."""
-    if kind == TEXTURE:
-        return None if geometry.lines is None else number_of_line(geometry, places)
-    if kind == INTERSECTION:
-        return height_above(place_of(geometry, places.through, places.shown_by), places.at(geometry))
-    return level_at(geometry, camera, places, kind) if kind in LEVELS else None
 
 
 class Slopes(NamedTuple):

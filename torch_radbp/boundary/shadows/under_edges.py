@@ -20,9 +20,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.contacts import resting_among
+from torch_radbp.boundary.film_term import lanes
 from torch_radbp.boundary.geometry import Geometry, geometry_of, positions
 from torch_radbp.boundary.places import Places, Sight, lot_of, on_film, sight_of
-from torch_radbp.boundary.primary import lanes
 from torch_radbp.boundary.segments import place_of, segment_place, segment_weight
 from torch_radbp.boundary.shadows.border import SHARE, camera_sample, samples_of, seen_at, sees
 from torch_radbp.boundary.shadows.light_points import light_line, light_points
