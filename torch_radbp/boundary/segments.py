@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.faces import with_shares
 from torch_radbp.boundary.film_term import CurvesInView, ExaminedView, FilmTerm, film_term, lines_in_view
 from torch_radbp.boundary.geometry import Between, Corners, Geometry, largest_coordinate, positions
 from torch_radbp.boundary.places import (
@@ -75,9 +76,7 @@ def joined_segments(parts: list[Segments]) -> Segments | None:
     """Joins several sets of segments; None: there are none."""
     if len(parts) > 1 and any(part.seen_from is not None for part in parts):
         parts = [part if part.seen_from is not None else part._replace(seen_from=from_everywhere(part)) for part in parts]
-    if len(parts) > 1 and any(part.share is not None for part in parts):
-        parts = [part if part.share is not None else part._replace(share=torch.ones_like(part.start.x)) for part in parts]
-    return joined_records(parts) if parts else None
+    return joined_records(with_shares(parts)) if parts else None
 
 
 def from_everywhere(segments: Segments) -> SeenFrom:

@@ -45,7 +45,7 @@ from torch_radbp.boundary.reflections.rays import (
 )
 from torch_radbp.boundary.reflections.scans import MOST, SHARE, Searched, scans_of
 from torch_radbp.boundary.reflections.surfaces import LineTable, surfaces_of
-from torch_radbp.boundary.shadows.border import camera_sample
+from torch_radbp.boundary.shadows.seen_on_film import camera_sample
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.workers import in_turns
 from torch_radbp.path.direct_light import LightDraw

@@ -92,7 +92,7 @@ def shadows_left_out(rendering: Rendering) -> set[str]:
              for view in call.views]
     spp = max(1, PATHS // min(view.width * view.height for view in views))
     call = call._replace(stages=EAGER, spp=spp, integrand=call.integrand.with_stages(EAGER)).with_views(views)
-    edges = outlines_of(rendering.scene).of_everything(rendering, call, 0, whole=True)
+    edges = outlines_of(rendering.scene).of_everything(rendering, 0, whole=True)
     if edges is None:
         return set()
     casting = Casting(edges, edge_tree(EAGER, geometry_of(call.scene), edges))

@@ -26,16 +26,14 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.edge_order import GROUP
-from torch_radbp.boundary.geometry import Geometry, geometry_of, largest_coordinate
-from torch_radbp.boundary.intersections import TOUCHING
+from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
-from torch_radbp.boundary.places import APART, APERTURE_COUNTER, FEWEST, counts_somewhere, on_film
+from torch_radbp.boundary.places import FEWEST, counts_somewhere, on_film
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.shadows.edges_tried import edges_tried, eyes_for_each
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.light_points import light_eyes, light_line, light_points
 from torch_radbp.boundary.shadows.seen_edges import (
-    BEFORE,
     BESIDE,
     Casting,
     Course,
@@ -51,33 +49,27 @@ from torch_radbp.boundary.shadows.seen_edges import (
     salted,
     unhidden,
 )
+from torch_radbp.boundary.shadows.seen_on_film import aperture_of, camera_sample, into_shade, seen_at, sees
 from torch_radbp.boundary.shadows.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, films_have_area, shadow_term
-from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.shadows.viewpoints import path_of
 from torch_radbp.boundary.shadows.ways_down import lot_of_found
 from torch_radbp.boundary.silhouette import crosses_view
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.view import View
-from torch_radbp.path.bounce import APERTURE_U, APERTURE_V, CameraSample
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.event import Ends
-from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.wavefront import first_hit
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.sampling.sampler import LaneKey, SampleKey, bounce_key, fine_unit, random_bits
-from torch_radbp.scene.cone import camera_cone
+from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.tensors.differentiated import any_differentiated, detached
+from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.stage import Stages, stage
-from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, max_component, rows, unit_normal
+from torch_radbp.tensors.vec import Ray, Vec2, Vec3, interpolated, max_component, rows
 
 SALT = 0x1F83D9AB  # tells the random numbers of borders from others
 SHARE, MOST = 16, 1 << 19  # one place for so many paths of the image; and at most
 SHARP_SHARE = 4  # the same where some lights have no extent: all that shadows move by lies on their borders
 LOOKS = 4  # for edges from each light sample
-ASIDE = 4.0 * APART  # share of its distance by which a border is looked at from aside, in the shade
-ALIKE = 0.9  # cosine between normals of triangles of one surface
 FEW = 1024  # light samples of a warning
 BYTES_OF_TRIED = 20, 240  # an edge that is tried from a light sample: in fused loops, in plain torch
 
@@ -102,10 +94,19 @@ class Lights(NamedTuple):
             around = around and not kind.even(detached(lights.tables[number]))
         return Lights(call.integrand.settings.nee, surfaces, around or layout.surround is None)
 
+    @staticmethod
+    def uncovered(call: RenderCall) -> Lights:
+        """The lights of some extent whose borders `DirectShadows` does not sample."""
+        covered = Lights.covered(call)
+        return Lights(False, not covered.soft, not covered.around)
+
     def of(self, scene: SceneTensors) -> Tensor:
         """For each kind of light in a scene, whether it is covered; bool."""
         return torch.tensor([self.sharp if kind.delta else self.around if kind.surround else self.soft
                              for kind in scene.layout.lights], device=scene.device)
+
+
+SOFT = Lights(False, True, True)
 
 
 class Borders(NamedTuple):
@@ -156,7 +157,7 @@ class DirectShadows(ShadowTerm):
     def applies(self) -> bool:
         return films_have_area(self.call)
 
-    def samples(self, number: int, amount: Amount = ALL) -> CutOff | None:
+    def samples(self, number: int) -> CutOff | None:
         call, outline = self.still, self.casting.outline
         view, scene = call.views[number], call.scene
         found = borders_of(call, number, self.casting, Lights.covered(call), share_of(scene))
@@ -311,63 +312,3 @@ def border_course(scene: SceneTensors, geometry: Geometry, outline: Outline, cam
     counts = counts_somewhere(camera, course.at)
     return border(scene, geometry, outline, borders), course._replace(
         normal=course.normal.map(lambda c: torch.where(counts, c, 0.0)))
-
-
-def aperture_of(view: View, key: LaneKey) -> Vec2 | None:
-    """Random points of the camera's lens, as of `CameraKind.sample_ray`."""
-    if not view.camera.kind.has_aperture:
-        return None
-    more = bounce_key(key, APERTURE_COUNTER)
-    return Vec2(*(fine_unit(random_bits(more, dimension)) for dimension in (APERTURE_U, APERTURE_V)))
-
-
-def camera_sample(call: RenderCall, view: View, film: Vec2, aperture: Vec2 | None, key: LaneKey) -> CameraSample:
-    """The camera rays through points of the film, pixels from the window's upper left corner; attached."""
-    make = film_sample if any_differentiated((view.camera, film)) else call.stages(film_sample)
-    return make(view.camera, film, aperture, key, call.scene.layout.traces_cones)
-
-
-@stage("camera")
-def film_sample(camera: Camera, film: Vec2, aperture: Vec2 | None, key: LaneKey, cones: bool) -> CameraSample:
-    """The camera rays through points of the film, for `camera_sample`; `cones`: with ray cones."""
-    dtype = camera.dtype
-    position = Vec2(*(((place + crop) / size).to(dtype) for place, crop, size in (
-        (film.x, camera.film.crop_x, camera.film.size_x), (film.y, camera.film.crop_y, camera.film.size_y))))
-    aperture = None if aperture is None else aperture.map(lambda part: part.to(dtype))
-    ray, weight = camera.kind.sample_ray(camera.lens, position, aperture)
-    ray = Ray(*(part.map(torch.Tensor.contiguous) for part in ray))
-    cone = camera_cone(camera, ray, position, aperture) if cones else None
-    return CameraSample(ray, key, weight, cone, None)
-
-
-def seen_at(hit: Hit, ray: Ray, p: Vec3) -> Hit:
-    """Hits on the same triangles, for rays that meet points p, (N,) float64."""
-    reach = p - ray.o.map(torch.Tensor.double)
-    return hit._replace(t=torch.sqrt(dot(reach, reach)).to(ray.o.x.dtype))
-
-
-def into_shade(camera: Camera, film: Vec2, aside: Vec2) -> Vec2:
-    """Points of the film a little beside borders, in shadow."""
-    length = torch.hypot(aside.x, aside.y).clamp_min(TINY)
-    # Far enough for the rounding of positions on the film, however small the window.
-    reach = ASIDE * torch.maximum(camera.film.size_x, camera.film.size_y).double() / length
-    return Vec2(film.x + aside.x * reach, film.y + aside.y * reach)
-
-
-def sees(integrand: Integrand, ray: Ray, receiver: Hit, p: Vec3) -> Tensor:
-    """(N,) bool: camera rays that hit the receivers of borders; `p` (N,) points on these."""
-    return integrand.stages(meets)(geometry_of(integrand.proposal), ray, first_hit(integrand, ray, 0), receiver, p)
-
-
-@stage("geometry")
-def meets(geometry: Geometry, ray: Ray, hit: Hit, receiver: Hit, p: Vec3) -> Tensor:
-    """(N,) bool: hits on the receivers of borders; `p` (N,) world points on these.
-
-    Another triangle is of the same surface if the border lies in its plane, but for rounding and by what rays pass aside.
-    """
-    reach, corners = p - ray.o.map(torch.Tensor.double), corners_of(geometry, hit)
-    distance, of_receiver = torch.sqrt(dot(reach, reach)), corners_of(geometry, receiver)
-    n, n_receiver = (unit_normal(own[1] - own[0], own[2] - own[0]) for own in (corners, of_receiver))
-    off = TOUCHING * largest_coordinate(p, *corners) + ASIDE * distance
-    near = (dot(n, p - corners[0]).abs() < off) & ((hit.t - distance).abs() < BEFORE * distance)
-    return (hit.prim >= 0) & ((hit.prim == receiver.prim) | (near & (dot(n, n_receiver).abs() > ALIKE)))

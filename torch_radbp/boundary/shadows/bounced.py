@@ -34,7 +34,6 @@ from torch_radbp.boundary.shadows.seen_edges import (
 )
 from torch_radbp.boundary.shadows.shadow_term import CutOff, ShadowTerm, cut_off, glues, shadow_term, sharp_lights_later
 from torch_radbp.boundary.shadows.slid import less_what_slides
-from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.shadows.spread_borders import spread_borders
 from torch_radbp.boundary.shadows.viewpoints import PathBatch, Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
@@ -66,7 +65,7 @@ class BouncedShadows(ShadowTerm):
     def applies(self) -> bool:
         return glues(self.call) and sharp_lights_later(self.call)
 
-    def samples(self, number: int, amount: Amount = ALL) -> CutOff | None:
+    def samples(self, number: int) -> CutOff | None:
         call, casting = self.still, self.casting
         pairs = pairs_of(call, number, casting, False)
         if pairs is None:

@@ -31,9 +31,9 @@ from torch import Tensor
 from torch_radbp.boundary.deposit import Deposit, attached_geometry
 from torch_radbp.boundary.geometry import Between, Corners, Geometry, geometry_of
 from torch_radbp.boundary.segments import Segments, height_above, heights_by, level_on_lines, place_of
-from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.boundary.shadows.hidden_light import EVEN, FirstVertex, light_beyond, most_paths, number_of_paths
-from torch_radbp.boundary.shadows.seen_edges import BESIDE, Passed, corners_of, extent_of, salted, unhidden
+from torch_radbp.boundary.shadows.border import SOFT
+from torch_radbp.boundary.shadows.hidden_light import light_beyond, most_paths, number_of_paths
+from torch_radbp.boundary.shadows.seen_edges import BESIDE, Passed, extent_of, salted, unhidden
 from torch_radbp.boundary.shadows.segment_tree import (
     SegmentTree,
     ends_of,
@@ -44,8 +44,7 @@ from torch_radbp.boundary.shadows.segment_tree import (
 )
 from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, glues, shadow_term
 from torch_radbp.boundary.shadows.slid import what_slides
-from torch_radbp.boundary.shadows.split import ALL, Amount
-from torch_radbp.boundary.shadows.viewpoints import PathBatch, Viewpoints, vertex_at, viewpoints
+from torch_radbp.boundary.shadows.viewpoints import PathBatch, Viewpoints, eyes_at, vertex_at, viewpoints
 from torch_radbp.boundary.shadows.ways_down import lot_of_found, ways_down
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.raycast.protocol import Hit
@@ -54,7 +53,7 @@ from torch_radbp.tensors.differentiated import primal
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.stage import stage
-from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, normalize, rows, unit_normal, where
+from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, normalize, rows, where
 
 SALT = 0x7F4A7C15  # tells the random numbers of these places from others
 PATHS = 0.5  # of the paths from which edges are looked at, that segments are looked at from
@@ -103,16 +102,15 @@ class CrossedSurfaces(ShadowTerm):
         """The curves, and a tree over them."""
         return segment_tree(self.still.stages, geometry_of(self.still.scene), self.crossing)
 
-    def samples(self, number: int, amount: Amount = ALL) -> CrossedOfView | None:
+    def samples(self, number: int) -> CrossedOfView | None:
         call = self.still
         view, geometry = call.views[number], geometry_of(call.scene)
         integrand = integrand_of(call, call.integrand, number)
         points = viewpoints(call, number, integrand, PathBatch(number_of_paths(call, view, PATHS)))
         if not len(points.depth):
             return None
-        at, corners = vertex_at(call, geometry, number, points), corners_of(geometry, points.hit)
-        one, extent = torch.ones_like(at.x), extent_of(geometry)
-        eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, (points.lobe,))
+        at, extent = vertex_at(call, geometry, number, points), extent_of(geometry)
+        eyes = eyes_at(geometry, points, at)
         seed, count, (segments, tree) = salted(view, SALT), PLACES * len(points.depth), self.curves
         ways = ways_down(call.stages, tree, eyes, seed, LOOKS, extent)
         found = call.stages(segment_found)(geometry, segments, tree.slots, eyes, ways, extent)
@@ -126,7 +124,7 @@ class CrossedSurfaces(ShadowTerm):
         sheets = joined(list(call.stages(sheets_seen)(geometry, segments, at, passed, extent)))
         passed = joined([passed, passed])
         hit = hit_at(sheets, sheets.beside, integrand.proposal.dtype)
-        light = light_beyond(call, integrand, points, hit, passed, at, FirstVertex(True, True)) * sheets.growth
+        light = light_beyond(call, integrand, points, hit, passed, at, SOFT) * sheets.growth
         kept = ((light != 0) & torch.isfinite(light)).any(0).nonzero().squeeze(1)
         if not len(kept):
             return None

@@ -21,7 +21,6 @@ from torch_radbp.boundary.shadows.drawn_directions import DirectionNumbers, draw
 from torch_radbp.boundary.shadows.followed_light import moved_directions
 from torch_radbp.boundary.shadows.seen_edges import course_of
 from torch_radbp.boundary.shadows.shadow_term import CutOff, ShadowTerm, cut_off, follows, shadow_term, sharp_lights_later
-from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, arriving, path_of, vertex_on
 from torch_radbp.call.render_call import integrand_of
 from torch_radbp.scene.tensors import SceneTensors
@@ -47,7 +46,7 @@ class FollowedShadows(ShadowTerm):
     def applies(self) -> bool:
         return follows(self.call) and sharp_lights_later(self.call)
 
-    def samples(self, number: int, amount: Amount = ALL) -> CutOff | None:
+    def samples(self, number: int) -> CutOff | None:
         call, casting = self.still, self.casting
         pairs = pairs_of(call, number, casting, True)
         if pairs is None:

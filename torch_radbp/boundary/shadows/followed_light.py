@@ -23,9 +23,10 @@ from torch import Tensor
 from torch_radbp.boundary.deposit import Deposit, attached_geometry, swept_areas
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.rendering import asks_for_derivatives
+from torch_radbp.boundary.shadows.border import SOFT, Lights
 from torch_radbp.boundary.shadows.cuts import CutsOfView, all_cuts, cut_at, matter, some_cuts
 from torch_radbp.boundary.shadows.drawn_directions import DirectionNumbers, Drawn, directions_drawn, drawn
-from torch_radbp.boundary.shadows.hidden_light import LOOKS, FirstVertex, eyes_of, most_paths, number_of_paths
+from torch_radbp.boundary.shadows.hidden_light import LOOKS, eyes_of, most_paths, number_of_paths
 from torch_radbp.boundary.shadows.lines_through_edges import solid_angle
 from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
@@ -37,7 +38,6 @@ from torch_radbp.boundary.shadows.seen_edges import (
     unhidden,
 )
 from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, follows, shadow_term
-from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.shadows.viewpoints import (
     PathBatch,
     Viewpoints,
@@ -114,7 +114,7 @@ class FollowedLight(ShadowTerm):
     def applies(self) -> bool:
         return follows(self.call)
 
-    def samples(self, number: int, amount: Amount = ALL) -> FollowedCuts | None:
+    def samples(self, number: int) -> FollowedCuts | None:
         call, casting = self.still, self.casting
         view, geometry = call.views[number], geometry_of(call.scene)
         integrand = integrand_of(call, call.integrand, number)
@@ -122,7 +122,7 @@ class FollowedLight(ShadowTerm):
         if not len(points.depth):
             return None
         at = vertex_at(call, geometry, number, points)
-        eyes = eyes_of(call, number, integrand, points, at, FirstVertex(True, True))
+        eyes = eyes_of(call, number, integrand, points, at, SOFT)
         passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS, PLACES * len(points.depth))
         if passed is None:
             return None
@@ -134,7 +134,7 @@ class FollowedLight(ShadowTerm):
         own = rows(points, passed.eye)._replace(key=passed.key)
         eager = integrand.with_stages(EAGER)
         found = drawn(eager, path_of(call, own.ray, own.key), own.hit, beyond.back.ray.d)
-        light = light_beside(call, integrand, own, beyond, found, FirstVertex.uncovered(call))
+        light = light_beside(call, integrand, own, beyond, found, Lights.uncovered(call))
 
         def cuts_at(hit: Hit, lost: Tensor) -> CutsOfView:
             return all_cuts(call.stages, geometry, casting, points, at, passed, hit, lambda cuts: lost)
@@ -190,7 +190,7 @@ def _beside(integrand: Integrand, passed: Passed, start: Vec3, off: Tensor) -> B
 
 
 def light_beside(call: RenderCall, integrand: Integrand, points: Viewpoints, beyond: Beyond, found: Drawn,
-                 first: FirstVertex) -> LightBeside:
+                 first: Lights) -> LightBeside:
     """The light on either side of edges that reaches a view.
 
     Args:
@@ -216,7 +216,7 @@ def light_beside(call: RenderCall, integrand: Integrand, points: Viewpoints, bey
             straight = integrand._replace(max_depth=depth + 2)
             L = trace(straight, sure, hit=back.hit, depth=depth + 1) - trace(straight, behind, hit=back.hit, depth=depth + 1)
             if depth == 0:
-                L = masked(torch.where(back.hit.prim >= 0, *first), L)
+                L = masked(torch.where(back.hit.prim >= 0, first.soft, first.around), L)
             by_picking[:, lanes] = torch.stack(tuple(L)).double()
     scale = torch.stack(tuple(points.beta * found.scattered)).double()
     return LightBeside(by_drawing * scale * found.share.double(), by_picking * scale)

@@ -33,7 +33,7 @@ from torch_radbp.boundary.deposit import Deposit
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.shadows import film_density, split
-from torch_radbp.boundary.shadows.border import Lights, most_samples
+from torch_radbp.boundary.shadows.border import SOFT, Lights, most_samples
 from torch_radbp.boundary.shadows.cuts import (
     CutsOfView,
     cuts_that_matter,
@@ -49,7 +49,6 @@ from torch_radbp.boundary.shadows.lines_through_edges import scattered_towards, 
 from torch_radbp.boundary.shadows.seen_edges import (
     Casting,
     Passed,
-    corners_of,
     places_seen,
     salted,
     unhidden,
@@ -58,7 +57,7 @@ from torch_radbp.boundary.shadows.seen_edges import (
 from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, glues, shadow_term
 from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.shadows.thinning import chances, thinned
-from torch_radbp.boundary.shadows.viewpoints import PathBatch, Viewpoints, path_of, vertex_at, viewpoints
+from torch_radbp.boundary.shadows.viewpoints import PathBatch, Viewpoints, eyes_at, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.call.view import View
 from torch_radbp.path.event import Ends
@@ -66,8 +65,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import SampleKey
-from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.tensors.vec import Ray, Vec3, dot, masked, rows, unit_normal
+from torch_radbp.tensors.vec import Ray, Vec3, dot, masked, rows
 
 SALT = 0x3C6EF372  # tells the random numbers of these places from others
 SHARE, MOST = 16, 1 << 16  # one path for so many of the image; and at most at once
@@ -77,30 +75,6 @@ FEWEST_PATHS = 16
 FEW = 1024  # paths of a warning
 GRAZING = 0.1  # cosine with the normal below which a warning leaves edges out: all such give 1% of a uniform sky's light
 BYTES_OF_WAY = 120  # down the tree of edges: where it is, and what it has found
-EVEN = 0.1  # how much edges count at grazing angles, by the cosine of interpolated normals
-
-
-class FirstVertex(NamedTuple):
-    """The lights that count when a path's first vertex receives them directly."""
-
-    surfaces: bool
-    surroundings: bool
-
-    @staticmethod
-    def uncovered(call: RenderCall) -> FirstVertex:
-        """The lights whose borders `border.DirectShadows` does not sample."""
-        lights = Lights.covered(call)
-        return FirstVertex(not lights.soft, not lights.around)
-
-    def meant(self, scene: SceneTensors) -> Tensor:
-        """For each kind of light in a scene, whether it counts; bool."""
-        return torch.tensor([self.surroundings if kind.surround else self.surfaces for kind in scene.layout.lights],
-                            dtype=torch.bool, device=scene.device)
-
-
-def without_extent(scene: SceneTensors) -> Tensor:
-    """For each kind of light in a scene, whether it is without extent; bool."""
-    return torch.tensor([kind.delta for kind in scene.layout.lights], dtype=torch.bool, device=scene.device)
 
 
 @shadow_term
@@ -120,13 +94,13 @@ class HiddenLight(ShadowTerm):
         return TermSize(paths * LOOKS * BYTES_OF_WAY, found, found)
 
     def applies(self) -> bool:
-        return glues(self.call) and (self.call.integrand.max_depth > 2 or any(FirstVertex.uncovered(self.call)))
+        return glues(self.call) and (self.call.integrand.max_depth > 2 or any(Lights.uncovered(self.call)))
 
     def samples(self, number: int, amount: Amount = ALL) -> CutsOfView | None:
-        return cuts_of_view(self.still, number, self.casting, amount, first=FirstVertex.uncovered(self.still))
+        return cuts_of_view(self.still, number, self.casting, amount, first=Lights.uncovered(self.still))
 
     def left_out(self, rendering: Rendering) -> set[str]:
-        first, outline, names = FirstVertex.uncovered(self.still), self.casting.outline, set()
+        first, outline, names = Lights.uncovered(self.still), self.casting.outline, set()
         if rendering.shadows or not any(first):
             return names
         call = self.still._replace(integrand=self.still.integrand._replace(max_depth=2))  # light straight from lamps
@@ -164,7 +138,7 @@ def as_worth(first: float, found: Callable[[Amount], CutsOfView | None]) -> Cuts
 
 
 def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount = ALL, *,
-                 first: FirstVertex) -> CutsOfView | None:
+                 first: Lights) -> CutsOfView | None:
     """Samples edges that occlude light from paths of view `number`; None: there are none.
 
     Args:
@@ -191,13 +165,13 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount
 
 
 def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, looks: EdgeSightings,
-                  first: FirstVertex) -> CutsOfView | None:
+                  first: Lights) -> CutsOfView | None:
     """Selects the edge samples at which light is occluded; None: there are none. Args as for `looks_at_edges`."""
     geometry, (points, at, passed) = geometry_of(call.scene), looks
     hit = call.integrand.caster.intersect(passed.onwards)
     counts = hit.prim >= 0
     if call.scene.layout.surround is not None:
-        counts = counts | first.surroundings | (rows(points.depth, passed.eye) > 0)
+        counts = counts | first.around | (rows(points.depth, passed.eye) > 0)
     passed, hit = rows((passed, hit), counts.nonzero().squeeze(1))
     passed, hit = rows((passed, hit), unhidden(call.integrand, passed))
     if not len(passed.edge):
@@ -227,7 +201,7 @@ class EdgeSightings(NamedTuple):
 
 
 def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting: Casting, batch: PathBatch,
-                   first: FirstVertex) -> EdgeSightings | None:
+                   first: Lights) -> EdgeSightings | None:
     """Samples edges as seen from vertices of some paths; None: they see none.
 
     Args:
@@ -249,7 +223,7 @@ def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting:
     return None if passed is None else EdgeSightings(points, at, passed)
 
 
-def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoints, at: Vec3, first: FirstVertex) -> Eyes:
+def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoints, at: Vec3, first: Lights) -> Eyes:
     """The viewpoints, with weights of directions, from which edges are sampled.
 
     Args:
@@ -258,15 +232,13 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
         points, at: the viewpoints, and where they are.
         first: what counts of the light that the first vertices of paths receive straight.
     """
-    one = torch.ones_like(at.x)
-    corners = corners_of(geometry_of(call.scene), points.hit)
-    lobes = (points.lobe,)
+    lobes = ()
     if call.scene.layout.lights:
         lights = light_points(call.stages, call.scene, call.views[number], len(points.depth))
-        meant = ((points.depth > 0) | first.meant(call.scene)[lights.kind]) & ~without_extent(call.scene)[lights.kind]
+        meant = torch.where(points.depth > 0, *(some.of(call.scene)[lights.kind] for some in (SOFT, first)))
         lobe = integrand.part(Ends.SURROUNDINGS).call(light_lobes, at, lights.draw)
-        lobes += (lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),)
-    return Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, lobes)
+        lobes = lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),
+    return eyes_at(geometry_of(call.scene), points, at, lobes)
 
 
 def number_of_paths(call: RenderCall, view: View, share: float = 1.0, most: int = MOST) -> int:
@@ -280,7 +252,7 @@ def most_paths(call: RenderCall) -> int:
 
 
 def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, beyond: Hit, passed: Passed, at: Vec3,
-                 first: FirstVertex) -> Tensor:
+                 first: Lights) -> Tensor:
     """(3, N) float64 light past the edges that reaches the view, per unit of `cut_at`'s coordinates.
 
     Args:
@@ -300,8 +272,8 @@ def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, bey
         lanes = (own.depth == depth).nonzero().squeeze(1)
         state, met = path_of(call, *rows((ray, key), lanes)), rows(hit, lanes)
         found = trace(integrand, state, hit=met, depth=depth + 1)
-        if depth == 0 and not all(first):
+        if depth == 0 and first != SOFT:
             straight = trace(integrand._replace(max_depth=2), state, hit=met, depth=1)
-            found = found - masked(torch.where(met.prim >= 0, not first.surfaces, not first.surroundings), straight)
+            found = found - masked(torch.where(met.prim >= 0, not first.soft, not first.around), straight)
         L[:, lanes] = torch.stack(tuple(found)).double()
     return torch.stack(tuple(own.beta * beta)).double() * L * solid_angle(scene, beyond, Ray(start, reach))

@@ -15,18 +15,18 @@ from torch import Tensor
 
 from torch_radbp.boundary.deposit import Deposit
 from torch_radbp.boundary.geometry import Geometry, geometry_of
-from torch_radbp.boundary.places import NEIGHBOURS, counts_somewhere, lot_of, on_film, picked
-from torch_radbp.boundary.shadows.border import SHARE, aperture_of, camera_sample, most_samples, samples_of, seen_at, sees
+from torch_radbp.boundary.places import counts_somewhere, key_of_places, lot_of, on_film, picked
+from torch_radbp.boundary.shadows.border import SHARE, most_samples, samples_of
 from torch_radbp.boundary.shadows.seen_edges import Course, corners_of, crossed_at, finite_normal, pace, salted
+from torch_radbp.boundary.shadows.seen_on_film import aperture_of, camera_sample, seen_at, sees
 from torch_radbp.boundary.shadows.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, films_have_area, shadow_term
-from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.path.bounce import light_numbers
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.running_sum import running_sum
-from torch_radbp.sampling.sampler import CAMERA_COUNTER, LaneKey, bounce_key, fine_unit, lane_key, random_bits
+from torch_radbp.sampling.sampler import CAMERA_COUNTER, LaneKey, bounce_key, fine_unit, random_bits
 from torch_radbp.scene.light_choice import LightPick
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
@@ -117,7 +117,7 @@ class ProjectedImages(ShadowTerm):
     def applies(self) -> bool:
         return films_have_area(self.call) and self.call.integrand.settings.nee
 
-    def samples(self, number: int, amount: Amount = ALL) -> list[CutOff] | None:
+    def samples(self, number: int) -> list[CutOff] | None:
         found = [borders_seen(self.still, number, kind, *lit) for kind, lines in lines_of_pictures(self.still).items()
                  if (lit := curves_lit(self.still, number, kind, lines)) is not None]
         return [own for own in found if own is not None] or None
@@ -171,7 +171,7 @@ def curves_lit(call: RenderCall, number: int, kind: int,
     weight = torch.hypot(run.x, run.y)
     count = samples_of(call, view, SHARE)
     place = torch.arange(count, dtype=torch.int32, device=scene.device)
-    key = lane_key(salted(view, SALT), torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
+    key = key_of_places(salted(view, SALT), place)
     along = fine_unit(random_bits(bounce_key(key, CAMERA_COUNTER), 0))
     line, share, times = picked(lot_of(weight, count, running_sum(weight)), place, along)
     row, element, start, run = rows((lines.row, lines.element, lines.start, run), line)

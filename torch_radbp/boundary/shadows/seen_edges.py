@@ -12,7 +12,7 @@ from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.boundary.edge_order import GROUP, EdgeSlots
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
 from torch_radbp.boundary.outline import Outline
-from torch_radbp.boundary.places import NEIGHBOURS, picked
+from torch_radbp.boundary.places import key_of_places, picked
 from torch_radbp.boundary.shadows.edge_tree import Descent, EdgeTree
 from torch_radbp.boundary.shadows.eyes import Eyes, how_much_counts, how_much_lobes_count
 from torch_radbp.boundary.shadows.ways_down import EdgeLot, PickedEdges, found_among, lot_of_found, ways_down
@@ -27,7 +27,6 @@ from torch_radbp.sampling.sampler import (
     bounce_key,
     fine_unit,
     hash32,
-    lane_key,
     random_bits,
     uniform,
 )
@@ -144,7 +143,7 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, found: EdgeLot
 
 def numbers_of_places(seed: SampleKey, place: Tensor) -> tuple[LaneKey, Tensor, Tensor]:
     """The random numbers of samples, (N,) int32: keys, one for selection, one for the position along the edge."""
-    key = lane_key(seed, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
+    key = key_of_places(seed, place)
     numbers = bounce_key(key, CAMERA_COUNTER)
     return key, fine_unit(random_bits(numbers, 1)), fine_unit(random_bits(numbers, 0))
 

@@ -32,28 +32,26 @@ from torch_radbp.boundary.deposit import Deposit
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.shadows import split
 from torch_radbp.boundary.shadows.cuts import CutsOfView, cuts_that_matter, jumps_of_cuts
-from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.boundary.shadows.hidden_light import EVEN, LOOKS, PLACES, most_paths, number_of_paths
+from torch_radbp.boundary.shadows.hidden_light import LOOKS, PLACES, most_paths, number_of_paths
 from torch_radbp.boundary.shadows.lines_through_edges import scattered_towards, solid_angle
 from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
     BESIDE,
     Passed,
-    corners_of,
     extent_of,
     places_seen,
     salted,
 )
 from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, glues, shadow_term
 from torch_radbp.boundary.shadows.split import ALL, Amount
-from torch_radbp.boundary.shadows.viewpoints import PathBatch, Viewpoints, path_of, vertex_at, viewpoints
+from torch_radbp.boundary.shadows.viewpoints import PathBatch, Viewpoints, eyes_at, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
 from torch_radbp.path.wavefront import queued
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, rows, unit_normal
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, rows
 
 SALT = 0x27D4EB2F  # tells the random numbers of these places from others
 MOST_SURFACES = 4  # that light passes on the way from an edge
@@ -90,8 +88,7 @@ class SeenThrough(ShadowTerm):
             return None
         call = split.with_numbers(call, SALT + begun) if begun else call
         at = vertex_at(call, geometry, number, points)
-        one, corners = torch.ones_like(at.x), corners_of(geometry, points.hit)
-        eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, (points.lobe,))
+        eyes = eyes_at(geometry, points, at)
         passed = places_seen(call.stages, geometry, casting, eyes, salted(call.views[number], SALT), LOOKS,
                              PLACES * len(points.depth), points.tried)
         if passed is None:

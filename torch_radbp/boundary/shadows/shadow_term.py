@@ -21,7 +21,6 @@ from torch_radbp.boundary.geometry import Geometry
 from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.segments import Segments
 from torch_radbp.boundary.shadows.seen_edges import Casting, Course
-from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.term import LineNumbers
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.tensors.vec import Vec2, rows
@@ -84,7 +83,8 @@ class ShadowTerm(ABC):
     Attributes:
         rank: its place among the terms. Of the first all samples are taken.
         needs: what of the search there has to be.
-        is_split: as many samples are taken as pay off beside the first term; they are `hidden_light.CutsOfView`.
+        is_split: as many samples are taken as pay off beside the first term: `samples` takes a `split.Amount`, too, and they
+            are `cuts.CutsOfView`.
     """
 
     rank: ClassVar[int]
@@ -104,11 +104,8 @@ class ShadowTerm(ABC):
         """True if the term has a part in the derivative."""
 
     @abstractmethod
-    def samples(self, number: int, amount: Amount = ALL) -> Any:
-        """Samples places at which light that reaches view `number` is cut off, detached; None: there are none.
-
-        `amount`: how many, if `is_split`.
-        """
+    def samples(self, number: int) -> Any:
+        """Samples places at which light that reaches view `number` is cut off, detached; None: there are none."""
 
     def left_out(self, rendering: Rendering) -> set[str]:
         """The parameters that move places of the term, as far as it is off and a few samples find them; `call` is eager."""

@@ -24,11 +24,11 @@ from torch_radbp.boundary.film_term import lanes
 from torch_radbp.boundary.geometry import Geometry, geometry_of, positions
 from torch_radbp.boundary.places import Places, Sight, lot_of, on_film, sight_of
 from torch_radbp.boundary.segments import place_of, segment_place, segment_weight
-from torch_radbp.boundary.shadows.border import SHARE, camera_sample, samples_of, seen_at, sees
+from torch_radbp.boundary.shadows.border import SHARE, samples_of
 from torch_radbp.boundary.shadows.light_points import light_line, light_points
 from torch_radbp.boundary.shadows.seen_edges import BEFORE, BESIDE, FAR, crossed_at, extent_of
+from torch_radbp.boundary.shadows.seen_on_film import camera_sample, seen_at, sees
 from torch_radbp.boundary.shadows.shadow_term import CutOff, ShadowTerm, films_have_area, shadow_term
-from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.event import Ends
@@ -56,7 +56,7 @@ class OpeningStrips(ShadowTerm):
     def applies(self) -> bool:
         return films_have_area(self.call) and self.call.integrand.settings.nee
 
-    def samples(self, number: int, amount: Amount = ALL) -> CutOff | None:
+    def samples(self, number: int) -> CutOff | None:
         call, contacts = self.still, resting_among(self.crossing)
         if contacts is None:
             return None

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_radbp.adjoint.attached import rays_reaching
 from torch_radbp.boundary.geometry import Geometry, geometry_of
-from torch_radbp.boundary.shadows.eyes import Lobe, lobe_around
+from torch_radbp.boundary.shadows.eyes import Eyes, Lobe, lobe_around
 from torch_radbp.boundary.shadows.seen_edges import corners_of, salted, uniform_numbers
 from torch_radbp.call.render_call import RenderCall, started
 from torch_radbp.path.bounce import CameraSample, sample_camera
@@ -28,9 +28,10 @@ from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import joined, leaves_of, with_leaves
 from torch_radbp.tensors.stage import stage
-from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, max_component, rows, where
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, max_component, rows, unit_normal, where
 
 SALT = 0x5BE0CD19  # tells the random numbers of these paths from others,
+EVEN = 0.1  # how much edges count at grazing angles, by the cosine of interpolated normals
 OF_TRIED = 0x2F6E2B17  # and those of paths that are tried
 
 
@@ -222,6 +223,13 @@ def scatters_as(integrand: Integrand, event: Scatters, following: bool) -> bool:
     """True if an event's scattering has differentiated directions (`following`), or else hits that are fixed to surfaces."""
     kind, settings = integrand.scatterer(event).kind, integrand.settings
     return kind.smooth and (settings.sampling == "attached" or settings.following and kind.follows) == following
+
+
+def eyes_at(geometry: Geometry, points: Viewpoints, at: Vec3, lobes: tuple[Lobe, ...] = ()) -> Eyes:
+    """The viewpoints, which lie `at` (M,) world, with weights of directions; `lobes`: beside those that scatter."""
+    one, corners = torch.ones_like(at.x), corners_of(geometry, points.hit)
+    normal = unit_normal(corners[1] - corners[0], corners[2] - corners[0])
+    return Eyes(at, one, normal, one, one * EVEN, (points.lobe, *lobes))
 
 
 def vertex_at(call: RenderCall, geometry: Geometry, number: int, points: Viewpoints) -> Vec3:
