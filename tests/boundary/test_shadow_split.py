@@ -89,7 +89,7 @@ def test_others_are_found_only_if_they_are_worth_it(first, amounts):
         asked.append(tuple(amount))
         return cuts_of([True, False, False] if amount.tried else [False] * 3, 1.0)
 
-    kept = hidden_light.as_worth(first, found)
+    kept = split.as_worth(first, found)
     assert asked == amounts
     assert kept.points.tried is None and len(kept.points.depth) == len(kept.strength[0]) == 2 + 3 * (len(asked) - 1)
     # Of two samples of the same, 2 and 3 cuts of size 1, by the numbers of paths behind them.
@@ -131,7 +131,7 @@ def test_the_derivative_is_the_same_with_those_that_tell_the_noise(monkeypatch):
         return worth[-1]
 
     def as_worth(call, number, casting, amount, *, first):
-        return hidden_light.as_worth(NOISE, lambda amount: cuts(call, number, casting, amount, first=first))
+        return split.as_worth(NOISE, lambda amount: cuts(call, number, casting, amount, first=first))
 
     monkeypatch.setattr(split, "effort", noted)
     for name, taken in (("all", cuts), ("split", as_worth)):

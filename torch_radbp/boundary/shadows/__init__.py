@@ -9,10 +9,6 @@ of paths, and what comes evenly from all around, with a hundredth of the varianc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
-from typing import Any
-
 import torch
 from torch import Tensor
 
@@ -22,12 +18,10 @@ from torch_radbp.boundary.outline import Outline, outlines_of
 from torch_radbp.boundary.places import taken_by
 from torch_radbp.boundary.rendering import Rendering, whole_sight
 from torch_radbp.boundary.segments import Segments
-from torch_radbp.boundary.shadows import split
 from torch_radbp.boundary.shadows.edge_tree import edge_tree
-from torch_radbp.boundary.shadows.followed_light import directions_turn
-from torch_radbp.boundary.shadows.hidden_light import as_worth
 from torch_radbp.boundary.shadows.seen_edges import Casting
-from torch_radbp.boundary.shadows.shadow_term import SHADOW_TERMS, ShadowSearch, ShadowTerm, terms_of
+from torch_radbp.boundary.shadows.shadow_term import SHADOW_TERMS, ShadowSearch, terms_of
+from torch_radbp.boundary.shadows.split import samples_of_view
 from torch_radbp.boundary.term import LineNumbers
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.plugin.folder import import_files
@@ -51,7 +45,7 @@ def shadows_move(call: RenderCall) -> bool:
 
 def slides_over_edges(call: RenderCall) -> bool:
     """True if shadow borders move, or directions that carry derivatives turn."""
-    return shadows_move(call) or directions_turn(call)
+    return shadows_move(call) or any(term.turns(call) for term in SHADOW_TERMS)
 
 
 def bytes_of_shadows(call: RenderCall) -> int:
@@ -98,20 +92,3 @@ def shadows_left_out(rendering: Rendering) -> set[str]:
     casting = Casting(edges, edge_tree(EAGER, geometry_of(call.scene), edges))
     search = ShadowSearch(call, call, casting, None, None)
     return set().union(*(term(search).left_out(rendering) for term in SHADOW_TERMS))
-
-
-def samples_of_view(still: RenderCall, number: int, terms: Sequence[ShadowTerm]) -> list[Any]:
-    """The samples of each term for a view: of the first all, of the others as many as pay off.
-
-    Args:
-        still: without derivatives.
-        number: of the view.
-        terms: of the call.
-    """
-    found = [term.samples(number) for term in terms[:1]]
-    splits = any(term.is_split for term in terms[1:]) and split.is_worth_trying(still, number)
-    first = split.variance(found[0]) if splits else 0.0
-    for term in terms[1:]:
-        worth = term.is_split and first > 0.0
-        found.append(as_worth(first, partial(term.samples, number)) if worth else term.samples(number))
-    return found

@@ -107,7 +107,7 @@ def pairs_of(call: RenderCall, number: int, casting: Casting, following: bool) -
     """Samples borders, each paired with a path vertex of view `number`; None: there are none.
 
     Args:
-        call, number, casting: as of `border.borders_in_view`.
+        call, number, casting: as for `border.lit_edges`.
         following: as for `viewpoints`.
     """
     lit = lit_edges(call, number, casting, Lights(sharp=True, soft=False, around=False), SHARE)

@@ -50,7 +50,7 @@ class CutsOfView(NamedTuple):
     cuts: Cuts
     normal: Vec2  # in the coordinates of `cut_at`; its length is that of the piece per sample
     strength: Tensor  # (3, K) float64, light lost per unit of motion of the border
-    sweep: Tensor  # as of `border.BordersInView`
+    sweep: Tensor  # as of `shadow_term.CutOff`
 
     def independent(self) -> Tensor:
         """The contributions in independent parts, see `split.SampledIntegral`: those of each path together."""

@@ -91,15 +91,6 @@ class LightBeside(NamedTuple):
     picked: Tensor  # background, by light sampling
 
 
-def directions_turn(call: RenderCall) -> bool:
-    """True if differentiated textures or normals turn sampled directions that carry derivatives."""
-    settings = call.integrand.settings
-    kinds = [(bsdf.textures(), bsdf.kind()) for bsdf in one_sided(call.module.bsdfs())]
-    turned = [source for textures, kind in kinds if kind.smooth and sampling_at(kind, settings.sampling) == "attached"
-              for slot in turning_values(kind, settings.sampling) for source in textures[slot].sources()]
-    return any(map(asks_for_derivatives, turned)) or follows(call) and any_differentiated(call.scene.triangles.vertices.n)
-
-
 @shadow_term
 class FollowedLight(ShadowTerm):
     """Scattered directions that carry derivatives, and slide over edges."""
@@ -110,6 +101,16 @@ class FollowedLight(ShadowTerm):
     def size(cls, call: RenderCall) -> TermSize:
         places = follows(call) * most_paths(call) * PLACES * TIMES_AS_LARGE
         return TermSize(0, places, places)
+
+    @classmethod
+    def turns(cls, call: RenderCall) -> bool:
+        """True if differentiated textures or normals turn sampled directions that carry derivatives."""
+        settings = call.integrand.settings
+        kinds = [(bsdf.textures(), bsdf.kind()) for bsdf in one_sided(call.module.bsdfs())]
+        turned = [source for textures, kind in kinds if kind.smooth and sampling_at(kind, settings.sampling) == "attached"
+                  for slot in turning_values(kind, settings.sampling) for source in textures[slot].sources()]
+        normals = call.scene.triangles.vertices.n
+        return any(map(asks_for_derivatives, turned)) or follows(call) and any_differentiated(normals)
 
     def applies(self) -> bool:
         return follows(self.call)

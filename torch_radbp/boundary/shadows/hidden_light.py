@@ -23,7 +23,6 @@ Zhang, Miller, Yan, Gkioulekas and Zhao 2020, "Path-Space Differentiable Renderi
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -120,29 +119,13 @@ class HiddenLight(ShadowTerm):
         return [jumps_of_cuts(self.call, number, self.casting.outline, found)]
 
 
-def as_worth(first: float, found: Callable[[Amount], CutsOfView | None]) -> CutsOfView | None:
-    """Takes as many samples of an integral as pay off; None: there are none.
-
-    Args:
-        first: variance of the first integral, with all of its samples.
-        found: gives so many cuts.
-    """
-    some = found(Amount(split.LEAST, split.TRIED))
-    tried, some = (None, None) if some is None else some.parted()
-    worth = split.effort(first, tried)
-    if worth < split.LEAST + split.TRIED:  # so few others cost far more than they lower the noise
-        return some
-    more = found(Amount(worth - split.LEAST, before=split.LEAST))
-    share = split.LEAST / worth
-    return joined_cuts([(own, share) for own, share in ((some, share), (more, 1.0 - share)) if own is not None])
-
-
 def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount = ALL, *,
                  first: Lights) -> CutsOfView | None:
     """Samples edges that occlude light from paths of view `number`; None: there are none.
 
     Args:
-        call, casting: as for `border.borders_in_view`.
+        call: detached.
+        casting: the edges of all that casts shadows.
         amount: how many paths are looked at; cuts of those that are only tried are among the others.
         first: what the first vertices of paths receive straight from lights.
     """

@@ -99,6 +99,11 @@ class ShadowTerm(ABC):
         """The greatest memory of its samples, whatever is found."""
         return TermSize()
 
+    @classmethod
+    def turns(cls, call: RenderCall) -> bool:
+        """True if the term has a part in the derivative even where no shadow moves."""
+        return False
+
     @abstractmethod
     def applies(self) -> bool:
         """True if the term has a part in the derivative."""
