@@ -36,32 +36,29 @@ class Deposit(NamedTuple):
 def image_of(call: RenderCall, number: int, deposits: Sequence[Deposit], channels: int = 3) -> Tensor:
     """(C, H, W) zeros, attached: the sum of deposits in the pixels of view `number`."""
     view = call.views[number]
-    camera, shape = detached(view.camera), (channels, view.height, view.width)
-    image = torch.zeros(shape, dtype=call.scene.dtype, device=call.scene.device)
-    for deposit in deposits:
-        if call.adjoint.taped or has_tangents(deposit.moved):
-            image = image + recorded(camera, deposit, shape)
-        else:
-            image = image + DepositFunction.apply(call.stages, camera, deposit._replace(moved=None), shape, deposit.moved)
-    return image
+    camera, shape, moved = detached(view.camera), (channels, view.height, view.width), [own.moved for own in deposits]
+    if not deposits or call.adjoint.taped or has_tangents(moved):
+        return recorded(camera, deposits, shape)
+    return DepositFunction.apply(call.stages, camera, [own._replace(moved=None) for own in deposits], shape, *moved)
 
 
-def recorded(camera: Camera, deposit: Deposit, shape: tuple[int, int, int]) -> Tensor:
-    """The image of a deposit as torch records it, in either mode; args as of `DepositFunction`."""
-    place, strength, moved = deposit
-    image = moved.new_zeros(shape).flatten(1)
-    for pixel, count in camera.film.around(place):
-        image = image.index_add(1, pixel, torch.stack(tuple(strength)) * (moved * count))
+def recorded(camera: Camera, deposits: Sequence[Deposit], shape: tuple[int, int, int]) -> Tensor:
+    """The image of deposits as torch records it, in either mode; args as of `DepositFunction`."""
+    image = torch.zeros(shape, dtype=torch.float64, device=camera.film.size_x.device).flatten(1)
+    for place, strength, moved in deposits:
+        for pixel, count in camera.film.around(place):
+            image = image.index_add(1, pixel, torch.stack(tuple(strength)) * (moved * count))
     return image.to(camera.dtype).view(shape)
 
 
 class DepositFunction(torch.autograd.Function):
-    """A zero image with the derivative of a deposit, as a function of the motion."""
+    """A zero image with the derivative of deposits, as a function of their motions."""
 
     @staticmethod
-    def forward(ctx, stages: Stages, camera: Camera, deposit: Deposit, shape: tuple[int, int, int], moved: Tensor) -> Tensor:
-        ctx.stages, ctx.camera, ctx.deposit = stages, camera, deposit
-        return torch.zeros(shape, dtype=camera.dtype, device=moved.device)
+    def forward(ctx, stages: Stages, camera: Camera, deposits: Sequence[Deposit], shape: tuple[int, int, int],
+                *moved: Tensor) -> Tensor:
+        ctx.stages, ctx.camera, ctx.deposits = stages, camera, deposits
+        return camera.film.size_x.new_zeros(shape)
 
     @staticmethod
     @first_derivatives_only
@@ -69,7 +66,8 @@ class DepositFunction(torch.autograd.Function):
     @public_call
     def backward(ctx, grad_image: Tensor):
         pixels = tuple(channel.contiguous() for channel in grad_image.flatten(1))
-        return None, None, None, None, ctx.stages(asked_of_places)(ctx.camera, pixels, *ctx.deposit[:2])
+        asked = [ctx.stages(asked_of_places)(ctx.camera, pixels, *own[:2]) for own in ctx.deposits]
+        return None, None, None, None, *asked
 
 
 @stage("camera", "pixels")
