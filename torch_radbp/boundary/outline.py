@@ -174,18 +174,24 @@ class Outlines:
         """The expected number of edges of so many triangles: that of last time, or the greatest possible."""
         return self.sizes[1] if self.sizes is not None and self.sizes[0] == triangles else 3 * triangles
 
-    def of_everything(self, rendering: Rendering, seed: int, whole: bool = False) -> Outline | None:
-        """The edges of all shapes; None: there are none. Args as for `of_views`; `whole`: not divided where they rest."""
+    def of_everything(self, rendering: Rendering, seed: int, most: int | None = None) -> Outline | None:
+        """The edges of all shapes; None: there are none. Args as for `of_views`.
+
+        `most`: so many are enough, not divided where they lie on other surfaces; None: all.
+        """
         everything = Moving(*((True,) * len(part) for part in (rendering.movers, rendering.moving_instances)))
         generator, sizes = torch.Generator("cpu").manual_seed(seed % (1 << 63)), rendering.sizes
         scene = rendering.call.still_scene
         found = self.of(scene, sizes, everything, generator)
         if found is None:
             return None
-        if not whole and (passing := moving_or_sliding(rendering)) is not None:
+        if most is not None:
+            some = torch.arange(0, len(found.crease), -(-len(found.crease) // most), device=found.crease.device)
+            found = rows(found._replace(folds=None), some)._replace(folds=found.folds)
+        elif (passing := moving_or_sliding(rendering)) is not None:
             pairs = self.passing.of_pairs(rendering, passing, self.edges_of_shape(scene, sizes), seed)
             found = in_parts(scene, found, pairs.resting)
-        self.sizes = len(scene.triangles.material), len(found.crease)
+        self.sizes = (len(scene.triangles.material), len(found.crease)) if most is None else self.sizes
         shape = torch.repeat_interleave(torch.tensor(sizes, device=found.crease.device)).int()
         body = rows(shape, torch.div(found.edges.corner[0], 3, rounding_mode="floor"))
         body = body if found.instance is None else body + found.instance * len(sizes)

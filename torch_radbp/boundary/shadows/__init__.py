@@ -30,7 +30,7 @@ from torch_radbp.tensors.stage import EAGER
 
 import_files(__name__, __path__)
 
-PATHS = 1 << 14  # of a view at least, for a warning
+PATHS, MOST_EDGES = 1 << 14, 1 << 14  # of a view at least, and of all shapes, for a warning
 BYTES_OF_EDGE = 300, 900  # nodes of the tree, and what they are made of: in fused loops, in plain torch
 BYTES_OF_PLACE = 1200  # where it lies, what it is made of, and how it moves, while it is found
 BYTES_OF_JUMP = 800  # what is kept of it for the backward pass
@@ -86,7 +86,7 @@ def shadows_left_out(rendering: Rendering) -> set[str]:
              for view in call.views]
     spp = max(1, PATHS // min(view.width * view.height for view in views))
     call = call._replace(stages=EAGER, spp=spp, integrand=call.integrand.with_stages(EAGER)).with_views(views)
-    edges = outlines_of(rendering.scene).of_everything(rendering, 0, whole=True)
+    edges = outlines_of(rendering.scene).of_everything(rendering, 0, MOST_EDGES)
     if edges is None:
         return set()
     casting = Casting(edges, edge_tree(EAGER, geometry_of(call.scene), edges))
