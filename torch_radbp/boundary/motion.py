@@ -56,10 +56,17 @@ def moved_places(stages: Stages, geometry: Geometry, camera: Camera, jumps: Jump
 
     def adjoint(asked: Tensor) -> list[Tensor | None]:
         gradients = Gradients(shapes)
-        gradients.add([Contribution(leaf, index, slope * asked) for leaf, index, slope in found])
+        scaled = stages(scaled_slopes)(tuple([part.adjoint for part in found]), asked)
+        gradients.add([part._replace(adjoint=own) for part, own in zip(found, scaled)])
         return gradients_of([gradients])[0]
 
     return MotionFunction.apply(len(jumps.shown), adjoint, *leaves)
+
+
+@stage()
+def scaled_slopes(slopes: tuple[Tensor, ...], by_area: Tensor) -> tuple[Tensor, ...]:
+    """The loss's derivatives by what swept areas depend on, (K,) float64 each; `by_area`: by the areas."""
+    return tuple(slope * by_area for slope in slopes)
 
 
 @stage("geometry", "camera", "places")
