@@ -39,7 +39,7 @@ MUTANTS = (
     Mutant("scene/outgoing_ray.py", "element = dot(cross(e1, e2), aim).abs() / squared",
            "element = dot(cross(e1, e2), aim).abs() / squared.detach()",
            ("derivatives/test_ablation.py", "derivatives/test_expectation.py")),
-    Mutant("boundary/shadows/film_jumps.py", "* normal.x + (seen.y", "* normal.x - (seen.y",
+    Mutant("boundary/deposit.py", "* normal.x + (seen.y", "* normal.x - (seen.y",
            ("derivatives/test_shadows.py", "boundary")),
     Mutant("texture/bank.py", "by_y = ((lower_left - upper_left)", "by_y = ((upper_left - lower_left)",
            ("bsdf/test_bumpmap.py",)),

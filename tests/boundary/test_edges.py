@@ -1,4 +1,4 @@
-"""Edges of large meshes: some are looked at, with all their neighbours; none before somebody could want it."""
+"""Edges that warnings are about: those of large meshes, of tiny ones; none are looked at before somebody could want it."""
 
 import warnings
 
@@ -8,9 +8,7 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes import diffuse, load, rectangle, rgb, sensor
-from tests.scenes.meshes import icosphere
-from torch_radbp.boundary import SilhouetteWarning, edges, warning
-from torch_radbp.boundary.edges import Edges, edges_of, spread
+from torch_radbp.boundary import SilhouetteWarning, warning
 from torch_radbp.io.transform import scale, translate
 from torch_radbp.shape.surface import grid
 
@@ -28,49 +26,6 @@ def sheet(half: float = 1.0, loose: bool = False) -> dict:
     return {"type": "mesh", "vertex_positions": vertices, "faces": faces, "bsdf": diffuse(0.5)}
 
 
-def by_place(found: Edges, vertices: torch.Tensor) -> dict:
-    """Places of the ends of each edge, rounded: places of what lies opposite."""
-    places = [tuple(place) for place in (vertices * 1e4).round().long().tolist()]
-    opposite = torch.stack(found.opposite, 1).tolist()
-    return {frozenset((places[a], places[b])): sorted(places[vertex] for vertex in around[:count])
-            for a, b, around, count in zip(found.a.tolist(), found.b.tolist(), opposite, found.count.tolist())}
-
-
-@pytest.mark.parametrize("loose", [False, True])
-def test_some_edges_have_the_neighbours_that_they_have_among_all(loose):
-    mesh = sheet(loose=loose)
-    vertices, faces = mesh["vertex_positions"], mesh["faces"]
-    chosen = torch.randint(len(faces), (50,), generator=torch.Generator().manual_seed(1)).unique()
-    some, whole = (by_place(edges_of(vertices, faces, rows), vertices) for rows in (chosen, None))
-    corners = (vertices[faces[chosen]] * 1e4).round().long().tolist()
-    ends = [(tuple(corner[k]), tuple(corner[(k + 1) % 3])) for corner in corners for k in range(3)]
-    expected = {frozenset(pair) for pair in ends}
-    assert some.keys() == expected
-    assert all(opposite == whole[ends] for ends, opposite in some.items())
-    assert set(map(len, some.values())) == {1, 2}
-
-
-def test_of_a_closed_mesh_no_border_is_looked_for_where_neighbours_are_left_out(monkeypatch):
-    vertices, faces = icosphere(3)
-    monkeypatch.setattr(edges, "cut_at_vertices", lambda *_: pytest.fail("there is no border"))
-    assert set(edges_of(vertices.float(), faces, torch.arange(0, len(faces), 9)).count.tolist()) == {2}
-
-
-def test_all_triangles_of_small_shapes_are_looked_at_and_a_bounded_number_of_large_ones():
-    assert spread([12, edges.MANY], "cpu") is None
-    rows = spread([12, 10**9, 7], "cpu")
-    assert len(rows) <= 12 + edges.SOME + 7 and (rows.diff() > 0).all()
-    assert rows[:12].tolist() == list(range(12)) and rows[-7:].tolist() == list(range(12 + 10**9, 19 + 10**9))
-    assert len(rows) > 0.9 * edges.SOME and rows[12:-7].double().std() > 0.25e9
-
-
-@pytest.fixture
-def few(monkeypatch):
-    """Large begins at 200 triangles, of which some 100 are looked at."""
-    monkeypatch.setattr(edges, "MANY", 200)
-    monkeypatch.setattr(edges, "SOME", 100)
-
-
 def messages(scene: rb.Scene, *names: str) -> list[str]:
     for name in names:
         scene.get_parameter(name).requires_grad_()
@@ -82,12 +37,12 @@ def messages(scene: rb.Scene, *names: str) -> list[str]:
 
 @pytest.mark.parametrize("loose", [False, True])
 @pytest.mark.parametrize("name", ["sheet.vertex_positions", "camera.to_world"])
-def test_the_rim_of_a_large_mesh_is_found_and_its_inside_has_none(name, loose, few):
+def test_the_rim_of_a_large_mesh_is_found_and_its_inside_has_none(name, loose):
     assert messages(load(camera=sensor(4), sky=SKY, sheet=sheet(0.8, loose)), name)
     assert not messages(load(camera=sensor(4), sky=SKY, sheet=sheet(3.0, loose)), name)
 
 
-def test_a_small_shape_beside_a_large_one_is_looked_at_as_a_whole(few):
+def test_a_small_shape_beside_a_large_one_is_looked_at():
     small = {"type": "cube", "to_world": translate((0.3, 0.2, 0.5)) @ scale((0.1, 0.1, 0.1))}
     message, = messages(load(camera=sensor(4), sky=SKY, sheet=sheet(3.0), small=small), "camera.to_world")
     assert "6 edges" in message
@@ -108,8 +63,8 @@ def test_nothing_is_looked_for_unless_something_moves(monkeypatch):
     def refuse(*arguments):
         raise AssertionError("edges or lights are looked at for nothing")
 
-    monkeypatch.setattr(warning, "edges_of", refuse)
-    monkeypatch.setattr(warning, "lights_of", refuse)
+    monkeypatch.setattr(warning, "silhouettes_left_out", refuse)
+    monkeypatch.setattr(warning, "shadows_left_out", refuse)
     monkeypatch.setattr(warning, "flat", refuse)
     lamp = rectangle((0, 0, 3), 0.3, (1, 0, 0), 180, emitter={"type": "area", "radiance": rgb(9, 7, 5)})
     scene = load(camera=sensor(4), lamp=lamp, sheet=sheet(), mirror={"type": "sphere", "bsdf": {"type": "conductor"}})

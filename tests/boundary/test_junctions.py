@@ -53,19 +53,6 @@ def test_the_pieces_of_an_edge_lie_on_it_end_to_end():
     assert spans[0, 0] == -1 and spans[1, -1] == 1
 
 
-@pytest.mark.parametrize("chosen", [[0, 2, 4], [1, 2, 3, 4, 5], list(range(6))], ids=str)
-def test_edges_of_some_triangles_are_cut_as_they_are_among_all(chosen):
-    vertices, faces = square(2)
-
-    def meeting(rows: torch.Tensor | None) -> dict:
-        edges = edges_of(turned(vertices), faces, rows)
-        places = [tuple(place) for place in vertices.tolist()]
-        return {frozenset((places[a], places[b])): int(count) for a, b, count in zip(edges.a, edges.b, edges.count)}
-
-    found = meeting(torch.tensor(chosen))
-    assert found.items() <= meeting(None).items() and set(found.values()) == {1, 2}
-
-
 def test_a_gap_is_two_borders():
     vertices, faces = square(2, gap=1e-3)
     assert (edges_of(vertices, faces).count == 1).sum() == 3 + 2 + 2 + 1 + 2

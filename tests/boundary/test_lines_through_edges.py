@@ -9,9 +9,10 @@ import torch_radbp as rb
 from tests.scenes import diffuse, load, rectangle, sensor
 from tests.scenes.meshes import wavy
 from torch_radbp.boundary.geometry import Between, geometry_of, positions
+from torch_radbp.boundary.shadows import cuts as cuts_module
 from torch_radbp.boundary.shadows import hidden_light
+from torch_radbp.boundary.shadows.cuts import Cuts, cut_at, cut_course
 from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.boundary.shadows.hidden_light import Cuts, cut_at, cut_course
 from torch_radbp.boundary.shadows.lines_through_edges import solid_angle
 from torch_radbp.boundary.shadows.seen_edges import corners_of, extent_of, places_seen
 from torch_radbp.io.transform import rotate, scale, translate
@@ -24,16 +25,16 @@ from torch_radbp.tensors.vec import Ray, Vec2, dot, interpolated, normalize, row
 GREY = diffuse(0.5, 0.5, 0.5)
 
 
-def asked_of(name: str, monkeypatch, dtype: torch.dtype, size: float, floor: float) -> tuple:
+def asked_of(name: str, monkeypatch, dtype: torch.dtype, size: float, floor: float, module=hidden_light) -> tuple:
     """The arguments that a rendering of waves of some size above a floor of some half width calls a function of
-    `hidden_light` with, and what this returns."""
-    found, function = [], getattr(hidden_light, name)
+    a module with, and what this returns."""
+    found, function = [], getattr(module, name)
 
     def noted(*arguments):
         found.append((*arguments, function(*arguments)))
         return found[-1][-1]
 
-    monkeypatch.setattr(hidden_light, name, noted)
+    monkeypatch.setattr(module, name, noted)
     pose = translate((0.13, -0.21, 0.6)) @ rotate((1, 0.7, 0.4), 20) @ scale((size, size, size))
     scene = load(sensor=sensor(32, (0, -1.5, 2.5)), sky={"type": "constant", "radiance": 1.0},
                  floor=rectangle((0, 0, 0), floor, bsdf=GREY),
@@ -67,7 +68,8 @@ def test_no_triangle_of_an_instance_takes_its_own_edges_for_silhouettes(stages, 
 def test_places_count_for_no_more_than_the_angle_that_their_edges_sweep(monkeypatch):
     """Radiance is at most 1, and surfaces scatter 0.5 / pi times its cosine. On a wide floor rays pass edges at a distance
     from which planes that lie edge-on behind these look otherwise."""
-    _, geometry, casting, points, at, passed, hit, _, found = asked_of("all_cuts", monkeypatch, torch.float64, 0.7, 300.0)
+    _, geometry, casting, points, at, passed, hit, _, found = asked_of("all_cuts", monkeypatch, torch.float64, 0.7, 300.0,
+                                                                                cuts_module)
     nothing = hit._replace(prim=torch.full_like(hit.prim, -1))
     basis, across, _ = EAGER(cut_course)(geometry, casting.outline, at, passed, nothing, extent_of(geometry))
 

@@ -10,6 +10,7 @@ import torch_radbp as rb
 from tests.scenes.shadows import SHADOWS
 from torch_radbp.boundary.places import NEIGHBOURS
 from torch_radbp.boundary.shadows import hidden_light, split
+from torch_radbp.boundary.shadows.cuts import Cuts, CutsOfView, with_used_viewpoints
 from torch_radbp.boundary.shadows.seen_edges import evenly_seen
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints
 from torch_radbp.boundary.shadows.ways_down import weights_apart
@@ -37,17 +38,17 @@ def test_the_variance_is_the_sum_of_squares():
 
 
 def test_samples_of_one_path_are_no_independent_ones():
-    cuts = hidden_light.Cuts(torch.tensor([7, 7, 2, 7]), None, None, None, None)
+    cuts = Cuts(torch.tensor([7, 7, 2, 7]), None, None, None, None)
     strength = torch.tensor([[1.0, 2.0, 10.0, 0.5]], dtype=torch.float64).repeat(3, 1)
-    found = hidden_light.CutsOfView(None, cuts, None, strength, torch.tensor([2.0, 1.0, 0.1, 2.0], dtype=torch.float64))
+    found = CutsOfView(None, cuts, None, strength, torch.tensor([2.0, 1.0, 0.1, 2.0], dtype=torch.float64))
     assert found.independent().tolist() == [[1.0, 5.0]] * 3
     assert split.variance(found) == pytest.approx(3 * 26.0)
 
 
 def test_viewpoints_without_cuts_are_left_out():
     points = torch.tensor([10.0, 20.0, 30.0, 40.0])
-    cuts = hidden_light.Cuts(torch.tensor([3, 1, 3], dtype=torch.int32), None, None, None, None)
-    found = hidden_light.with_used_viewpoints(hidden_light.CutsOfView(points, cuts, None, None, None))
+    cuts = Cuts(torch.tensor([3, 1, 3], dtype=torch.int32), None, None, None, None)
+    found = with_used_viewpoints(CutsOfView(points, cuts, None, None, None))
     assert found.points.tolist() == [20.0, 40.0]
     assert found.cuts.viewpoint.tolist() == [1, 0, 1] and found.cuts.viewpoint.dtype == torch.int32
 
@@ -88,19 +89,19 @@ def test_others_are_found_only_if_they_are_worth_it(first, amounts):
         asked.append(tuple(amount))
         return cuts_of([True, False, False] if amount.tried else [False] * 3, 1.0)
 
-    kept = hidden_light.as_worth(first, found)
+    kept = split.as_worth(first, found)
     assert asked == amounts
     assert kept.points.tried is None and len(kept.points.depth) == len(kept.strength[0]) == 2 + 3 * (len(asked) - 1)
     # Of two samples of the same, 2 and 3 cuts of size 1, by the numbers of paths behind them.
     assert float(kept.strength[0].sum()) == pytest.approx(2.0 if len(asked) == 1 else 0.25 * 2.0 + 0.75 * 3.0)
 
 
-def cuts_of(tried: list[bool], size: float) -> hidden_light.CutsOfView:
+def cuts_of(tried: list[bool], size: float) -> CutsOfView:
     """A cut for each of some paths."""
     count = len(tried)
     number, flags = torch.arange(count, dtype=torch.int32), torch.tensor(tried) if any(tried) else None
     points = Viewpoints(*[None] * 3, number.long(), *[None] * 6, flags)
-    return hidden_light.CutsOfView(points, hidden_light.Cuts(number, number, *[None] * 3), None,
+    return CutsOfView(points, Cuts(number, number, *[None] * 3), None,
                                    torch.full((3, count), size, dtype=torch.float64), torch.ones(count, dtype=torch.float64))
 
 
@@ -129,8 +130,8 @@ def test_the_derivative_is_the_same_with_those_that_tell_the_noise(monkeypatch):
         worth.append(effort(first, tried))
         return worth[-1]
 
-    def as_worth(call, number, casting, *, first):
-        return hidden_light.as_worth(NOISE, lambda amount: cuts(call, number, casting, amount, first=first))
+    def as_worth(call, number, casting, amount, *, first):
+        return split.as_worth(NOISE, lambda amount: cuts(call, number, casting, amount, first=first))
 
     monkeypatch.setattr(split, "effort", noted)
     for name, taken in (("all", cuts), ("split", as_worth)):

@@ -78,7 +78,7 @@ def test_what_is_not_there_hides_nothing_and_its_motion_changes_nothing():
 def test_edges_are_looked_for_through_surfaces_only_where_these_let_light_pass(monkeypatch):
     """And where paths are so long that light may come through."""
     looked = []
-    monkeypatch.setattr(seen_through, "cuts_seen_through", lambda *arguments: looked.append(arguments))
+    monkeypatch.setattr(seen_through.SeenThrough, "samples", lambda *arguments: looked.append(arguments))
     for bsdf, depth in (({"type": "diffuse"}, 3), (masked(TEXELS), 2), (masked(TEXELS), 3)):
         scene = seen(LAMP, sheet=sheet(bsdf))()
         tangent = PUSHED["lamp"](scene.get_parameter("lamp.to_world").detach())

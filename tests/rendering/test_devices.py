@@ -64,7 +64,8 @@ def trace_on_cuda(stage, arguments: tuple) -> set[torch.device]:
 
 
 OF_MANY_LAMPS, OF_TWO_SIDES = {"pick_light", "emitter_met", "chance_of_light"}, {"side_met"}
-OF_JUMPS, OF_SEGMENTS = {"slopes", "swept", "asked_of_places"}, {"segment_weight", "segment_place"}
+OF_JUMPS = {"slopes", "swept", "asked_of_places", "scaled_slopes"}
+OF_SEGMENTS = {"segment_weight", "segment_place"}
 OF_CROSSINGS = {"segment_bounds", "segment_found", "segment_passed", "sheets_seen"}
 OF_SHADOWS = {"descended", "edge_found", "edge_tried", "edge_passed", "direct_light", "scattered", "border_course",
               "cut_course", "light_eyes", "light_lobes", "light_samples", "picked_vertex", "meets", "film_sample",

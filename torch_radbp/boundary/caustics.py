@@ -12,12 +12,14 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.rendering import Rendering
-from torch_radbp.boundary.shadow import APART, ray_from, viewpoint
+from torch_radbp.boundary.view_rays import ray_from
 from torch_radbp.bsdf.kind import Kind
 from torch_radbp.emitter.kind import ShadowSource
 from torch_radbp.plugin import Emitter, SceneWarning
 from torch_radbp.scene.material_tables import one_sided
 
+FAR_AWAY = 1e4  # extents of the scene: the distance at which a light in a direction is placed
+APART = 1e-4  # distance from a surface at which a ray starts, as a share of the scene's extent
 MOST_TARGETS = 1 << 12  # triangles of mirrors and glass at which rays are aimed
 MOST_SURFACES = 4  # of glass, through which a ray is followed
 SHORTEST = 3  # depth of the shortest path with a caustic
@@ -45,7 +47,7 @@ def unfound_caustics(rendering: Rendering) -> SceneWarning | None:
 
 def delta_lights(rendering: Rendering) -> Iterator[tuple[Emitter, ShadowSource]]:
     """Yields the emitters without extent, with their positions or directions."""
-    caster = rendering.caster
+    caster = rendering.call.caster
     for emitter in rendering.scene.emitters:
         source = emitter.source()
         if source is not None and emitter.kind().delta:
@@ -85,7 +87,7 @@ def first_on_a_way(rendering: Rendering, source: ShadowSource, kinds: list[list[
     reflected = d - 2.0 * (d * normal).sum(1, keepdim=True) * normal
     for o, towards, some in ((p, reflected, torch.ones_like(first, dtype=torch.bool)), (p, d, passes[first])):
         for _ in range(MOST_SURFACES):
-            hit = rendering.caster.intersect(ray_from(o + APART * extent * towards, towards))
+            hit = rendering.call.caster.intersect(ray_from(o + APART * extent * towards, towards))
             met = _shapes_of(rendering, hit.prim)
             found = some & (met >= 0) & shows[met.clamp_min(0)]
             if found.any():
@@ -95,9 +97,22 @@ def first_on_a_way(rendering: Rendering, source: ShadowSource, kinds: list[list[
     return None
 
 
+def viewpoint(place: Tensor, vertices: Tensor) -> Tensor:
+    """A position for a light, (3,); a directional one is moved far away from the mesh.
+
+    Args:
+        place: (4,) homogeneous: a position, or with 0 at the end the direction towards it; float64.
+        vertices: (V, 3) of the mesh, float64.
+    """
+    if place[3]:
+        return place[:3]
+    extent = (vertices.amax(0) - vertices.amin(0)).max()
+    return vertices.mean(0) + FAR_AWAY * extent * place[:3]
+
+
 def shapes_met(rendering: Rendering, o: Tensor, d: Tensor) -> Tensor:
     """The shape that each ray hits, (N,) int64; -1: a miss."""
-    return _shapes_of(rendering, rendering.caster.intersect(ray_from(o, d)).prim)
+    return _shapes_of(rendering, rendering.call.caster.intersect(ray_from(o, d)).prim)
 
 
 def _shapes_of(rendering: Rendering, prim: Tensor) -> Tensor:

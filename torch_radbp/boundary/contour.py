@@ -26,12 +26,13 @@ along m, and |m| t / |f_t| is its length on the film for each s.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_radbp.boundary.faces import Faces
+from torch_radbp.boundary.film_term import CurvesInView, ExaminedView, FilmTerm, film_term, lanes
 from torch_radbp.boundary.geometry import Between, Geometry, positions, vertex_normals
 from torch_radbp.boundary.places import (
     FAR,
@@ -43,21 +44,31 @@ from torch_radbp.boundary.places import (
     Sight,
     counts_somewhere,
     depth_of,
+    lot_of,
     on_film,
     picked,
     place_numbers,
     unknown,
     velocities_on_film,
 )
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.jit.order import chosen
+from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Vec2, Vec3, dot, interpolated, rows
 
+if TYPE_CHECKING:
+    from torch_radbp.boundary.outline import Jumps
+
 PROBES = ((0.1, 0.15, 0.5), (0.3, 0.5, 0.15), (0.5, 0.5, 0.5), (0.7, 0.5, 0.85), (0.9, 0.85, 0.5))  # s, and the aperture
 ASIDE = 1e-9  # share of its distance by which a rim is moved off the edges of triangles
 ASTRIDE = 1e-4  # cosine between shading normal and line of sight at which a surface is looked at on either side of a rim
 FARTHEST_ASTRIDE = 0.05  # the same as barycentric coordinates, at most
+LEAST = 0.1  # of the mean length of curves in a triangle, that triangles count where no line meets a curve
+LEAST_OF_LENS = 1.0  # the same where each point of a lens sees other curves, of which the lines meet few
+MOST_TRIES = 16  # places that are looked for on a lens for one that is found
 SIDES = ((0, 1), (0, 2), (1, 2))  # of triangles, by their corners
 
 Level = Callable[[Camera, Vec3, Vec3 | None, Vec2 | None], Tensor]
@@ -122,6 +133,47 @@ def beyond_far(camera: Camera, p: Vec3, n: None, aperture: Vec2 | None) -> Tenso
 
 
 LEVELS: dict[int, Level] = {RIM: _facing, NEAR: beyond_near, FAR: beyond_far}
+
+
+@film_term
+class Contours(FilmTerm):
+    """Rims of smooth shading, and the curves at which the near and the far plane of a camera cut surfaces."""
+
+    rank = 1
+    kinds = RIM, NEAR, FAR
+
+    def most(self, call: RenderCall) -> int:
+        return 1 + (call.scene.triangles.vertices.n is not None) + any(view.clips for view in call.views)
+
+    def in_view(self, viewed: ExaminedView, jumps: Jumps) -> list[CurvesInView]:
+        if jumps.faces is None:
+            return []
+        kinds = (RIM,) * viewed.rims + (NEAR,) + (FAR,) * viewed.clips
+        flags = viewed.stages(crosses)(viewed.geometry, viewed.sight, jumps.faces, kinds)
+        crossed = [(kind, rows(jumps.faces, own)) for kind, own in zip(kinds, map(chosen, flags)) if len(own)]
+        return [contours_in_view(viewed, faces, kind) for kind, faces in crossed]
+
+    def level(self, geometry: Geometry, camera: Camera, places: Places, kind: int) -> Tensor:
+        return level_at(geometry, camera, places, kind)
+
+
+def contours_in_view(viewed: ExaminedView, faces: Faces, kind: int) -> CurvesInView:
+    """The visible curves of one kind inside of triangles, which they may cross."""
+    stages, geometry, sight, camera = viewed[:4]
+    aperture = camera.kind.has_aperture
+    inside, whole = stages(contour_length)(geometry, sight, faces, kind)
+    length = torch.where(inside > 0.0, inside, whole)
+    length = length + (LEAST_OF_LENS if aperture else LEAST) * length.mean() + float(not length.any())
+    total = running_sum(length)
+
+    def places(count: int) -> Places:
+        if aperture:
+            count = round(count / max(float((whole > 0.0).double().mean()), 1.0 / MOST_TRIES))
+        lines = torch.full((), count, dtype=torch.int32, device=length.device)
+        lot = lot_of(length, count, total)
+        return stages(contour_place)(geometry, sight, faces, lot, lines, lanes(2 * count, length), kind)
+
+    return CurvesInView(float(total[-1]), places)
 
 
 @stage("geometry", "sight")

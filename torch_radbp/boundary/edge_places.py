@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.creases import FOLD, SHADED, TURNED, WHOLE
+from torch_radbp.boundary.film_term import CurvesInView, ExaminedView, FilmTerm, film_term, lines_in_view
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, point_at, vertex_normals
-from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.outline import Jumps, Outline
 from torch_radbp.boundary.places import (
     CREASE,
     SILHOUETTE,
@@ -38,6 +39,16 @@ STEP = 1e-5  # of the width of a triangle, by which it is told on which side of 
 CLEARANCES = 8.0  # how far off an edge a triangle is looked at, in units of how far off it rays leave it
 INWARDS = 1e-3  # the same as a barycentric weight of the vertex opposite: at most, and where normals are seen askance:
 ASKANCE = 1e-2  # cosine between line of sight and interpolated normal at the edge, up to which they are
+
+
+@film_term
+class OutlineEdges(FilmTerm):
+    """Edges of meshes that are silhouettes or creases."""
+
+    rank = 0
+
+    def in_view(self, viewed: ExaminedView, jumps: Jumps) -> list[CurvesInView]:
+        return lines_in_view(viewed, jumps.outline, edge_weight, edge_place)
 
 
 @stage("geometry", "sight")
@@ -113,7 +124,8 @@ def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, pla
         scale = scale * (silhouette | (crease > 0) | ends)
     normal = Vec2(-pace.y * scale, pace.x * scale)
     nothing = torch.zeros_like(along)
-    sheets = [sheet_at(geometry, sight, (a, b, tip), corner, instance, p, at, normal, aperture)
+    here = PlaceOnEdge(instance, p, at, normal, aperture)
+    sheets = [sheet_at(geometry, sight, (a, b, tip), corner, here)
               for tip, corner in zip(opposite[:2], edges.corner[:2])]
     side = torch.where(sheets[0].ahead + sheets[1].ahead >= 0.0, 1.0, -1.0)
     behind, ahead = _in_order(sheets, silhouette, edges.count <= 2)
@@ -122,6 +134,16 @@ def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, pla
     return Places(kind, Between(edges.a, edges.b, edges.b), instance, along, nothing, p, at, normal, side, nothing, depth,
                   behind, ahead, torch.full_like(kind, -1), instance, numbers.key, aperture, counts_somewhere(camera, at),
                   torch.full_like(kind, -1))
+
+
+class PlaceOnEdge(NamedTuple):
+    """N samples on edges."""
+
+    instance: Tensor | None  # (N,) int32, that shows the edge
+    p: Vec3  # world
+    film: Vec2  # as of `Places`, as are the next
+    normal: Vec2
+    aperture: Vec2 | None
 
 
 class Sheet(NamedTuple):
@@ -133,16 +155,16 @@ class Sheet(NamedTuple):
     depth: Tensor  # its extent along the line of sight
 
 
-def sheet_at(geometry: Geometry, sight: Sight, corners: tuple[Vec3, Vec3, Vec3], corner: Tensor, instance: Tensor | None,
-             p: Vec3, film: Vec2, normal: Vec2, aperture: Vec2 | None) -> Sheet:
+def sheet_at(geometry: Geometry, sight: Sight, corners: tuple[Vec3, Vec3, Vec3], corner: Tensor,
+             here: PlaceOnEdge) -> Sheet:
     """The triangle at each of some samples on edges, and its course on the film.
 
     Args:
         corners: the ends of the edge, and what lies opposite.
         corner: (N,) int32, the number of that corner among all.
-        instance, p, film, normal, aperture: of the places.
+        here: the samples.
     """
-    a, b, opposite = corners
+    (a, b, opposite), (instance, p, film, normal, aperture) = corners, here
     camera, along, inwards = sight.camera, b - a, opposite - p
     across = inwards - along * (dot(inwards, along) / dot(along, along))
     seen = on_film(camera, p + across * STEP, aperture)

@@ -11,13 +11,10 @@ from torch import Tensor
 from torch_radbp.boundary.junctions import cut_at_vertices
 from torch_radbp.jit.order import chosen as chosen_lanes
 from torch_radbp.jit.order import in_order
-from torch_radbp.shape.welding import HASH, cells_of, weld_size, welded
+from torch_radbp.shape.welding import cells_of, weld_size, welded
 from torch_radbp.tensors.record import joined as joined_records
 from torch_radbp.tensors.vec import rows
 
-SLOTS = 1 << 22  # values of the hash of a cell
-MANY = 1 << 16  # triangles of a shape of which all are looked at
-SOME = 1 << 14  # triangles of a larger shape that are looked at
 MOST_MEETING = 8  # triangles at an edge that are told apart
 
 
@@ -45,60 +42,26 @@ def padded(edges: Edges, most: int) -> Edges:
     return edges._replace(opposite=opposite, corner=corner)
 
 
-def spread(counts: Sequence[int], device: torch.device) -> Tensor | None:
-    """The triangles whose edges are examined: all of small shapes, a fixed random sample of large ones.
-
-    This bounds the work. A large mesh with a single silhouette edge is rare, and the sample may miss that edge.
-
-    Args:
-        counts: the number of triangles of each shape, in the order of the faces.
-        device: of the result.
-
-    Returns:
-        Ascending int64 row numbers; None: all.
-    """
-    if max(counts) <= MANY:
-        return None
-    generator, parts, first = torch.Generator("cpu").manual_seed(0), [], 0
-    for count in counts:
-        some = torch.randint(count, (SOME,), generator=generator, device="cpu").unique() if count > MANY else None
-        parts.append(first + (torch.arange(count, device="cpu") if some is None else some))
-        first += count
-    return torch.cat(parts).to(device)
-
-
-def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> Edges:
-    """Finds the edges of a mesh, or of some of its triangles.
+def edges_of(vertices: Tensor, faces: Tensor) -> Edges:
+    """Finds the edges of a mesh.
 
     Vertices at the same place count as one, and an edge ends at those of its first triangle: others may be of shapes that
     touch it and move otherwise. Degenerate triangles are skipped; an edge of one triangle ends at every vertex that lies on
-    it. The neighbours of the chosen triangles are found without sorting the whole mesh.
+    it.
 
     Args:
         vertices: (V, 3), detached; may begin and end with vertices of other meshes.
         faces: (F, 3) integers, F > 0.
-        chosen: (C,) rows of `faces`, distinct; None: all.
     """
     first, last = map(int, faces.aminmax())
     faces = faces.int() - first if first else faces.int()
     vertices = vertices[first:last + 1]
     size = weld_size(vertices)
-    cells = cells_of(vertices, size)
-    near = vertex = wanted = None
-    if chosen is not None:
-        near = touching(cells, faces, faces[chosen].flatten())
-        wanted = torch.zeros(len(faces), dtype=torch.bool, device=faces.device).index_fill(0, chosen, True)[near]
-        vertex, own = torch.unique(faces[near], return_inverse=True)
-        cells, vertices, own = tuple(cell[vertex] for cell in cells), vertices[vertex], own.int()
-    else:
-        own = faces
-    label = welded(cells)
-    corner = own if label is None else label[own]
-    sides, flat, cut = _sides_of(corner), own.flatten(), False
+    label = welded(cells_of(vertices, size))
+    corner = faces if label is None else label[faces]
+    sides, flat, cut = _sides_of(corner), faces.flatten(), False
     edges = _met(sides, len(vertices))
     border = edges.side[0][edges.count == 1].long()
-    if wanted is not None:  # most others end here only because their neighbours are left out
-        border = border[_beside(sides, border, rows(wanted, torch.div(sides.corner, 3, rounding_mode="floor")))]
     if len(border):
         ends = torch.where(sides.forward[border], sides.low[border], sides.high[border]), torch.where(
             sides.forward[border], sides.high[border], sides.low[border])
@@ -109,17 +72,12 @@ def edges_of(vertices: Tensor, faces: Tensor, chosen: Tensor | None = None) -> E
             parts = sides_between(*pieces.int(), sides.corner[border[which]])
             sides = Sides(*(torch.cat([side[whole], part]) for side, part in zip(sides, parts)))
             edges = _met(sides, len(vertices))
-    if wanted is not None:
-        edges = edges.of(rows(wanted, torch.div(sides.corner, 3, rounding_mode="floor")))
     corners = tuple(rows(sides.corner, side) for side in edges.side)
     alike = (edges.count > 1) & (rows(sides.forward, edges.side[0]) == rows(sides.forward, edges.side[1]))
     seam = None if label is None and not cut else (edges.count == 2) & ~have_same_ends(flat, *corners[:2])
     ends = [edges.low, edges.high, *(rows(flat, number) for number in corners)]
     if label is not None:
         ends[:2] = ends_of_side(flat, label, corners[0], edges)
-    if vertex is not None:
-        ends = [rows(vertex, end) for end in ends]
-        corners = tuple(3 * rows(near.int(), torch.div(corner, 3, rounding_mode="floor")) + corner % 3 for corner in corners)
     a, b, *opposite = (first + end for end in ends) if first else ends
     return Edges(a, b, tuple(opposite), corners, edges.count, alike, seam)
 
@@ -136,14 +94,6 @@ class Sides(NamedTuple):
 def sides_between(start: Tensor, end: Tensor, corner: Tensor) -> Sides:
     """The sides between given vertices, (H,) int32, opposite given corners."""
     return Sides(torch.minimum(start, end), torch.maximum(start, end), start < end, corner)
-
-
-def _beside(sides: Sides, border: Tensor, wanted: Tensor) -> Tensor:
-    """(B,) bool: boundary sides, (B,) int64, that share a vertex with a `wanted` side, (H,) bool."""
-    low, high, own = sides.low[border].long(), sides.high[border].long(), wanted[border]
-    ends = torch.zeros(int(high.max()) + 1 if len(high) else 0, dtype=torch.bool, device=low.device)
-    ends[low[own]] = ends[high[own]] = True
-    return ends[low] | ends[high]
 
 
 def _sides_of(faces: Tensor) -> Sides:
@@ -172,15 +122,6 @@ class Meeting(NamedTuple):
     high: Tensor
     side: tuple[Tensor, ...]  # (E,) int32 each, sides at the edge; with fewer the first repeats
     count: Tensor  # (E,) int32, number of sides
-    every: Tensor  # (H,) int32, all sides, sorted by edge
-
-    def of(self, wanted: Tensor) -> Meeting:
-        """Selects the edges with at least one `wanted` side, (H,) bool."""
-        last = self.count.cumsum(0)
-        found = torch.cat([wanted.new_zeros(1, dtype=torch.int64), rows(wanted, self.every).cumsum(0)])
-        keep = found[last] > found[last - self.count]
-        low, high, count = (column[keep] for column in (self.low, self.high, self.count))
-        return Meeting(low, high, tuple(side[keep] for side in self.side), count, self.every)
 
 
 def _met(sides: Sides, vertices: int) -> Meeting:
@@ -193,7 +134,7 @@ def _met(sides: Sides, vertices: int) -> Meeting:
     count = torch.diff(first, append=first.new_full((1,), len(order)))
     most = max(2, min(MOST_MEETING, int(count.max()) if len(count) else 0))
     side = tuple(rows(order, first + (count > place).int() * place) for place in range(most))
-    return Meeting(low, high, side, count, order)
+    return Meeting(low, high, side, count)
 
 
 def ends_of_side(flat: Tensor, label: Tensor, corner: Tensor, edges: Meeting) -> list[Tensor]:
@@ -224,13 +165,3 @@ def have_same_ends(flat: Tensor, one: Tensor, two: Tensor) -> Tensor:
     """
     (a, b), (c, d) = (sides_ends(flat, corner) for corner in (one, two))
     return ((a == c) & (b == d)) | ((a == d) & (b == c))
-
-
-def touching(cells: tuple[Tensor, Tensor], faces: Tensor, vertices: Tensor) -> Tensor:
-    """The triangles with at least two corners at the positions of given vertices; ascending rows of `faces`."""
-    touched = torch.zeros(len(cells[0]), dtype=torch.bool, device=faces.device)
-    for cell in cells:
-        slot = ((cell * HASH) >> 32) & (SLOTS - 1)  # cells may share a slot: a few more triangles do no harm
-        touched |= torch.zeros(SLOTS, dtype=torch.bool, device=faces.device).index_fill(0, slot[vertices.long()], True)[slot]
-    first, second, third = (touched.index_select(0, corner) for corner in faces.unbind(1))
-    return ((first & second) | (second & third) | (third & first)).nonzero().squeeze(1)

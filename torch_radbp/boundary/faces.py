@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_radbp.boundary.geometry import Between, Corners, Geometry, positions
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.record import joined, leaves_of
 
 
 class Faces(NamedTuple):
@@ -31,9 +33,12 @@ def joined_faces(parts: list[Faces]) -> Faces | None:
     """Joins several sets of triangles; None: there are none."""
     if len(parts) < 2:
         return parts[0] if parts else None
-    shares = [part.share for part in parts]
-    if any(share is not None for share in shares):
-        shares = [torch.ones_like(part.triangle, dtype=torch.float64) if part.share is None else part.share
-                  for part in parts]
-    columns = [part.triangle for part in parts], [part.instance for part in parts], shares
-    return Faces(*(None if column[0] is None else torch.cat(column) for column in columns))
+    return joined(with_shares(parts))
+
+
+def with_shares(parts: Sequence[Any]) -> list[Any]:
+    """The records with a `share` each, of 1, (N,) float64, where they have none, if one of them has one."""
+    if all(part.share is None for part in parts):
+        return list(parts)
+    return [part if part.share is not None else part._replace(share=torch.ones_like(leaves_of(part)[0], dtype=torch.float64))
+            for part in parts]

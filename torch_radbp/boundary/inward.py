@@ -9,8 +9,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.edges import edges_of
 from torch_radbp.boundary.rendering import Rendering, listed
-from torch_radbp.boundary.shadow import ray_from
-from torch_radbp.boundary.sky import rays_of
+from torch_radbp.boundary.view_rays import ray_from, rays_of
 from torch_radbp.bsdf.twosided import TwoSided
 from torch_radbp.plugin import SceneWarning
 from torch_radbp.scene.attributes import with_nested
@@ -33,7 +32,7 @@ def inward_faces(rendering: Rendering) -> SceneWarning | None:
     one_sided = [number for number, shape in enumerate(rendering.shapes) if is_one_sided(shape)]
     if not one_sided:
         return None
-    tensors, ends = proposal_of(rendering.tensors), list(accumulate(rendering.sizes))
+    tensors, ends = proposal_of(rendering.call.scene), list(accumulate(rendering.sizes))
     ranges = [range(last - size, last) for last, size in zip(ends, rendering.sizes)]
 
     def has_few_triangles(number: int) -> bool:
@@ -45,7 +44,7 @@ def inward_faces(rendering: Rendering) -> SceneWarning | None:
         return None
     o, d, seen = (torch.cat(part) for part in zip(*map(rays_of, rendering.sights)))
     ray = ray_from(o[seen], d[seen])
-    hit = rendering.caster.intersect(ray)
+    hit = rendering.call.caster.intersect(ray)
     dtype = rendering.scene.dtype
     front = is_in_front(tensors, ray._replace(d=ray.d.map(lambda part: part.to(dtype))),
                         hit._replace(u=hit.u.to(dtype), v=hit.v.to(dtype)))
@@ -53,9 +52,10 @@ def inward_faces(rendering: Rendering) -> SceneWarning | None:
     shape = rendering.shape_of[hit.prim.clamp_min(0).long()]
     times, in_front = (shape[own].bincount(minlength=len(ranges)) for own in (met, met & front))
     behind = ((times > 0) & (in_front < RIM * times)).tolist()
+    caster = rendering.call.caster
     black = [number for number in suspects if behind[number]
              and (has_few_triangles(number) or has_negative_volume(tensors.triangles, ranges[number]))
-             and is_closed(rendering.caster.vertices, rendering.caster.faces[ranges[number].start:ranges[number].stop])]
+             and is_closed(caster.vertices, caster.faces[ranges[number].start:ranges[number].stop])]
     if not black:
         return None
     names = [rendering.names[id(rendering.shapes[number])] for number in black]

@@ -1,4 +1,7 @@
-"""The motion of discontinuity curves on the film, and its derivative by what the curves depend on."""
+"""The motion of discontinuity curves on the film, and its derivative by what the curves depend on.
+
+Where the backward pass alone is asked for, how curves follow is computed at once, so that nothing of the scene is kept.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +11,62 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.bounce import TableAdjoint, table_adjoints, vector_jacobian_product, zeros_unless
-from torch_radbp.boundary.contour import LEVELS, level_at
+from torch_radbp.adjoint.forward_mode import has_tangents
+from torch_radbp.adjoint.function import asks_for_gradient
+from torch_radbp.adjoint.scatter import Contribution, Gradients, gradients_of
+from torch_radbp.boundary.deposit import MotionFunction
+from torch_radbp.boundary.film_term import FILM_TERMS
 from torch_radbp.boundary.geometry import Geometry
-from torch_radbp.boundary.places import INTERSECTION, TEXTURE, Places
-from torch_radbp.boundary.segments import height_above, number_of_line, place_of
+from torch_radbp.boundary.places import Places
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.tensors.differentiated import primal
-from torch_radbp.tensors.lookup import Tap, tapped
+from torch_radbp.tensors.differentiated import detached, differentiable, primal
+from torch_radbp.tensors.lookup import Tap, summed, tapped
 from torch_radbp.tensors.record import leaves_of, with_leaves
-from torch_radbp.tensors.stage import stage
-from torch_radbp.tensors.vec import Vec2, rows
+from torch_radbp.tensors.stage import Stages, stage
+from torch_radbp.tensors.vec import rows
+
+
+class JumpPlaces(NamedTuple):
+    """Samples on discontinuity curves that the camera sees."""
+
+    places: Places  # among others
+    shown: Tensor  # (K,) int32, indices of the visible ones
+    strength: tuple[Tensor, ...]  # (K,) float64 for each channel: value behind the curve less value ahead
+    kinds: tuple[int, ...]  # kinds of curves inside of triangles among them
+
+
+def moved_places(stages: Stages, geometry: Geometry, camera: Camera, jumps: JumpPlaces, taped: bool) -> Tensor:
+    """(K,) float64 zeros, attached: the areas that samples on curves sweep.
+
+    Args:
+        stages: of the call.
+        geometry, camera: attached.
+        jumps: the samples.
+        taped: whether second derivatives may be asked for.
+    """
+    if taped or has_tangents((geometry, camera)):
+        geometry = geometry if has_tangents(geometry) else summed(geometry)
+        return stages(swept)(geometry, camera, jumps.places, jumps.shown, jumps.kinds)
+    wanted, leaves = [tuple(asks_for_gradient(part)) for part in (geometry, camera)], [
+        leaf for part in (geometry, camera) for leaf in differentiable(part)]
+    tables, lens = stages(slopes)(detached(geometry), detached(camera), *wanted, jumps.places, jumps.shown, jumps.kinds)
+    found = [Contribution(leaf, *read) for leaf, reads in enumerate(tables) for read in reads]
+    found += [Contribution(len(tables) + number, torch.zeros_like(jumps.shown), slope) for number, slope in enumerate(lens)]
+    shapes = [leaf.detach() for leaf in leaves]
+
+    def adjoint(asked: Tensor) -> list[Tensor | None]:
+        gradients = Gradients(shapes)
+        scaled = stages(scaled_slopes)(tuple([part.adjoint for part in found]), asked)
+        gradients.add([part._replace(adjoint=own) for part, own in zip(found, scaled)])
+        return gradients_of([gradients])[0]
+
+    return MotionFunction.apply(len(jumps.shown), adjoint, *leaves)
+
+
+@stage()
+def scaled_slopes(slopes: tuple[Tensor, ...], by_area: Tensor) -> tuple[Tensor, ...]:
+    """The loss's derivatives by what swept areas depend on, (K,) float64 each; `by_area`: by the areas."""
+    return tuple(slope * by_area for slope in slopes)
 
 
 @stage("geometry", "camera", "places")
@@ -40,19 +89,11 @@ def signed_area(geometry: Geometry, camera: Camera, places: Places, kinds: tuple
     seen = camera.kind.project(camera.lens, places.at(geometry), places.aperture)
     area = seen.x * camera.film.size_x * places.normal.x + seen.y * camera.film.size_y * places.normal.y
     for kind in kinds:
-        level = level_of(geometry, camera, places, kind)
+        term, = (term for term in FILM_TERMS if kind in term.kinds)
+        level = term.level(geometry, camera, places, kind)
         if level is not None:
             area = area + torch.where(places.kind == kind, places.drift * level, 0.0)
     return area
-
-
-def level_of(geometry: Geometry, camera: Camera, places: Places, kind: int) -> Tensor | None:
-    """The level function by which curves of a kind move over triangles, at fixed samples; None: such curves do not."""
-    if kind == TEXTURE:
-        return None if geometry.lines is None else number_of_line(geometry, places)
-    if kind == INTERSECTION:
-        return height_above(place_of(geometry, places.through, places.shown_by), places.at(geometry))
-    return level_at(geometry, camera, places, kind) if kind in LEVELS else None
 
 
 class Slopes(NamedTuple):
@@ -92,23 +133,3 @@ def by_index(reads: list[TableAdjoint]) -> list[TableAdjoint]:
         known = found.get(id(index))
         found[id(index)] = TableAdjoint(index, adjoint.double() if known is None else known.adjoint + adjoint.double())
     return list(found.values())
-
-
-@stage("camera", "pixels", "film")
-def asked_of_places(camera: Camera, pixels: tuple[Tensor, ...], film: Vec2, strength: tuple[Tensor, ...],
-                    chosen: Tensor, slopes: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
-    """The loss's derivatives by quantities on which swept areas depend, (K,) float64 each.
-
-    Args:
-        camera: detached.
-        pixels: (H * W,) of each channel of the image, the derivative of the loss by it, row-major.
-        film: of all places.
-        strength: (K,) of each channel, by how much it jumps at places.
-        chosen: (K,) int32, the places that are meant.
-        slopes: (K,) each, the derivatives of swept areas.
-    """
-    total = torch.zeros_like(strength[0])
-    for pixel, count in camera.film.around(rows(film, chosen)):
-        for channel, jump in zip(pixels, strength):
-            total = total + jump * count * rows(channel, pixel)
-    return tuple(slope * total for slope in slopes)

@@ -21,7 +21,7 @@ from torch_radbp.boundary.creases import FOLD, creases
 from torch_radbp.boundary.edge_order import EdgeSlots, slots_of
 from torch_radbp.boundary.edges import Edges, edges_of
 from torch_radbp.boundary.edges import joined_edges as joined_edges
-from torch_radbp.boundary.faces import Faces
+from torch_radbp.boundary.faces import Faces, with_shares
 from torch_radbp.boundary.geometry import geometry_of, in_world
 from torch_radbp.boundary.moving import Moving, chosen_instances, moving_faces
 from torch_radbp.boundary.passing import Passing, key_of, remember
@@ -54,6 +54,10 @@ class Outline(NamedTuple):
     share: Tensor | None  # (E,) float64, probability of the edge's selection; None: all are selected
     parts: EdgeParts | None = None  # (E,) the part of each edge; None: whole edges, which lie on no other surface
     slots: EdgeSlots | None = None  # of everything, see `edge_order.slots_of`
+
+    def triangle(self, edge: Tensor) -> Tensor:
+        """The first triangle at each of some edges, (N,) int32."""
+        return torch.div(rows(self.edges.corner[0], edge), 3, rounding_mode="floor")
 
 
 class Jumps(NamedTuple):
@@ -115,15 +119,14 @@ class Outlines:
         self.sizes: tuple[int, int] | None = None  # triangles of everything, and its edges, when these were found last
         self.passing = Passing()
 
-    def of_views(self, rendering: Rendering, call: RenderCall, seed: int) -> list[Jumps]:
+    def of_views(self, rendering: Rendering, seed: int) -> list[Jumps]:
         """The discontinuity curves of each view: at all shapes if its camera moves, else at moving shapes.
 
         Args:
-            rendering: the call's.
-            call: of which something moves.
+            rendering: of which something moves.
             seed: of the choice of instances.
         """
-        scene, generator = call.still_scene, torch.Generator("cpu").manual_seed(seed % (1 << 63))
+        scene, generator = rendering.call.still_scene, torch.Generator("cpu").manual_seed(seed % (1 << 63))
         own = moving_in(rendering)
         turning, sliding = (own._replace(shapes=tuple(moves or bool(names) for moves, names in zip(own.shapes, more)))
                             for more in (rendering.turners, names_sliding(rendering)))
@@ -131,31 +134,30 @@ class Outlines:
         wanted = [(everything,) * 3 if moving else (own, turning, sliding) for moving in rendering.camera_movers]
         sizes = rendering.sizes
         lines, edges_of_shape = lines_on_shapes(rendering), self.edges_of_shape(scene, sizes)
-        numbers = numbers_of(lines, call)
+        numbers = numbers_of(lines, rendering.call)
 
         def jumps(moves: Moving, turns: Moving, slides: Moving) -> Jumps:
-            resting = self.passing.of_pairs(rendering, call, moves, edges_of_shape, seed).resting
+            resting = self.passing.of_pairs(rendering, moves, edges_of_shape, seed).resting
             outline = in_parts(scene, self.of(scene, sizes, moves, generator), resting)
             faces = self.faces_of(scene, sizes, turns, generator)
             patterned = moving_faces(scene, sizes, slides, generator) if any(lines) else None
             segments = [] if patterned is None else [texture_segments(scene, patterned, sizes, lines)]
-            segments += self.passing.segments(rendering, call, moves, self.of_bodies(scene, sizes, moves), edges_of_shape,
-                                              seed)
+            segments += self.passing.segments(rendering, moves, self.of_bodies(scene, sizes, moves), edges_of_shape, seed)
             return Jumps(outline, faces, joined_segments([part for part in segments if part is not None]), numbers)
 
         found = {three: jumps(*three) for three in dict.fromkeys(wanted)}
         return [found[three] for three in wanted]
 
-    def sliding(self, rendering: Rendering, call: RenderCall, seed: int) -> tuple[Segments | None, LineNumbers | None]:
+    def sliding(self, rendering: Rendering, seed: int) -> tuple[Segments | None, LineNumbers | None]:
         """The segments of lines that move over their surface, and what they follow; args as for `of_views`."""
         names, lines = names_sliding(rendering), lines_on_shapes(rendering)
-        numbers = numbers_of(lines, call) if any(names) else None
+        numbers = numbers_of(lines, rendering.call) if any(names) else None
         if numbers is None:
             return None, None
-        generator = torch.Generator("cpu").manual_seed(seed % (1 << 63))
+        scene, generator = rendering.call.still_scene, torch.Generator("cpu").manual_seed(seed % (1 << 63))
         slides = Moving(tuple(map(bool, names)), (False,) * len(rendering.moving_instances))
-        faces = moving_faces(call.still_scene, rendering.sizes, slides, generator)
-        return (None if faces is None else texture_segments(call.still_scene, faces, rendering.sizes, lines)), numbers
+        faces = moving_faces(scene, rendering.sizes, slides, generator)
+        return None if faces is None else texture_segments(scene, faces, rendering.sizes, lines), numbers
 
     def faces_of(self, scene: SceneTensors, counts: Sequence[int], moving: Moving,
                  generator: torch.Generator) -> Faces | None:
@@ -172,18 +174,24 @@ class Outlines:
         """The expected number of edges of so many triangles: that of last time, or the greatest possible."""
         return self.sizes[1] if self.sizes is not None and self.sizes[0] == triangles else 3 * triangles
 
-    def of_everything(self, rendering: Rendering, call: RenderCall, seed: int) -> Outline | None:
-        """The edges of all shapes; None: there are none. Args as for `of_views`."""
+    def of_everything(self, rendering: Rendering, seed: int, most: int | None = None) -> Outline | None:
+        """The edges of all shapes; None: there are none. Args as for `of_views`.
+
+        `most`: so many are enough, not divided where they lie on other surfaces; None: all.
+        """
         everything = Moving(*((True,) * len(part) for part in (rendering.movers, rendering.moving_instances)))
         generator, sizes = torch.Generator("cpu").manual_seed(seed % (1 << 63)), rendering.sizes
-        scene = call.still_scene
+        scene = rendering.call.still_scene
         found = self.of(scene, sizes, everything, generator)
         if found is None:
             return None
-        if (passing := moving_or_sliding(rendering)) is not None:
-            found = in_parts(scene, found, self.passing.of_pairs(
-                rendering, call, passing, self.edges_of_shape(scene, sizes), seed).resting)
-        self.sizes = len(scene.triangles.material), len(found.crease)
+        if most is not None:
+            some = torch.arange(0, len(found.crease), -(-len(found.crease) // most), device=found.crease.device)
+            found = rows(found._replace(folds=None), some)._replace(folds=found.folds)
+        elif (passing := moving_or_sliding(rendering)) is not None:
+            pairs = self.passing.of_pairs(rendering, passing, self.edges_of_shape(scene, sizes), seed)
+            found = in_parts(scene, found, pairs.resting)
+        self.sizes = (len(scene.triangles.material), len(found.crease)) if most is None else self.sizes
         shape = torch.repeat_interleave(torch.tensor(sizes, device=found.crease.device)).int()
         body = rows(shape, torch.div(found.edges.corner[0], 3, rounding_mode="floor"))
         body = body if found.instance is None else body + found.instance * len(sizes)
@@ -223,16 +231,16 @@ class Outlines:
             remember(self.shown, moving, known)
         return known.outline
 
-    def crossing(self, rendering: Rendering, call: RenderCall, seed: int) -> Segments | None:
+    def crossing(self, rendering: Rendering, seed: int) -> Segments | None:
         """The segments along which bodies intersect each other or themselves, if one moves or its points may slide.
 
         None: nowhere. Args as for `of_views`.
         """
-        wanted, scene, sizes = moving_or_sliding(rendering), call.still_scene, rendering.sizes
+        wanted, scene, sizes = moving_or_sliding(rendering), rendering.call.still_scene, rendering.sizes
         if wanted is None:
             return None
         meshes, edges_of_shape = self.of_bodies(scene, sizes, wanted), self.edges_of_shape(scene, sizes)
-        return joined_segments(self.passing.segments(rendering, call, wanted, meshes, edges_of_shape, seed))
+        return joined_segments(self.passing.segments(rendering, wanted, meshes, edges_of_shape, seed))
 
     def edges_of_shape(self, scene: SceneTensors, counts: Sequence[int]) -> Callable[[int], Edges]:
         """A function that returns the edges of a shape by its number; args as for `of`."""
@@ -249,9 +257,9 @@ class Outlines:
                     parts.append((self.mesh(triangles, counts, members), group))
         return [MeshOfBodies(outline.edges, group) for outline, group in parts if outline is not None]
 
-    def of_meshes(self, rendering: Rendering, call: RenderCall) -> list[Outline]:
+    def of_meshes(self, rendering: Rendering) -> list[Outline]:
         """The edges of all shapes in the world, and of each group in its own frame."""
-        triangles, counts = call.still_scene.triangles, rendering.sizes
+        triangles, counts = rendering.call.still_scene.triangles, rendering.sizes
         instances, firsts = triangles.casting_instances, list(accumulate(rendering.sizes, initial=0))
         starts = [firsts[-1]] if instances is None else [int(first) for first in instances.first_triangle]
         parts = [tuple(number for number, start in enumerate(firsts[:-1]) if first <= start < last)
@@ -355,9 +363,7 @@ def joined_outlines(parts: Sequence[Outline]) -> Outline | None:
     """Joins the edges of several outlines."""
     if len(parts) < 2:
         return parts[0] if parts else None
-    shares = [part.share for part in parts]
-    if any(share is not None for share in shares):
-        shares = [torch.ones_like(part.crease, dtype=torch.float64) if part.share is None else part.share for part in parts]
+    parts = with_shares(parts)
     return Outline(joined_edges([part.edges for part in parts]),
                    joined_records([part.instance for part in parts]), torch.cat([part.crease for part in parts]),
-                   any(part.folds for part in parts), joined_records(shares))
+                   any(part.folds for part in parts), joined_records([part.share for part in parts]))

@@ -24,7 +24,6 @@ from torch_radbp.boundary.single_bodies import (
     shape_ends,
     shown_by_all,
 )
-from torch_radbp.call.render_call import RenderCall
 from torch_radbp.raycast.caster_cache import same_values
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.record import leaves_of
@@ -59,32 +58,31 @@ class Passing:
         self.looked: dict[Moving, Looked] = {}  # at single bodies
         self.shown: dict[Moving, ShownByAll] = {}
 
-    def segments(self, rendering: Rendering, call: RenderCall, moving: Moving, meshes: Sequence[MeshOfBodies],
+    def segments(self, rendering: Rendering, moving: Moving, meshes: Sequence[MeshOfBodies],
                  edges_of_shape: Callable[[int], Edges], seed: int) -> list[Segments]:
         """The segments of intersections of all that moves, in several sets.
 
         Args:
-            rendering: the call's.
-            call: of which something moves.
+            rendering: of which something moves.
             moving: what does.
             meshes: of that.
             edges_of_shape: the edges of one shape, by its number.
             seed: of the choice of instances and edges where there are too many.
         """
-        found = (self.of_pairs(rendering, call, moving, edges_of_shape, seed).segments,
-                 self.of_single(rendering, call, call.still_scene, moving, meshes, seed))
+        found = (self.of_pairs(rendering, moving, edges_of_shape, seed).segments,
+                 self.of_single(rendering, moving, meshes, seed))
         return [own for own in found if own is not None]
 
-    def of_single(self, rendering: Rendering, call: RenderCall, scene: SceneTensors, moving: Moving,
-                  meshes: Sequence[MeshOfBodies], seed: int) -> Segments | None:
-        """The segments of self-intersections; args as for `segments`, and the detached scene of the call."""
+    def of_single(self, rendering: Rendering, moving: Moving, meshes: Sequence[MeshOfBodies], seed: int) -> Segments | None:
+        """The segments of self-intersections; args as for `segments`."""
+        scene = rendering.call.still_scene
         may = [crosses and own for crosses, own in zip(rendering.self_crossing, with_groups(rendering, moving))]
         if not meshes or not any(may):
             return None
         known = self.looked.get(moving)
         if known is None or not known.is_of(meshes, may):
             known = Looked(tuple(meshes), may, bodies_once(scene, rendering.sizes, meshes, may), None)
-        known = known._replace(found=self_crossings(call, scene, rendering.sizes, known, seed))
+        known = known._replace(found=self_crossings(rendering.call, scene, rendering.sizes, known, seed))
         remember(self.looked, moving, known)
         key, last = key_of(scene, rendering.sizes), self.shown.get(moving)
         if last is not None and last.found is known.found and last.key == key:
@@ -94,10 +92,10 @@ class Passing:
             remember(self.shown, moving, ShownByAll(key, known.found, segments))
         return segments
 
-    def of_pairs(self, rendering: Rendering, call: RenderCall, moving: Moving, edges_of_shape: Callable[[int], Edges],
+    def of_pairs(self, rendering: Rendering, moving: Moving, edges_of_shape: Callable[[int], Edges],
                  seed: int) -> CachedIntersections:
         """The intersections and contacts of pairs of bodies; args as for `segments`."""
-        scene, generator = call.still_scene, torch.Generator("cpu").manual_seed(seed % (1 << 63))
+        scene, generator = rendering.call.still_scene, torch.Generator("cpu").manual_seed(seed % (1 << 63))
         instances, key = scene.triangles.instances, key_of(scene, rendering.sizes)
         known = self.known.get(moving)
         if known is None or known.key != key:
@@ -108,7 +106,7 @@ class Passing:
         place = *scene.triangles.vertices.p, *(() if instances is None else leaves_of((instances.linear, instances.origin)))
         if not known.place or not all(map(same_values, known.place, place)):
             geometry = geometry_of(scene)
-            segments, touching = intersections(call.stages, geometry, known.bodies)
+            segments, touching = intersections(rendering.call.stages, geometry, known.bodies)
             contacts = None if touching is None else contacts_of(
                 geometry, touching, shape_ends(scene, rendering.sizes), edges_of_shape)
             parts = [part for part in (segments, contacts and contacts.segments) if part is not None]

@@ -127,12 +127,17 @@ class PlaceNumbers(NamedTuple):
 def place_numbers(sight: Sight, place: Tensor, salt: int) -> PlaceNumbers:
     """The random numbers of samples, (N,) int32; each kind of curve has its own salt."""
     salted = SampleKey(hash32(sight.seed.seed ^ (SALT + salt)), sight.seed.shared)
-    lanes = lane_key(salted, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
+    lanes = key_of_places(salted, place)
     along, aperture = fine_unit(random_bits(bounce_key(lanes, CAMERA_COUNTER), ALONG)), None
     if sight.camera.kind.has_aperture:
         more = bounce_key(lanes, APERTURE_COUNTER)
         aperture = Vec2(*(fine_unit(random_bits(more, dimension)) for dimension in (APERTURE_U, APERTURE_V)))
     return PlaceNumbers(lanes, along, aperture)
+
+
+def key_of_places(seed: SampleKey, place: Tensor) -> LaneKey:
+    """The keys of random numbers of samples, (N,) int32: `NEIGHBOURS` in a row share a sequence."""
+    return lane_key(seed, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
 
 
 def place_counts(lengths: Sequence[float], call: RenderCall, view: View) -> list[int]:

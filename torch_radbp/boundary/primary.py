@@ -5,9 +5,9 @@ changes by
 
     dI = integral of h (L_behind - L_ahead) v . n dl
 
-along the curve, whose normal n points ahead. Places on the edges of the outline, and on the curves inside of triangles that
-`contour.py` finds, are sampled, L is estimated on either side by a path through a point close by, and v follows the attached
-vertices and the attached camera. The place on an edge stays where it is on the edge: sliding along it changes nothing.
+along the curve, whose normal n points ahead. Each kind of curve is a term, one class in one file (`film_term.py`), that
+samples places on it. L is estimated on either side by a path through a point close by, and v follows the attached vertices
+and the attached camera. The place on an edge stays where it is on the edge: sliding along it changes nothing.
 
 The result is an image of zeros with that derivative, backward and forward.
 
@@ -22,32 +22,24 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.forward_mode import has_tangents
-from torch_radbp.boundary.contour import contour_length, contour_place, crosses
-from torch_radbp.boundary.edge_places import edge_place, edge_weight
-from torch_radbp.boundary.faces import Faces
-from torch_radbp.boundary.geometry import Geometry, geometry_of
+from torch_radbp.boundary.deposit import Deposit, image_of
+from torch_radbp.boundary.edge_places import edge_weight
+from torch_radbp.boundary.film_term import FILM_TERMS, ExaminedView, lanes
+from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.in_sight import PathsBeside, Sent, in_sight, paths_beside
-from torch_radbp.boundary.jump_function import JumpPlaces, image_of_jumps, recorded_jumps
+from torch_radbp.boundary.motion import JumpPlaces, moved_places
 from torch_radbp.boundary.moving import MOST_SHOWN
-from torch_radbp.boundary.outline import Jumps, Outline
+from torch_radbp.boundary.outline import Jumps
 from torch_radbp.boundary.places import (
-    FAR,
     FEWEST,
-    INTERSECTION,
     LARGEST_SHARE,
-    NEAR,
     RIM,
-    TEXTURE,
     Places,
-    Sight,
-    lot_of,
     place_counts,
     rays_beside,
     sight_of,
     taken_by,
 )
-from torch_radbp.boundary.segments import Segments, segment_place, segment_weight
 from torch_radbp.boundary.silhouette import Eye
 from torch_radbp.boundary.term import lines_slide
 from torch_radbp.boundary.terminators import lamps_of
@@ -59,19 +51,13 @@ from torch_radbp.path.sorting import first_hit
 from torch_radbp.path.state import PathState
 from torch_radbp.path.trace import trace
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.sampling.running_sum import running_sum
-from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.record import joined
-from torch_radbp.tensors.stage import Stages
 from torch_radbp.tensors.vec import rows
 
 BYTES_OF_TRIANGLE = 48  # weights of its edges and their sums
 BYTES_OF_PLACE = 640  # what is known of it, three rays and what they meet, two paths, and how it moves
 LONG = 16  # times as long as the image is wide and high: curves of a cluttered view
-LEAST = 0.1  # of the mean length of curves in a triangle, that triangles count where no line meets a curve
-LEAST_OF_LENS = 1.0  # the same where each point of a lens sees other curves, of which the lines meet few
-MOST_TRIES = 16  # places that are looked for on a lens for one that is found
 
 Evaluate = Callable[[Integrand, PathState, Hit], tuple[Tensor, ...]]
 
@@ -81,15 +67,6 @@ class SeenByCamera(NamedTuple):
 
     turns: tuple[bool, ...]  # for each channel, whether the two sides of a surface differ
     evaluate: Evaluate  # computes the channels, detached
-
-
-class ExaminedView(NamedTuple):
-    """A view whose discontinuities are sampled."""
-
-    stages: Stages
-    geometry: Geometry | Any  # detached; prepared for the stages
-    sight: Sight | Any  # likewise
-    camera: Camera
 
 
 def moves(call: RenderCall) -> bool:
@@ -105,7 +82,7 @@ def bytes_of_jumps(call: RenderCall) -> int:
     instances = call.scene.triangles.instances
     triangles += 0 if instances is None else min(MOST_SHOWN, triangles * len(instances.number))
     long = LONG * max(view.width + view.height for view in call.views)
-    kinds = 3 + (call.scene.triangles.vertices.n is not None) + any(view.clips for view in call.views)
+    kinds = sum(term.most(call) for term in FILM_TERMS)
     places = min(paths // LARGEST_SHARE, long * call.spp) + kinds * FEWEST
     return triangles * BYTES_OF_TRIANGLE + taken_by(call.stages, places * BYTES_OF_PLACE * (1 + len(call.views)))
 
@@ -139,31 +116,23 @@ def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps
     with torch.no_grad():
         stages, sight = still.stages, sight_of(still.views[number], lamps)
         prepared = stages(edge_weight).taken(geometry=geometry_of(still.scene), sight=sight)
-        viewed = ExaminedView(stages, *prepared, sight.camera)
-        places = [] if jumps is None else _places_of(still, number, viewed, jumps, any(seen.turns))
+        rims = any(seen.turns) and still.scene.triangles.vertices.n is not None
+        viewed = ExaminedView(stages, *prepared, sight.camera, rims, view.clips)
+        places = [] if jumps is None else _places_of(still, number, viewed, jumps)
         if places:
             integrand = integrand_of(still, still.integrand, number)
             found = strengths(still, integrand, viewed, joined(places), seen)
-    if found is None:
-        return torch.zeros(len(seen.turns), view.height, view.width, dtype=call.scene.dtype, device=call.scene.device)
-    geometry, shape = geometry_of(call.scene)._replace(lines=jumps.lines), (view.height, view.width)
-    if call.adjoint.taped or has_tangents((geometry, view.camera)):
-        return recorded_jumps(call.stages, geometry, view.camera, found, shape)
-    return image_of_jumps(call.stages, geometry, view.camera, found, shape)
+    deposits = []
+    if found is not None:
+        geometry = geometry_of(call.scene)._replace(lines=jumps.lines)
+        moved = moved_places(call.stages, geometry, view.camera, found, call.adjoint.taped)
+        deposits = [Deposit(rows(found.places.film, found.shown), found.strength, moved)]
+    return image_of(call, number, deposits, len(seen.turns))
 
 
-def _places_of(call: RenderCall, number: int, viewed: ExaminedView, jumps: Jumps, rims: bool) -> list[Places]:
-    """Samples all discontinuity curves of view `number`; `rims`: those of shading normals included."""
-    stages, found = viewed.stages, []
-    if jumps.outline is not None:
-        found.append(lines_in_view(viewed, jumps.outline, stages(edge_weight), stages(edge_place)))
-    if jumps.faces is not None:
-        kinds = [RIM] * (rims and call.scene.triangles.vertices.n is not None) + [NEAR] + [FAR] * call.views[number].clips
-        flags = stages(crosses)(viewed.geometry, viewed.sight, jumps.faces, tuple(kinds))
-        found += [contours_in_view(viewed, jumps.faces, kind, chosen(own)) for kind, own in zip(kinds, flags)]
-    if jumps.segments is not None:
-        found.append(lines_in_view(viewed, jumps.segments, stages(segment_weight), stages(segment_place)))
-    found = [curves for curves in found if curves is not None]
+def _places_of(call: RenderCall, number: int, viewed: ExaminedView, jumps: Jumps) -> list[Places]:
+    """Samples all discontinuity curves of view `number`."""
+    found = [curves for term in FILM_TERMS for curves in term.in_view(viewed, jumps)]
     counts = place_counts([curves.length for curves in found], call, call.views[number])
     return [curves.places(count) for curves, count in zip(found, counts)]
 
@@ -174,58 +143,6 @@ class InView(NamedTuple):
     places: Places
     table: Places | Any  # the same, prepared for the stages
     kinds: tuple[int, ...]  # kinds of moving curves inside of triangles among them
-
-
-class CurvesInView(NamedTuple):
-    """The discontinuity curves of one kind that a view sees."""
-
-    length: float  # on the film, pixels; weak discontinuities count less
-    places: Callable[[int], Places]  # samples so many points in proportion to length
-
-
-def lines_in_view(viewed: ExaminedView, lines: Outline | Segments, weigh: Callable, place: Callable) -> CurvesInView | None:
-    """The visible straight curves of a view; None: there are none.
-
-    Args:
-        viewed: from where.
-        lines: in the world.
-        weigh, place: the stages that give their lengths in view, and places on them.
-    """
-    _, geometry, sight, _ = viewed
-    weight = weigh(geometry, sight, lines)
-    total = running_sum(weight)
-
-    def places(count: int) -> Places:
-        return place(geometry, sight, lines, lot_of(weight, count, total), lanes(count, weight))
-
-    length = float(total[-1])
-    return CurvesInView(length, places) if length > 0.0 else None
-
-
-def contours_in_view(viewed: ExaminedView, faces: Faces, kind: int, crossed: Tensor) -> CurvesInView | None:
-    """The visible curves of one kind inside of triangles, `crossed` (K,) int32 among them; None: there are none."""
-    stages, geometry, sight, camera = viewed
-    if not len(crossed):
-        return None
-    faces, aperture = rows(faces, crossed), camera.kind.has_aperture
-    inside, whole = stages(contour_length)(geometry, sight, faces, kind)
-    length = torch.where(inside > 0.0, inside, whole)
-    length = length + (LEAST_OF_LENS if aperture else LEAST) * length.mean() + float(not length.any())
-    total = running_sum(length)
-
-    def places(count: int) -> Places:
-        if aperture:
-            count = round(count / max(float((whole > 0.0).double().mean()), 1.0 / MOST_TRIES))
-        lines = torch.full((), count, dtype=torch.int32, device=length.device)
-        lot = lot_of(length, count, total)
-        return stages(contour_place)(geometry, sight, faces, lot, lines, lanes(2 * count, length), kind)
-
-    return CurvesInView(float(total[-1]), places)
-
-
-def lanes(count: int, like: Tensor) -> Tensor:
-    """The int32 tensor 0, 1, ..., (count,)."""
-    return torch.arange(count, dtype=torch.int32, device=like.device)
 
 
 def strengths(call: RenderCall, integrand: Integrand, viewed: ExaminedView, places: Places,
@@ -261,14 +178,14 @@ def strengths(call: RenderCall, integrand: Integrand, viewed: ExaminedView, plac
 
 def _kinds_of(places: Places) -> tuple[int, ...]:
     """The kinds of moving curves inside of triangles among some samples."""
-    counts = torch.bincount(places.kind, minlength=INTERSECTION + 1).tolist()
-    return tuple(kind for kind in (RIM, NEAR, FAR, TEXTURE, INTERSECTION) if counts[kind])
+    counts = dict(enumerate(torch.bincount(places.kind).tolist()))
+    return tuple(kind for term in FILM_TERMS for kind in term.kinds if counts.get(kind))
 
 
 def differences(call: RenderCall, integrand: Integrand, viewed: ExaminedView, found: InView, asked: Tensor,
                 seen: SeenByCamera) -> tuple[Tensor, Tensor]:
     """Of samples `asked` (M,) int32: the visible ones, (K,) int32, and values behind less values ahead, (C, K) float64."""
-    stages, geometry, sight, _ = viewed
+    stages, geometry, sight = viewed[:3]
     places, table, kinds = found
     sent = torch.full((), len(asked), dtype=torch.int32, device=asked.device)
     lane = lanes(3 * len(asked), asked)

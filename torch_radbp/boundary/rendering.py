@@ -18,19 +18,18 @@ from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.view import View
 from torch_radbp.emitter.kind import Light
 from torch_radbp.plugin import BSDF, Plugin, Sensor, Texture
-from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.scene import Scene
 from torch_radbp.scene.geometry import PlacedShape
 from torch_radbp.scene.material import turning_values
 from torch_radbp.scene.pack import MATERIALS, PLACED
 from torch_radbp.scene.pack_cache import PackCache
-from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Lens
-from torch_radbp.shape.placement import Instances, expanded
+from torch_radbp.shape.placement import expanded
 from torch_radbp.shape.surface import Surface
 from torch_radbp.tensors.differentiated import detached, tangent_of
 
 MOVE_SHAPES = ("to_world", "vertex_positions", "grid")
+MOVE_LIGHTS = ("to_world", "position")
 MOST_OF_GROUP = 1 << 16  # triangles of instances of a group that are looked at
 MOST_NAMES = 8  # in a message
 
@@ -40,15 +39,13 @@ class Rendering:
     """The scene and the settings of a rendering, for choosing its boundary terms before it starts."""
 
     scene: Scene  # with the parameters of this rendering
+    call: RenderCall
     looks: Sequence[tuple[View, Lens]]  # for each viewpoint of each sensor
-    caster: RayCaster  # of the current scene
     sampling: str  # "detached", "hybrid" or "attached"
     cache: PackCache  # of this rendering
-    instances: Instances | None  # of the current scene
     primary: bool  # boundary terms of edges in view are computed
     shadows: bool  # boundary terms of shadows are computed
     max_depth: int  # of paths, as the renderer has it
-    tensors: SceneTensors  # of the current scene, attached
 
     @property
     def has_area(self) -> bool:
@@ -123,15 +120,15 @@ class Rendering:
     @cached_property
     def shape_of(self) -> Tensor:
         """The shape of each triangle of the caster, (T,) int64; a hit counts those of a group once."""
-        return torch.repeat_interleave(torch.tensor(self.sizes, device=self.caster.faces.device))
+        return torch.repeat_interleave(torch.tensor(self.sizes, device=self.call.caster.faces.device))
 
     @cached_property
     def seen(self) -> ShownTriangles:
         """The triangles in the world; of groups with many instances those of some."""
-        sizes = self.sizes
-        if self.instances is None:
-            return ShownTriangles(self.caster.vertices, self.caster.faces, sizes)
-        shown = expanded(self.caster.vertices, self.caster.faces, self.instances, MOST_OF_GROUP)
+        sizes, caster, instances = self.sizes, self.call.caster, self.call.scene.triangles.casting_instances
+        if instances is None:
+            return ShownTriangles(caster.vertices, caster.faces, sizes)
+        shown = expanded(caster.vertices, caster.faces, instances, MOST_OF_GROUP)
         shape = torch.repeat_interleave(torch.tensor(sizes, device=shown.faces.device))[shown.triangle.long()]
         order = shape.argsort(stable=True)
         return ShownTriangles(shown.vertices, shown.faces[order], shape.bincount(minlength=len(sizes)).tolist())
@@ -155,6 +152,19 @@ class Rendering:
                 for shape, instances in zip(self.shapes, self.scene.shown_by)]
 
     @cached_property
+    def light_movers(self) -> list[list[str]]:
+        """For each element of the light table, the differentiated parameters that move it; none for the surroundings."""
+        on_surfaces = [self.moving(shape, MOVE_SHAPES) for shape, size in zip(self.shapes, self.sizes)
+                       if shape.emitter is not None for _ in range(size)]
+        return on_surfaces + [[] if emitter.kind().surround else self.moving(emitter, MOVE_LIGHTS)
+                              for emitter in self.emitters if not emitter.kind().on_surface]
+
+    def movers_at(self, *triangles: Tensor) -> set[str]:
+        """The differentiated parameters that move any of some triangles, (N,) each; -1: none."""
+        number = torch.cat([own[own >= 0] for own in triangles]).unique().long()
+        return {name for shape in self.shape_of[number].unique().tolist() for name in self.movers[shape]}
+
+    @cached_property
     def self_crossing(self) -> list[bool]:
         """For each shape, whether it may belong to a body that intersects itself: a mesh, or an instanced group."""
         members = Counter(id(instances[0].shapegroup) for instances in self.scene.shown_by if instances)
@@ -164,7 +174,7 @@ class Rendering:
     @cached_property
     def plain(self) -> tuple[bool, ...]:
         """For each shape, whether points may slide over its triangles; see `scene.nearby`."""
-        plain, sizes = self.tensors.triangles.plain, self.sizes
+        plain, sizes = self.call.scene.triangles.plain, self.sizes
         if plain is None:
             return (False,) * len(sizes)
 
@@ -193,8 +203,7 @@ def rendering_of(call: RenderCall, scene: Scene, sampling: str, cache: PackCache
     """
     looks = [(view, lens) for view in call.views for lens in view.camera.kind.lookouts(detached(view.camera.lens))]
     primary = primary and all(view.camera.kind.has_area for view in call.views)
-    return Rendering(scene, looks, call.caster, sampling, cache, call.scene.triangles.casting_instances, primary, shadows,
-                     max_depth, call.scene)
+    return Rendering(scene, call, looks, sampling, cache, primary, shadows, max_depth)
 
 
 def whole_sight(view: View, lens: Lens) -> CameraSight:

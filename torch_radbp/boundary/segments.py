@@ -9,11 +9,13 @@ of a texture. So these move with their triangle, and slide over it where the sur
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.faces import with_shares
+from torch_radbp.boundary.film_term import CurvesInView, ExaminedView, FilmTerm, film_term, lines_in_view
 from torch_radbp.boundary.geometry import Between, Corners, Geometry, largest_coordinate, positions
 from torch_radbp.boundary.places import (
     INTERSECTION,
@@ -30,10 +32,14 @@ from torch_radbp.boundary.places import (
     place_numbers,
     velocities_on_film,
 )
+from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import joined as joined_records
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, rows, unit_normal
+
+if TYPE_CHECKING:
+    from torch_radbp.boundary.outline import Jumps
 
 IN_PLANE = 1e-6  # share of the largest coordinate up to which viewers lie in a plane
 
@@ -70,15 +76,31 @@ def joined_segments(parts: list[Segments]) -> Segments | None:
     """Joins several sets of segments; None: there are none."""
     if len(parts) > 1 and any(part.seen_from is not None for part in parts):
         parts = [part if part.seen_from is not None else part._replace(seen_from=from_everywhere(part)) for part in parts]
-    if len(parts) > 1 and any(part.share is not None for part in parts):
-        parts = [part if part.share is not None else part._replace(share=torch.ones_like(part.start.x)) for part in parts]
-    return joined_records(parts) if parts else None
+    return joined_records(with_shares(parts)) if parts else None
 
 
 def from_everywhere(segments: Segments) -> SeenFrom:
     """The `SeenFrom` of segments that are visible from all sides."""
     none = torch.zeros_like(segments.start.x)
     return SeenFrom(none, none, torch.zeros_like(none, dtype=torch.bool))
+
+
+@film_term
+class InnerLines(FilmTerm):
+    """Straight curves inside of triangles: lines at which textures jump, and intersections of surfaces."""
+
+    rank = 2
+    kinds = TEXTURE, INTERSECTION
+
+    def in_view(self, viewed: ExaminedView, jumps: Jumps) -> list[CurvesInView]:
+        return lines_in_view(viewed, jumps.segments, segment_weight, segment_place)
+
+    def level(self, geometry: Geometry, camera: Camera, places: Places, kind: int) -> Tensor | None:
+        if kind == INTERSECTION:
+            return height_above(place_of(geometry, places.through, places.shown_by), places.at(geometry))
+        if geometry.lines is None:
+            return None
+        return level_on_lines(geometry, places.between, places.u, places.v, places.line)
 
 
 @stage("geometry", "sight")
@@ -176,13 +198,13 @@ def heights_by(passed: Corners, corners: Corners) -> Vec2:
     return Vec2(*(dot(upright, corner - corners[0]) for corner in corners[1:]))
 
 
-def number_of_line(geometry: Geometry, places: Places) -> Tensor:
-    """The number that is an integer on the lines of textures, up to a constant, at places fixed to triangles; attached."""
-    return level_on_lines(geometry, places.between, places.u, places.v, places.line)
-
-
 def level_on_lines(geometry: Geometry, between: Between, u: Tensor, v: Tensor, line: Tensor) -> Tensor:
-    """As `number_of_line`, at barycentric coordinates (u, v) of triangles between vertices; `line` (N,) int32."""
+    """The number that is an integer on lines of textures, up to a constant, (N,) attached.
+
+    Args:
+        between: the vertices of triangles, on which (u, v), barycentric, is meant.
+        line: (N,) int32, which lines.
+    """
     x = y = None
     if geometry.triangles.vertices.uv is not None:
         uv = [lookup(geometry.triangles.vertices.uv, row) for row in between]

@@ -8,9 +8,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.edges import Edges
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.tensors.vec import Vec3, cross, dot, rows
+from torch_radbp.tensors.vec import Vec3, cross, dot
 
 ROUNDING = 1e-9  # of sums of products, relative
 MARGIN = 1e-4  # left out at the border of the image, as a share of its size: a surface may end exactly there
@@ -40,31 +39,6 @@ class Eye(NamedTuple):
     def towards(self, p: Vec3) -> Vec3:
         """Vectors from the viewpoint to (N,) points, of any length."""
         return p * self.w - self.place
-
-
-def silhouettes_in_view(edges: Edges, vertices: Tensor, sight: CameraSight) -> Tensor:
-    """(E,) bool: silhouette edges in view, whether hidden or not.
-
-    Args:
-        edges: of the mesh.
-        vertices: (V, 3) of the mesh as it is now, world space, detached.
-        sight: of the camera.
-
-    Returns:
-        (E,) bool.
-    """
-    camera, vertices = sight.camera, vertices.double()
-    found = outlines_seen(edges, vertices, camera.kind.eye(camera.lens))
-    outline = found.nonzero().squeeze(1)
-    found[outline] = crosses_view(*(Vec3.of(vertices[end[outline]]) for end in (edges.a, edges.b)), sight)
-    return found
-
-
-def outlines_seen(edges: Edges, vertices: Tensor, place: Tensor) -> Tensor:
-    """(E,) bool: edges that are silhouettes from a (4,) homogeneous viewpoint, as of `Eye`. Args as for the above."""
-    p, eye = Vec3.of(vertices), Eye.of(place)
-    a, b, *opposite = (rows(p, end) for end in (edges.a, edges.b, *edges.opposite))
-    return is_silhouette(a, b, opposite, eye.towards(a))
 
 
 def is_silhouette(a: Vec3, b: Vec3, opposite: Sequence[Vec3], towards: Vec3, radius: Tensor | None = None) -> Tensor:

@@ -22,7 +22,6 @@ from torch_radbp.boundary.segments import Segments, joined_segments
 from torch_radbp.boundary.shadows import bytes_of_shadows, shadow_jumps, shadows_move, slides_over_edges
 from torch_radbp.boundary.term import LineNumbers, lines_on_shapes, lines_slide
 from torch_radbp.call.render_call import RenderCall
-from torch_radbp.scene import Scene
 
 
 class EdgesOfCall(NamedTuple):
@@ -61,32 +60,25 @@ def asked_by_way_of_others(call: RenderCall, primary: bool, shadows: bool) -> tu
     return primary and moving, shadows and sharp_lights(call) and (moving or shadows_move(call))
 
 
-def edges_of_call(rendering: Rendering, scene: Scene, call: RenderCall, seed: int) -> EdgesOfCall:
-    """Finds the edges that the boundary terms of a rendering need.
-
-    Args:
-        rendering: the call's.
-        scene: that is rendered.
-        call: about to start.
-        seed: of the choice of instances.
-    """
-    outlines = outlines_of(scene)
+def edges_of_call(rendering: Rendering, seed: int) -> EdgesOfCall:
+    """Finds the edges that the boundary terms of a rendering need; `seed`: of the choice of instances."""
+    outlines, call = outlines_of(rendering.scene), rendering.call
     casts = rendering.shadows and rendering.max_depth > 1 and slides_over_edges(call)
-    casting = outlines.of_everything(rendering, call, seed) if casts else None
+    casting = outlines.of_everything(rendering, seed) if casts else None
     # What casts rays comes last: the tree of a large mesh may still be built.
-    in_view = outlines.of_views(rendering, call, seed) if rendering.primary and moves(call) else None
-    crossing = outlines.crossing(rendering, call, seed) if casts else None
+    in_view = outlines.of_views(rendering, seed) if rendering.primary and moves(call) else None
+    crossing = outlines.crossing(rendering, seed) if casts else None
     lines = None
     if rendering.shadows and rendering.max_depth > 1 and lines_slide(call):
-        sliding, lines = outlines.sliding(rendering, call, seed)
+        sliding, lines = outlines.sliding(rendering, seed)
         crossing = joined_segments([part for part in (crossing, sliding) if part is not None])
-    return EdgesOfCall(in_view, casting, crossing, reflected_of(rendering, outlines, call), lines)
+    return EdgesOfCall(in_view, casting, crossing, reflected_of(rendering, outlines), lines)
 
 
-def reflected_of(rendering: Rendering, outlines: Outlines, call: RenderCall) -> Reflected | None:
+def reflected_of(rendering: Rendering, outlines: Outlines) -> Reflected | None:
     """What the terms by way of mirrors and glass need; None: they are off, or nothing moves."""
-    surfaces, shadows = asked_by_way_of_others(call, rendering.primary, rendering.shadows)
+    surfaces, shadows = asked_by_way_of_others(rendering.call, rendering.primary, rendering.shadows)
     if rendering.sampling == "detached" or not (surfaces or shadows):
         return None
-    lines = line_table(lines_on_shapes(rendering), rendering.sizes, call.scene.device)
-    return Reflected(outlines.of_meshes(rendering, call), lines, surfaces, shadows)
+    lines = line_table(lines_on_shapes(rendering), rendering.sizes, rendering.call.scene.device)
+    return Reflected(outlines.of_meshes(rendering), lines, surfaces, shadows)

@@ -4,31 +4,27 @@ The derivative of an image has two parts: that of the radiance inside each surfa
 where one surface ends and another appears behind it. The second part is computed for the edges that the camera sees, see
 `primary.py`, or sees in ideal mirrors and through ideal glass, see `reflections`, unless the renderer is told to leave it
 out. It is missing for those that surfaces see there, and for those seen through rough glass. Borders of shadows are
-silhouettes as seen from a light. They are searched for lights with a position or a direction; for light from all around see
-`sky.py`.
+silhouettes as seen from a light. Where a term is off, the parameters are those that move some of its own places
+(`left_out.py`, `shadows/shadow_term.py`).
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
 from torch_radbp.boundary.caustics import unfound_caustics
-from torch_radbp.boundary.edges import Edges, edges_of, spread
 from torch_radbp.boundary.inward import inward_faces
-from torch_radbp.boundary.left_out import names_left_out
-from torch_radbp.boundary.rendering import Rendering, listed
-from torch_radbp.boundary.shadow import shadows_in_view
-from torch_radbp.boundary.shadowing_lights import MOVE_LIGHTS, ShadowingLight, lights_of, soft_shadows, some_lights
-from torch_radbp.boundary.silhouette import CameraSight, silhouettes_in_view
+from torch_radbp.boundary.left_out import lines_left_out, silhouettes_left_out
+from torch_radbp.boundary.rendering import MOVE_LIGHTS, Rendering, listed
+from torch_radbp.boundary.shadows import shadows_left_out
 from torch_radbp.boundary.term import TERMS
 from torch_radbp.boundary.unmapped import unmapped_textures
 from torch_radbp.boundary.without_rays import views_without_rays
 from torch_radbp.plugin.errors import level_of_the_caller
-from torch_radbp.raycast.caster_cache import same_values
 from torch_radbp.scene.material import followed, sampling_at
 from torch_radbp.scene.material_tables import one_sided
 
@@ -65,7 +61,6 @@ class JumpWatch:
         # Those that have not warned yet.
         self.looks = [self.silhouettes_in_view, self.lines_in_view, self.shadows_in_view, self.jumps_of_a_bsdf,
                       self.edges_slid_over, self.edges_far_off]
-        self.edges_of_shapes: dict[object, tuple[Tensor, Edges]] = {}  # faces and edges of the meshes examined so far
         self.said: dict[str, Warning] = {}  # by their messages
         # Looks at the image that are due: one at the first rendering is enough.
         self.of_images: list[Callable] = [unfound_caustics, unmapped_textures, inward_faces]
@@ -99,7 +94,7 @@ class JumpWatch:
 
         Hidden silhouettes count as seen.
         """
-        missing = self.missing(rendering)
+        missing = missing_silhouettes(rendering)
         if not missing:
             return None
         instead = ("A loss that depends on outlines, such as a shape's against its background, has a biased gradient; "
@@ -114,11 +109,11 @@ class JumpWatch:
 
         Those of parameters that move silhouettes too are left out, and hidden lines count as seen.
         """
-        if rendering.primary or rendering.tensors.triangles.vertices.uv is None:
+        if rendering.primary or rendering.call.scene.triangles.vertices.uv is None:
             return None
-        named, found = self.missing(rendering), {}
+        named, found = missing_silhouettes(rendering), {}
         for term in TERMS:
-            names = names_left_out(term, rendering) - named.keys()
+            names = lines_left_out(term, rendering) - named.keys()
             found |= {name: term.what for name in sorted(names)}
         if not found:
             return None
@@ -130,34 +125,27 @@ class JumpWatch:
         """The warning about shadow borders that move with a light, an occluder, a receiver or the camera, or None.
 
         None where that is computed. Parameters that move silhouettes too are left out. Shadows are searched once for each
-        parameter, among rays anew, by casting rays from some of the lights, and towards the sky.
+        parameter, among rays anew, by the terms that are switched off, and by those that need pixels of some area.
         """
         soft, sharp = rendering.shadows, rendering.shadows and rendering.has_area
         found = self.sharp_shadows_in_mirrors(rendering) if soft else None
-        if found is not None or soft and sharp:
+        if found is not None or soft and sharp or rendering.max_depth < 2:
             return found
-        cameras = rendering.camera_movers
         names = {name for plugin in rendering.emitters for name in rendering.moving(plugin, MOVE_LIGHTS)}
-        names = names.union(*rendering.movers, *cameras)
+        names = names.union(*rendering.movers, *rendering.camera_movers)
         looks = {(name, soft, sharp) for name in names}
         if not looks or rendering.has_area and looks <= self.looked_at:
             return None
         self.looked_at |= looks
-        lights = some_lights([light for light in lights_of(rendering) if not (sharp if light.shape is None else soft)])
-        of_lights = self.borders_of_shadows(rendering, lights, cameras) if lights else set()
-        of_sky = set() if soft else soft_shadows(rendering, cameras)
-        named = self.missing(rendering).keys()
-        missing = (of_lights | of_sky) - named
+        missing = shadows_left_out(rendering) - missing_silhouettes(rendering).keys()
         if not missing:
             return None
-        of_all_around = "" if not of_sky - named else (
-            " The shadows of light from all around are soft, but the border of what hides a part of the sky or of the "
-            "surroundings counts likewise.")
         instead = ("A loss that depends on where shadows lie has a biased gradient; check_gradient measures by how much. "
                    "The default terms have it") if rendering.has_area else OF_RAYS
         return SilhouetteWarning(f"derivatives with respect to {listed(sorted(missing))} lack the contribution of the "
                                  f"borders of shadows: some in view move over the image, or over the surface on which "
-                                 f"they fall.{of_all_around} {instead}")
+                                 f"they fall. Those of lamps with an extent, and of light from all around, are soft, but "
+                                 f"the border of what hides a part of these counts likewise. {instead}")
 
     def sharp_shadows_in_mirrors(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about shadows of lights without extent that may be seen in ideal mirrors and glass, or None.
@@ -180,34 +168,6 @@ class JumpWatch:
                                  f"where they are seen{by} in `{rendering.scene.name_of(of[0])}`, a mirror or glass. "
                                  f"Give the light an extent, such as a small sphere with an area emitter; check_gradient "
                                  f"measures how much that matters")
-
-    def borders_of_shadows(self, rendering: Rendering, lights: list[ShadowingLight], cameras: list[list[str]]) -> set[str]:
-        """The parameters that move visible shadow borders of lights with a position or a direction.
-
-        Args:
-            rendering: that is about to start.
-            lights: of the scene.
-            cameras: for each sensor, the parameters that move it.
-        """
-        owners, shapes = rendering.shapes, rendering.movers
-        vertices, faces, counts = rendering.seen
-        edges = self.edges("world", vertices, faces, counts)
-        casts_at = torch.repeat_interleave(torch.tensor(counts, device=faces.device))
-        shape_at = casts_at.new_zeros(len(vertices)).index_copy(0, faces.flatten().long(), casts_at.repeat_interleave(3))
-        shape_of = rendering.shape_of
-        missing: set[str] = set()
-        for light in lights:
-            emitters = [place for place, shape in enumerate(owners) if shape is light.shape]
-            own = torch.isin(shape_of, torch.tensor(emitters, device=shape_of.device)) if emitters else None
-            found = shadows_in_view(edges, vertices, rendering.caster, light.place, light.axis, rendering.sights, own)
-            casting = shape_at[edges.a[found.edge].long()]
-            pairs = torch.stack([casting, shape_of[found.receiver]], 1).unique(dim=0)
-            for casts, catches in pairs.tolist():
-                if owners[casts] is not light.shape:
-                    missing |= {*light.moving, *shapes[casts], *shapes[catches]}
-            cast = torch.tensor([owner is not light.shape for owner in owners], device=faces.device)[casting]
-            missing |= {name for names, seen in zip(cameras, found.seen) if (seen & cast).any() for name in names}
-        return missing
 
     def jumps_of_a_bsdf(self, rendering: Rendering) -> JumpWarning | None:
         """The warning about a BSDF that is discontinuous in directions that turn, or None.
@@ -261,7 +221,7 @@ class JumpWatch:
             turning |= {name: True for name in names if any(delta)}
         if sampling != "detached" and any(hybrid.values()):
             turning |= {name: True for names in rendering.camera_movers for name in names}
-        named = self.missing(rendering) if turning else {}
+        named = missing_silhouettes(rendering) if turning else {}
         turning = {name: ideal for name, ideal in turning.items() if name not in named}
         if not turning or flat(rendering.seen.vertices):
             return None
@@ -301,42 +261,11 @@ class JumpWatch:
                                  f"there that what edges contribute is inaccurate or missing. Move the scene to the origin, "
                                  f"cameras and lights included")
 
-    def missing(self, rendering: Rendering) -> dict[str, int]:
-        """The parameters that move silhouettes in view, with the number of edges; none if these are computed."""
-        missing: dict[str, int] = {}
-        if rendering.primary:
-            return missing
-        cameras = {number: names for number, names in enumerate(rendering.camera_movers) if names}
-        if not cameras and not any(rendering.movers):
-            return missing
-        vertices, faces, counts = rendering.seen
-        for shape, names, own in zip(rendering.shapes, rendering.movers, faces.split(counts)):
-            if names:
-                count = number_in_view(self.edges(id(shape), vertices, own, [len(own)]), vertices, rendering.sights)
-                missing |= {name: count for name in names}
-        for number, names in cameras.items():
-            count = number_in_view(self.edges("world", vertices, faces, counts), vertices, [rendering.sights[number]])
-            missing |= {name: count for name in names}
-        return {name: count for name, count in missing.items() if count}
 
-    def edges(self, key: object, vertices: Tensor, faces: Tensor, counts: Sequence[int]) -> Edges:
-        """The examined edges of one or several shapes; cached while the faces are unchanged.
-
-        Args:
-            key: under which they are remembered.
-            vertices: (V, 3), detached.
-            faces: (F, 3) of all these shapes.
-            counts: the number of triangles of each.
-        """
-        known = self.edges_of_shapes.get(key)
-        if known is None or not same_values(known[0], faces):  # a caster's faces are never written into
-            known = self.edges_of_shapes[key] = (faces, edges_of(vertices, faces, spread(counts, faces.device)))
-        return known[1]
-
-
-def number_in_view(edges: Edges, vertices: Tensor, sights: Sequence[CameraSight]) -> int:
-    """The number of silhouette edges in some views."""
-    return sum(int(silhouettes_in_view(edges, vertices, sight).sum()) for sight in sights)
+def missing_silhouettes(rendering: Rendering) -> dict[str, int]:
+    """The parameters that move silhouettes in view, with the number of edges; none if their term is on, or nothing moves."""
+    moves = any(rendering.movers) or any(rendering.camera_movers)
+    return silhouettes_left_out(rendering) if moves and not rendering.primary else {}
 
 
 def times_as_far(vertices: Tensor) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Set
 
 from torch_radbp.boundary.rendering import Rendering
-from torch_radbp.boundary.sky import rays_of
+from torch_radbp.boundary.view_rays import rays_of
 from torch_radbp.plugin import SceneWarning
 
 FEW = 0.1  # share of the image with a ray below which it is warned of; a whole fisheye's circle in a wide image has 0.4

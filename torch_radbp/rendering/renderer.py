@@ -317,7 +317,7 @@ class Renderer(nn.Module):
         """Finds the edges at which a call's images are discontinuous, and warns of what derivatives or image lack."""
         rendering = rendering_of(call, self.scene, self.sampling, self.cache_for_aovs if aovs else self.cache,
                                  PRIMARY in self.terms, SHADOW in self.terms, self.depth_limit)
-        edges = edges_of_call(rendering, self.scene, call, seed)
+        edges = edges_of_call(rendering, seed)
         self.jump_watch.look(rendering)  # casts rays, for which the tree of a large mesh may still be built
         return edges
 

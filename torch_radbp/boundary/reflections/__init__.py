@@ -29,6 +29,7 @@ from torch_radbp.adjoint.attached import rays_reaching
 from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.adjoint.scatter import Gradients
+from torch_radbp.boundary.deposit import Deposit, image_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.places import FEWEST
 from torch_radbp.boundary.reflections.crossings import Crossings, curve_crossings
@@ -44,8 +45,7 @@ from torch_radbp.boundary.reflections.rays import (
 )
 from torch_radbp.boundary.reflections.scans import MOST, SHARE, Searched, scans_of
 from torch_radbp.boundary.reflections.surfaces import LineTable, surfaces_of
-from torch_radbp.boundary.shadows.border import camera_sample
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, image_of
+from torch_radbp.boundary.shadows.seen_on_film import camera_sample
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.workers import in_turns
 from torch_radbp.path.direct_light import LightDraw
@@ -114,11 +114,11 @@ def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
         still = call.still()
         surfaces = surfaces_of(still, reflected.meshes, detached(reflected.lines))
         tables, = call.stages(parted).taken(surfaces=surfaces)
-    for number, view in enumerate(call.views):
+    for number in range(len(call.views)):
         integrand = integrand_of(still, still.integrand, number)
         searched = Searched(still, number, only_ideal(integrand), surfaces, tables, reflected.shadows)
         found = _jumps_in_view(call, searched, integrand, reflected)
-        images.append(image_of(view, [] if found is None else [found], call.scene.dtype))
+        images.append(image_of(call, number, [] if found is None else [found]))
     return torch.stack(images)
 
 
@@ -131,7 +131,7 @@ class CurveCrossings(NamedTuple):
     strength: Tensor  # (3, K) float64, gain of light in the image per unit of the level
 
 
-def _jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, reflected: Reflected) -> FilmJumps | None:
+def _jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, reflected: Reflected) -> Deposit | None:
     """What jumps in a view add to its derivative; None: it has none.
 
     Args:
@@ -145,7 +145,7 @@ def _jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, r
     if found is None:
         return None
     middle = Vec2(*(0.5 * (low + high) for low, high in zip(found.crossed.low, found.crossed.high)))
-    return FilmJumps(middle, found.strength * moved(call, searched, found, reflected.lines))
+    return Deposit(middle, found.strength.unbind(), moved(call, searched, found, reflected.lines))
 
 
 def moved(call: RenderCall, searched: Searched, found: CurveCrossings, lines: LineTable | None) -> Tensor:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.deposit import attached_geometry
 from torch_radbp.boundary.geometry import Between, Corners, Geometry, geometry_of, positions, vertex_normals
 from torch_radbp.boundary.reflections import differences
 from torch_radbp.boundary.reflections.crossings import Crossings
@@ -18,7 +19,6 @@ from torch_radbp.boundary.reflections.ideal_paths import to_light
 from torch_radbp.boundary.reflections.ideal_steps import LIT
 from torch_radbp.boundary.reflections.scans import Searched
 from torch_radbp.boundary.reflections.surfaces import LineTable, level_of_line
-from torch_radbp.boundary.shadows.film_jumps import attached_geometry
 from torch_radbp.boundary.shadows.light_points import light_line
 from torch_radbp.boundary.shadows.seen_edges import crossed_at
 from torch_radbp.path.direct_light import LightDraw

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.function import asks_for_gradient, first_derivatives_only
+from torch_radbp.adjoint.function import asks_for_gradient
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import PathRecord, numbered_leaves
 from torch_radbp.adjoint.taped_sweep import sweep_of
+from torch_radbp.boundary.deposit import MotionFunction
 from torch_radbp.boundary.reflections.ideal_paths import only_ideal
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Step, survivors
 from torch_radbp.path.wavefront import take_step
-from torch_radbp.public_call import public_call
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.differentiated import differentiable
 from torch_radbp.tensors.record import leaves_of
@@ -94,31 +93,6 @@ class Follows(NamedTuple):
     adj_start: Ray  # by the first rays of the chains
 
 
-class FollowFunction(torch.autograd.Function):
-    """Zeros with derivatives through chains, as a function of first rays and scene."""
-
-    @staticmethod
-    def forward(ctx, follows: Follows, wanted: tuple[bool, ...], *leaves: Tensor) -> Tensor:
-        ctx.follows = follows._replace(integrand=follows.integrand._replace(caster=None))
-        ctx.wanted, ctx.leaves = wanted, [leaf.detach() for leaf in leaves[6:]]
-        return torch.zeros_like(follows.chains.depth, dtype=torch.float64)
-
-    @staticmethod
-    @first_derivatives_only
-    @torch.autograd.function.once_differentiable
-    @public_call
-    def backward(ctx, asked: Tensor):
-        integrand, chains, adj_ray, adj_start = ctx.follows
-        asked = asked.to(adj_start.d.x.dtype)
-        of_start = [part * asked for part in leaves_of(adj_start)]
-        if not ctx.leaves:
-            return None, None, *of_start
-        gradients = Gradients(ctx.leaves)
-        scaled = Ray(*(part * asked for part in adj_ray))
-        adjoint_of_start(integrand, chains, scaled, ctx.wanted, gradients)
-        return None, None, *of_start, *gradients_of([gradients])[0]
-
-
 def following(follows: Follows, start: Ray, scene: SceneTensors) -> Tensor:
     """(K,) float64 zeros with derivatives through chains of mirrors and glass.
 
@@ -127,4 +101,17 @@ def following(follows: Follows, start: Ray, scene: SceneTensors) -> Tensor:
         start: the rays with which these begin, attached.
         scene: attached.
     """
-    return FollowFunction.apply(follows, tuple(asks_for_gradient(scene)), *leaves_of(start), *differentiable(scene))
+    integrand, chains, adj_ray, adj_start = follows._replace(integrand=follows.integrand._replace(caster=None))
+    wanted, leaves = tuple(asks_for_gradient(scene)), differentiable(scene)
+    shapes = [leaf.detach() for leaf in leaves]
+
+    def adjoint(asked: Tensor) -> list[Tensor | None]:
+        asked = asked.to(adj_start.d.x.dtype)
+        of_start = [part * asked for part in leaves_of(adj_start)]
+        if not shapes:
+            return of_start
+        gradients = Gradients(shapes)
+        adjoint_of_start(integrand, chains, Ray(*(part * asked for part in adj_ray)), wanted, gradients)
+        return of_start + gradients_of([gradients])[0]
+
+    return MotionFunction.apply(len(chains.depth), adjoint, *leaves_of(start), *leaves)

@@ -11,13 +11,14 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.places import FEWEST, NEIGHBOURS, lot_of, picked
+from torch_radbp.boundary.places import FEWEST, key_of_places, lot_of, picked
 from torch_radbp.boundary.reflections.differences import CHANCE, SURFACE, Difference, Pairing, path_difference
 from torch_radbp.boundary.reflections.ideal_paths import IdealPath, LightLooks, begins, ideal_path, with_light
 from torch_radbp.boundary.reflections.surfaces import Surfaces
-from torch_radbp.boundary.shadows.border import Lights, aperture_of, camera_sample
+from torch_radbp.boundary.shadows.border import Lights
 from torch_radbp.boundary.shadows.light_points import light_points
 from torch_radbp.boundary.shadows.seen_edges import salted
+from torch_radbp.boundary.shadows.seen_on_film import aperture_of, camera_sample
 from torch_radbp.call.render_call import RenderCall, started
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.sampling.running_sum import running_sum
@@ -99,7 +100,7 @@ def scans_of(searched: Searched) -> Scans | None:
     paths = view.width * view.height * call.spp
     count = max(FEWEST, min(MOST, paths // SHARE, int(float(total[-1]) * call.spp)))
     place = torch.arange(count, dtype=torch.int32, device=weight.device)
-    key = lane_key(salted(view, SALT), torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
+    key = key_of_places(salted(view, SALT), place)
     numbers = bounce_key(key, CAMERA_COUNTER)
     across, down = (fine_unit(random_bits(numbers, dimension)) for dimension in (ACROSS, DOWN))
     pixel, left, times = picked(lot_of(weight, count, total), place, across)

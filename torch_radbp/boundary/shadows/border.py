@@ -25,54 +25,53 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.geometry import Geometry, geometry_of, largest_coordinate
-from torch_radbp.boundary.intersections import TOUCHING
+from torch_radbp.boundary.edge_order import GROUP
+from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
-from torch_radbp.boundary.places import APART, APERTURE_COUNTER, FEWEST, counts_somewhere, on_film
+from torch_radbp.boundary.places import FEWEST, counts_somewhere, on_film
+from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.shadows.edges_tried import edges_tried, eyes_for_each
 from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
 from torch_radbp.boundary.shadows.light_points import light_eyes, light_line, light_points
 from torch_radbp.boundary.shadows.seen_edges import (
-    BEFORE,
     BESIDE,
     Casting,
+    Course,
     Passed,
     corners_of,
+    course_of,
     crossed_at,
     extent_of,
-    finite_normal,
     onto_surfaces,
-    pace,
     places_on,
     places_seen,
     point_of_edge,
     salted,
     unhidden,
 )
-from torch_radbp.boundary.shadows.ways_down import picked_ones
+from torch_radbp.boundary.shadows.seen_on_film import aperture_of, camera_sample, into_shade, seen_at, sees
+from torch_radbp.boundary.shadows.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, films_have_area, shadow_term
+from torch_radbp.boundary.shadows.viewpoints import path_of
+from torch_radbp.boundary.shadows.ways_down import lot_of_found
+from torch_radbp.boundary.silhouette import crosses_view
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.view import View
-from torch_radbp.path.camera_rays import APERTURE_U, APERTURE_V, CameraSample
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.event import Ends
-from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.sorting import first_hit
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.sampling.sampler import LaneKey, SampleKey, bounce_key, fine_unit, random_bits
-from torch_radbp.scene.cone import camera_cone
+from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.stage import Stages, stage
-from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows, unit_normal
+from torch_radbp.tensors.vec import Ray, Vec2, Vec3, interpolated, max_component, rows
 
 SALT = 0x1F83D9AB  # tells the random numbers of borders from others
 SHARE, MOST = 16, 1 << 19  # one place for so many paths of the image; and at most
 SHARP_SHARE = 4  # the same where some lights have no extent: all that shadows move by lies on their borders
 LOOKS = 4  # for edges from each light sample
-ASIDE = 4.0 * APART  # share of its distance by which a border is looked at from aside, in the shade
-ALIKE = 0.9  # cosine between normals of triangles of one surface
+FEW = 1024  # light samples of a warning
+BYTES_OF_TRIED = 20, 240  # an edge that is tried from a light sample: in fused loops, in plain torch
 
 
 class Lights(NamedTuple):
@@ -82,10 +81,32 @@ class Lights(NamedTuple):
     soft: bool  # area lights
     around: bool  # the environment
 
+    @staticmethod
+    def covered(call: RenderCall) -> Lights:
+        """The lights whose borders `DirectShadows` samples; along single rays, which see no borders, those of none."""
+        if not films_have_area(call):
+            return Lights(False, False, False)
+        emitters, lights, layout = call.module.emitters, call.scene.lights, call.scene.layout
+        surfaces, around = (all(emitter.sampled_whole() for emitter in emitters if emitter.kind().surround == around)
+                            for around in (False, True))
+        if layout.surround is not None:
+            number, kind = layout.surround
+            around = around and not kind.even(detached(lights.tables[number]))
+        return Lights(call.integrand.settings.nee, surfaces, around or layout.surround is None)
+
+    @staticmethod
+    def uncovered(call: RenderCall) -> Lights:
+        """The lights of some extent whose borders `DirectShadows` does not sample."""
+        covered = Lights.covered(call)
+        return Lights(False, not covered.soft, not covered.around)
+
     def of(self, scene: SceneTensors) -> Tensor:
         """For each kind of light in a scene, whether it is covered; bool."""
         return torch.tensor([self.sharp if kind.delta else self.around if kind.surround else self.soft
                              for kind in scene.layout.lights], device=scene.device)
+
+
+SOFT = Lights(False, True, True)
 
 
 class Borders(NamedTuple):
@@ -116,45 +137,73 @@ class CastShadows(NamedTuple):
 
 
 class BordersInView(NamedTuple):
-    """K shadow border samples that a view sees; detached.
-
-    The border sweeps an area where its edge moves outwards; by that, parts of the derivative are compared (`split.py`).
-    """
+    """K samples on borders that a view sees; detached."""
 
     borders: Borders
-    place: Vec2  # on the film, pixels from the upper left corner of the window
-    aperture: Vec2 | None  # of the lens
-    normal: Vec2  # normal of the border on the film; its length is that of the piece per sample
-    strength: Tensor  # (3, K) float64, radiance behind less radiance ahead
-    sweep: Tensor  # (K,) swept area if all edges move by an equal step
-
-    def independent(self) -> Tensor:
-        """The contributions in independent parts, see `split.SampledIntegral`: each sample by itself."""
-        return self.strength * self.sweep
+    aperture: Vec2 | None  # of the rays that see them
 
 
-class BorderCourse(NamedTuple):
-    """The course of N shadow borders on the film; detached, float64."""
+@shadow_term
+class DirectShadows(ShadowTerm):
+    """Borders of shadows on surfaces that the camera sees."""
 
-    on_border: Vec3  # (N,) world
-    film: Vec2  # (N,) its image
-    aperture: Vec2 | None
-    normal: Vec2  # as of `BordersInView`; 0 where unknown, or outside of all pixels
-    aside: Vec2  # direction to points right beside the border in shadow
-    sweep: Tensor
+    rank = 0
 
+    @classmethod
+    def size(cls, call: RenderCall) -> TermSize:
+        samples = most_samples(call)
+        return TermSize(samples * LOOKS * GROUP * BYTES_OF_TRIED[not call.stages.is_compiled], samples, samples)
 
-def jumps_of_borders(call: RenderCall, number: int, casting: Casting, found: BordersInView) -> FilmJumps:
-    """The boundary term of direct shadows that view `number` sees.
+    def applies(self) -> bool:
+        return films_have_area(self.call)
 
-    Args:
-        call: of which something moves.
-        casting: the edges of all that casts shadows.
-        found: of the view.
-    """
-    on_border = border(call.scene, attached_geometry(call.scene), casting.outline, found.borders)
-    seen = on_film(call.views[number].camera, on_border, found.aperture)
-    return FilmJumps(found.place, found.strength * swept_areas(seen, found.normal))
+    def samples(self, number: int) -> CutOff | None:
+        call, outline = self.still, self.casting.outline
+        view, scene = call.views[number], call.scene
+        found = borders_of(call, number, self.casting, Lights.covered(call), share_of(scene))
+        if found is None:
+            return None
+        borders, passed, inwards, times = found
+        integrand = integrand_of(call, call.integrand, number)
+        geometry, camera, aperture = geometry_of(scene), view.camera, aperture_of(view, passed.key)
+        on_border, course = integrand.part(Ends.SURROUNDINGS).call(border_course, geometry, outline, camera, borders,
+                                                                   inwards, times, aperture)
+        counted = ((course.normal.x != 0.0) | (course.normal.y != 0.0)).nonzero().squeeze(1)
+        own, course, on_border, key = rows((BordersInView(borders, aperture), course, on_border, passed.key), counted)
+        sample = camera_sample(call, view, course.at, own.aperture, key)
+        shown = sees(integrand, sample.ray, own.borders.receiver, on_border).nonzero().squeeze(1)
+        own, course, on_border, key, sample = rows((own, course, on_border, key, sample), shown)
+        in_shade = camera_sample(call, view, into_shade(camera, course.at, course.aside), own.aperture, key)
+        shown = sees(integrand, in_shade.ray, own.borders.receiver, on_border).nonzero().squeeze(1)
+        if not len(shown):
+            return None
+        own, course, on_border, sample = rows((own, course, on_border, sample), shown)
+        hit = seen_at(own.borders.receiver, sample.ray, on_border)
+        light = light_sent_back(integrand, started(call, sample), hit, own.borders.draw)
+        light = light if sample.weight is None else light * sample.weight
+        return cut_off(course.at, course, torch.stack(tuple(light)).double(), own)
+
+    def left_out(self, rendering: Rendering) -> set[str]:
+        if rendering.shadows and rendering.has_area:
+            return set()
+        call, outline, view = self.still, self.casting.outline, self.still.views[0]
+        lights = Lights.covered(call)._replace(sharp=call.integrand.settings.nee)
+        found = borders_of(call, 0, self.casting, lights, max(1, call.spp * view.width * view.height // FEW))
+        if found is None:
+            return set()
+        borders, passed = found.borders, found.passed
+        light = light_sent_back(call.integrand, path_of(call, passed.onwards, passed.key), borders.receiver, borders.draw)
+        p = border(call.scene, geometry_of(call.scene), outline, borders)
+        seen = torch.stack([crosses_view(p, p, sight) for sight in rendering.sights]) & (max_component(light) > 0.0)
+        borders = rows(borders, seen.any(0).nonzero().squeeze(1))
+        lamps = [rendering.light_movers[element] for element in borders.draw.picked.element.unique().tolist()]
+        cameras = [names for names, own in zip(rendering.camera_movers, seen) if own.any()]
+        return rendering.movers_at(outline.triangle(borders.edge), borders.receiver.prim).union(*lamps, *cameras)
+
+    def seen(self, number: int, geometry: Geometry, found: CutOff) -> Vec2:
+        borders, aperture = found.samples
+        on_border = border(self.call.scene, geometry, self.casting.outline, borders)
+        return on_film(self.call.views[number].camera, on_border, aperture)
 
 
 def border(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,
@@ -186,6 +235,16 @@ def share_of(scene: SceneTensors) -> int:
     return SHARP_SHARE if any(kind.delta for kind in scene.layout.lights) else SHARE
 
 
+def samples_of(call: RenderCall, view: View, share: int) -> int:
+    """The number of samples on borders for a view, one for `share` paths of its image."""
+    return max(FEWEST, min(MOST, view.width * view.height * call.spp // share))
+
+
+def most_samples(call: RenderCall) -> int:
+    """The greatest number of samples on borders of direct shadows for a view."""
+    return max(samples_of(call, view, share_of(call.scene)) for view in call.views)
+
+
 def lit_edges(call: RenderCall, number: int, casting: Casting, lights: Lights, share: int) -> LitEdges | None:
     """Samples silhouette edges as seen from light samples; None: they see none.
 
@@ -197,8 +256,7 @@ def lit_edges(call: RenderCall, number: int, casting: Casting, lights: Lights, s
         share: one place for so many paths of the image.
     """
     view, scene = call.views[number], call.scene
-    paths = view.width * view.height * call.spp
-    points = light_points(call.stages, scene, view, max(FEWEST, min(MOST, paths // share)))
+    points = light_points(call.stages, scene, view, samples_of(call, view, share))
     count, meant = len(points.kind), lights.of(scene)[points.kind].nonzero().squeeze(1)
     points = rows(points, meant)
     if not len(meant):
@@ -233,48 +291,13 @@ def places_lit(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes,
     if not each:
         return places_seen(stages, geometry, casting, eyes, seed, LOOKS, count)
     found, eye = edges_tried(stages, geometry, outline, eyes, seed, each, extent_of(geometry))
-    return places_on(stages, geometry, outline, eyes, seed, picked_ones(found, eye, 1, count))
-
-
-def borders_in_view(call: RenderCall, number: int, casting: Casting, lights: Lights) -> BordersInView | None:
-    """Samples shadow borders of direct light that view `number` sees; None: there are none.
-
-    Args:
-        call: detached.
-        casting: the edges of all that casts shadows.
-        lights: whose shadows are meant.
-    """
-    view, scene = call.views[number], call.scene
-    found = borders_of(call, number, casting, lights, share_of(scene))
-    if found is None:
-        return None
-    borders, passed, inwards, times = found
-    integrand = integrand_of(call, call.integrand, number)
-    geometry, camera, aperture = geometry_of(scene), view.camera, aperture_of(view, passed.key)
-    course = integrand.part(Ends.SURROUNDINGS).call(border_course, geometry, casting.outline, camera, borders,
-                                                    inwards, times, aperture)
-    counted = ((course.normal.x != 0.0) | (course.normal.y != 0.0)).nonzero().squeeze(1)
-    borders, course, key = rows((borders, course, passed.key), counted)
-    sample = camera_sample(call, view, course.film, course.aperture, key)
-    shown = sees(integrand, sample.ray, borders.receiver, course.on_border).nonzero().squeeze(1)
-    borders, course, key, sample = rows((borders, course, key, sample), shown)
-    in_shade = camera_sample(call, view, into_shade(camera, course.film, course.aside), course.aperture, key)
-    shown = sees(integrand, in_shade.ray, borders.receiver, course.on_border).nonzero().squeeze(1)
-    if not len(shown):
-        return None
-    borders, course, sample = rows((borders, course, sample), shown)
-    light = light_sent_back(integrand, started(call, sample), seen_at(borders.receiver, sample.ray, course.on_border),
-                            borders.draw)
-    light = light if sample.weight is None else light * sample.weight
-    strength = torch.stack(tuple(light)).double()
-    return BordersInView(borders, course.film, course.aperture, course.normal,
-                         torch.where(course.sweep > 0, strength, -strength), course.sweep)
+    return places_on(stages, geometry, outline, eyes, seed, lot_of_found(found, eye, 1, count))
 
 
 @stage("scene", "geometry", "outline", "camera")
 def border_course(scene: SceneTensors, geometry: Geometry, outline: Outline, camera: Camera, borders: Borders,
-                  inwards: Vec3, times: Tensor, aperture: Vec2 | None) -> BorderCourse:
-    """Computes how shadow borders run on the film: image, normal and swept area.
+                  inwards: Vec3, times: Tensor, aperture: Vec2 | None) -> tuple[Vec3, Course]:
+    """The points of shadow borders, world, and the borders' course on the film, 0 outside of all pixels.
 
     Args:
         scene, geometry, outline, borders: as for `border`, detached.
@@ -285,68 +308,7 @@ def border_course(scene: SceneTensors, geometry: Geometry, outline: Outline, cam
     def seen(step: Tensor | float = 0.0, off: Vec3 | None = None) -> Vec2:
         return on_film(camera, border(scene, geometry, outline, borders, step, off), aperture)
 
-    (film, along), shade = pace(seen, times), seen(off=inwards)
-    counts, aside = counts_somewhere(camera, film), Vec2(shade.x - film.x, shade.y - film.y)
-    normal = finite_normal(along, times).map(lambda c: torch.where(counts, c, 0.0))
-    return BorderCourse(border(scene, geometry, outline, borders), film, aperture, normal, aside,
-                        aside.x * normal.x + aside.y * normal.y)
-
-
-def aperture_of(view: View, key: LaneKey) -> Vec2 | None:
-    """Random points of the camera's lens, as of `CameraKind.sample_ray`."""
-    if not view.camera.kind.has_aperture:
-        return None
-    more = bounce_key(key, APERTURE_COUNTER)
-    return Vec2(*(fine_unit(random_bits(more, dimension)) for dimension in (APERTURE_U, APERTURE_V)))
-
-
-def camera_sample(call: RenderCall, view: View, film: Vec2, aperture: Vec2 | None, key: LaneKey) -> CameraSample:
-    """The camera rays through points of the film, pixels from the window's upper left corner; attached."""
-    make = film_sample if any_differentiated((view.camera, film)) else call.stages(film_sample)
-    return make(view.camera, film, aperture, key, call.scene.layout.traces_cones)
-
-
-@stage("camera")
-def film_sample(camera: Camera, film: Vec2, aperture: Vec2 | None, key: LaneKey, cones: bool) -> CameraSample:
-    """The camera rays through points of the film, for `camera_sample`; `cones`: with ray cones."""
-    dtype = camera.dtype
-    position = Vec2(*(((place + crop) / size).to(dtype) for place, crop, size in (
-        (film.x, camera.film.crop_x, camera.film.size_x), (film.y, camera.film.crop_y, camera.film.size_y))))
-    aperture = None if aperture is None else aperture.map(lambda part: part.to(dtype))
-    ray, weight = camera.kind.sample_ray(camera.lens, position, aperture)
-    ray = Ray(*(part.map(torch.Tensor.contiguous) for part in ray))
-    cone = camera_cone(camera, ray, position, aperture) if cones else None
-    return CameraSample(ray, key, weight, cone, None)
-
-
-def seen_at(hit: Hit, ray: Ray, p: Vec3) -> Hit:
-    """Hits on the same triangles, for rays that meet points p, (N,) float64."""
-    reach = p - ray.o.map(torch.Tensor.double)
-    return hit._replace(t=torch.sqrt(dot(reach, reach)).to(ray.o.x.dtype))
-
-
-def into_shade(camera: Camera, film: Vec2, aside: Vec2) -> Vec2:
-    """Points of the film a little beside borders, in shadow."""
-    length = torch.hypot(aside.x, aside.y).clamp_min(TINY)
-    # Far enough for the rounding of positions on the film, however small the window.
-    reach = ASIDE * torch.maximum(camera.film.size_x, camera.film.size_y).double() / length
-    return Vec2(film.x + aside.x * reach, film.y + aside.y * reach)
-
-
-def sees(integrand: Integrand, ray: Ray, receiver: Hit, p: Vec3) -> Tensor:
-    """(N,) bool: camera rays that hit the receivers of borders; `p` (N,) points on these."""
-    return integrand.stages(meets)(geometry_of(integrand.proposal), ray, first_hit(integrand, ray, 0), receiver, p)
-
-
-@stage("geometry")
-def meets(geometry: Geometry, ray: Ray, hit: Hit, receiver: Hit, p: Vec3) -> Tensor:
-    """(N,) bool: hits on the receivers of borders; `p` (N,) world points on these.
-
-    Another triangle is of the same surface if the border lies in its plane, but for rounding and by what rays pass aside.
-    """
-    reach, corners = p - ray.o.map(torch.Tensor.double), corners_of(geometry, hit)
-    distance, of_receiver = torch.sqrt(dot(reach, reach)), corners_of(geometry, receiver)
-    n, n_receiver = (unit_normal(own[1] - own[0], own[2] - own[0]) for own in (corners, of_receiver))
-    off = TOUCHING * largest_coordinate(p, *corners) + ASIDE * distance
-    near = (dot(n, p - corners[0]).abs() < off) & ((hit.t - distance).abs() < BEFORE * distance)
-    return (hit.prim >= 0) & ((hit.prim == receiver.prim) | (near & (dot(n, n_receiver).abs() > ALIKE)))
+    course = course_of(seen, times, inwards)
+    counts = counts_somewhere(camera, course.at)
+    return border(scene, geometry, outline, borders), course._replace(
+        normal=course.normal.map(lambda c: torch.where(counts, c, 0.0)))

@@ -13,6 +13,7 @@ lies (`spread_borders.py`).
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -21,12 +22,20 @@ from torch import Tensor
 from torch_radbp.boundary.geometry import Geometry, geometry_of
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.border import Borders, Lights, light_through, lit_edges, shadows_cast
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
 from torch_radbp.boundary.shadows.lines_through_edges import solid_angle
-from torch_radbp.boundary.shadows.seen_edges import BEFORE, Casting, corners_of, crossed_at, pace, unhidden, uniform_numbers
+from torch_radbp.boundary.shadows.seen_edges import (
+    BEFORE,
+    Casting,
+    corners_of,
+    course_of,
+    crossed_at,
+    unhidden,
+    uniform_numbers,
+)
+from torch_radbp.boundary.shadows.shadow_term import CutOff, ShadowTerm, cut_off, glues, shadow_term, sharp_lights_later
 from torch_radbp.boundary.shadows.slid import less_what_slides
 from torch_radbp.boundary.shadows.spread_borders import spread_borders
-from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
+from torch_radbp.boundary.shadows.viewpoints import PathBatch, Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.direct_light import light_sent_back, scattered_light
 from torch_radbp.path.integrand import Integrand
@@ -45,16 +54,36 @@ class ConnectedBorders(NamedTuple):
     points: Viewpoints  # the path vertices
     start: Vec3  # their world positions
     borders: Borders
-    normal: Vec2  # in the coordinates of `on_receiver`; its length is that of the piece per sample
-    strength: Tensor  # (3, K) float64, radiance from behind less that from ahead
 
 
-def jumps_of_connected_borders(call: RenderCall, number: int, casting: Casting, found: ConnectedBorders) -> FilmJumps:
-    """The boundary term of such borders for view `number`; args as of `border.jumps_of_borders`."""
-    geometry = attached_geometry(call.scene)
-    seen = on_receiver(call.scene, geometry, casting.outline, found.borders)
-    seen = less_what_slides(call, number, geometry, found.points, found.start, found.borders.receiver, seen)
-    return FilmJumps(found.points.place, found.strength * swept_areas(seen, found.normal))
+@shadow_term
+class BouncedShadows(ShadowTerm):
+    """Borders of lights without extent on surfaces that paths meet after the first, glued to them."""
+
+    rank = 5
+
+    def applies(self) -> bool:
+        return glues(self.call) and sharp_lights_later(self.call)
+
+    def samples(self, number: int) -> CutOff | None:
+        call, casting = self.still, self.casting
+        pairs = pairs_of(call, number, casting, False)
+        if pairs is None:
+            return None
+        points, start, borders, inwards, times, key = pairs
+        scene, geometry, integrand = call.scene, geometry_of(call.scene), integrand_of(call, call.integrand, number)
+        course = course_of(partial(on_receiver, scene, geometry, casting.outline, borders), times, inwards)
+        here = course.at
+        way = way_to(start, interpolated(corners_of(geometry, borders.receiver), here.x, here.y), scene.dtype)
+        light = light_sent_on(call, integrand, borders, way, key)
+        beta = points.beta * scattered_light(integrand, path_of(call, points.ray, points.key), points.hit, way.ray.d)
+        light = light * torch.stack(tuple(beta)).double() * solid_angle(scene, borders.receiver, Ray(start, way.reach))
+        return cut_off(points.place, course, light, ConnectedBorders(points, start, borders))
+
+    def seen(self, number: int, geometry: Geometry, found: CutOff) -> Vec2:
+        points, start, borders = found.samples
+        seen = on_receiver(self.call.scene, geometry, self.casting.outline, borders)
+        return less_what_slides(self.call, number, geometry, points, start, borders.receiver, seen)
 
 
 def on_receiver(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,
@@ -74,41 +103,18 @@ class ConnectedPlaces(NamedTuple):
     key: LaneKey  # of random numbers
 
 
-def connected_borders_of_paths(call: RenderCall, number: int, casting: Casting) -> ConnectedBorders | None:
-    """Samples borders, each connected to a path vertex of view `number`; args as of `border.borders_in_view`."""
-    pairs = pairs_of(call, number, casting, False)
-    if pairs is None:
-        return None
-    points, start, borders, inwards, times, key = pairs
-    scene, geometry, integrand = call.scene, geometry_of(call.scene), integrand_of(call, call.integrand, number)
-    here, along = pace(lambda step: on_receiver(scene, geometry, casting.outline, borders, step), times)
-    shade = on_receiver(scene, geometry, casting.outline, borders, off=inwards)
-    normal = Vec2(-along.y * times, along.x * times)
-    ahead = (shade.x - here.x) * normal.x + (shade.y - here.y) * normal.y > 0
-    way = way_to(start, interpolated(corners_of(geometry, borders.receiver), here.x, here.y), scene.dtype)
-    light = light_sent_on(call, integrand, borders, way, key)
-    beta = points.beta * scattered_light(integrand, path_of(call, points.ray, points.key), points.hit, way.ray.d)
-    light = light * torch.stack(tuple(beta)).double() * solid_angle(scene, borders.receiver, Ray(start, way.reach))
-    light = torch.where(torch.isfinite(normal.x) & torch.isfinite(normal.y), light, 0.0)
-    kept = (light != 0).any(0).nonzero().squeeze(1)
-    if not len(kept):
-        return None
-    light, ahead = light[:, kept], ahead[kept]
-    return ConnectedBorders(*rows((points, start, borders, normal), kept), torch.where(ahead, light, -light))
-
-
 def pairs_of(call: RenderCall, number: int, casting: Casting, following: bool) -> ConnectedPlaces | None:
     """Samples borders, each paired with a path vertex of view `number`; None: there are none.
 
     Args:
-        call, number, casting: as of `border.borders_in_view`.
+        call, number, casting: as for `border.lit_edges`.
         following: as for `viewpoints`.
     """
     lit = lit_edges(call, number, casting, Lights(sharp=True, soft=False, around=False), SHARE)
     if lit is None:
         return None
     integrand, geometry, count = integrand_of(call, call.integrand, number), geometry_of(call.scene), len(lit.passed.edge)
-    points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1), count, following)
+    points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1), PathBatch(count), following)
     if not len(points.depth):
         return None
     place = torch.arange(count, dtype=torch.int32, device=call.scene.device)

@@ -22,23 +22,30 @@ References: as of `hidden_light.py`.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.deposit import Deposit, attached_geometry
 from torch_radbp.boundary.geometry import Between, Corners, Geometry, geometry_of
 from torch_radbp.boundary.segments import Segments, height_above, heights_by, level_on_lines, place_of
-from torch_radbp.boundary.shadows.edge_tree import numbers_to
-from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry
-from torch_radbp.boundary.shadows.hidden_light import EVEN, FirstVertex, light_beyond, number_of_paths
-from torch_radbp.boundary.shadows.seen_edges import BESIDE, Passed, corners_of, extent_of, salted, unhidden
-from torch_radbp.boundary.shadows.segment_tree import SegmentTree, ends_of, segment_found, segment_passed, surfaces_along
+from torch_radbp.boundary.shadows.border import SOFT
+from torch_radbp.boundary.shadows.hidden_light import light_beyond, most_paths, number_of_paths
+from torch_radbp.boundary.shadows.seen_edges import BESIDE, Passed, extent_of, salted, unhidden
+from torch_radbp.boundary.shadows.segment_tree import (
+    SegmentTree,
+    ends_of,
+    segment_found,
+    segment_passed,
+    segment_tree,
+    surfaces_along,
+)
+from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, glues, shadow_term
 from torch_radbp.boundary.shadows.slid import what_slides
-from torch_radbp.boundary.shadows.viewpoints import Viewpoints, vertex_at, viewpoints
-from torch_radbp.boundary.shadows.ways_down import picked_ones, ways_down
-from torch_radbp.boundary.term import LineNumbers
+from torch_radbp.boundary.shadows.viewpoints import PathBatch, Viewpoints, eyes_at, vertex_at, viewpoints
+from torch_radbp.boundary.shadows.ways_down import lot_of_found, ways_down
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tensors import SceneTensors
@@ -46,7 +53,7 @@ from torch_radbp.tensors.differentiated import primal
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.stage import stage
-from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, normalize, rows, unit_normal, where
+from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, normalize, rows, where
 
 SALT = 0x7F4A7C15  # tells the random numbers of these places from others
 PATHS = 0.5  # of the paths from which edges are looked at, that segments are looked at from
@@ -76,62 +83,71 @@ class CrossedOfView(NamedTuple):
     strength: Tensor  # (3, K) float64, gain of light per unit of the level
 
 
-def jumps_of_crossed_surfaces(call: RenderCall, number: int, found: CrossedOfView, lines: LineNumbers | None) -> FilmJumps:
-    """What such curves add to the derivative of view `number`; `call`: of which something moves,
-    `lines`: what lines that slide follow, attached."""
-    geometry, sheets = attached_geometry(call.scene)._replace(lines=lines), found.sheets
-    met = hit_at(sheets, sheets.at, found.points.hit.u.dtype)
-    near, ways = what_slides(call, number, geometry, rows(found.points, found.viewpoint), found.start, met, sheets.at)
-    at = (place.index_add(0, near, way) for place, way in zip(sheets.at, ways))
-    u, v = at
-    p = interpolated(place_of(geometry, sheets.triangle, sheets.instance), u, v)
-    level = height_above(place_of(geometry, sheets.through, sheets.shown_by), p)
-    if lines is not None:
-        between = Between(*lookup(geometry.triangles.corners, sheets.triangle))
-        level = torch.where(sheets.line >= 0, level_on_lines(geometry, between, u, v, sheets.line), level)
-    return FilmJumps(rows(found.points.place, found.viewpoint), found.strength * (level - primal(level)))
+@shadow_term
+class CrossedSurfaces(ShadowTerm):
+    """Intersections of surfaces, and lines that slide over these, as vertices of paths see them."""
+
+    rank = 8
+    needs = "crossing",
+
+    @classmethod
+    def size(cls, call: RenderCall) -> TermSize:
+        return TermSize(kept=int(2 * PLACES * PATHS * most_paths(call)))  # fewer than others while found
+
+    def applies(self) -> bool:
+        return glues(self.call) and (self.call.integrand.max_depth > 2 or surfaces_shine(self.call.scene, self.crossing))
+
+    @cached_property
+    def curves(self) -> SegmentTree:
+        """The curves, and a tree over them."""
+        return segment_tree(self.still.stages, geometry_of(self.still.scene), self.crossing)
+
+    def samples(self, number: int) -> CrossedOfView | None:
+        call = self.still
+        view, geometry = call.views[number], geometry_of(call.scene)
+        integrand = integrand_of(call, call.integrand, number)
+        points = viewpoints(call, number, integrand, PathBatch(number_of_paths(call, view, PATHS)))
+        if not len(points.depth):
+            return None
+        at, extent = vertex_at(call, geometry, number, points), extent_of(geometry)
+        eyes = eyes_at(geometry, points, at)
+        seed, count, (segments, tree) = salted(view, SALT), PLACES * len(points.depth), self.curves
+        ways = ways_down(call.stages, tree, eyes, seed, LOOKS, extent)
+        found = call.stages(segment_found)(geometry, segments, tree.slots, eyes, ways, extent)
+        found = lot_of_found(found, ways.eye, LOOKS, count)
+        if found is None:
+            return None
+        passed = call.stages(segment_passed)(geometry, segments, eyes, found[0], seed, extent, found[1])
+        passed = rows(passed, unhidden(call.integrand, passed))
+        if not len(passed.edge):
+            return None
+        sheets = joined(list(call.stages(sheets_seen)(geometry, segments, at, passed, extent)))
+        passed = joined([passed, passed])
+        hit = hit_at(sheets, sheets.beside, integrand.proposal.dtype)
+        light = light_beyond(call, integrand, points, hit, passed, at, SOFT) * sheets.growth
+        kept = ((light != 0) & torch.isfinite(light)).any(0).nonzero().squeeze(1)
+        if not len(kept):
+            return None
+        return CrossedOfView(points, passed.eye[kept], rows(at, passed.eye[kept]), rows(sheets, kept), light[:, kept])
+
+    def jumps(self, number: int, found: CrossedOfView) -> list[Deposit]:
+        geometry, sheets = attached_geometry(self.call.scene)._replace(lines=self.lines), found.sheets
+        met, seen_from = hit_at(sheets, sheets.at, found.points.hit.u.dtype), rows(found.points, found.viewpoint)
+        near, ways = what_slides(self.call, number, geometry, seen_from, found.start, met, sheets.at)
+        at = (place.index_add(0, near, way) for place, way in zip(sheets.at, ways))
+        u, v = at
+        p = interpolated(place_of(geometry, sheets.triangle, sheets.instance), u, v)
+        level = height_above(place_of(geometry, sheets.through, sheets.shown_by), p)
+        if self.lines is not None:
+            between = Between(*lookup(geometry.triangles.corners, sheets.triangle))
+            level = torch.where(sheets.line >= 0, level_on_lines(geometry, between, u, v, sheets.line), level)
+        return [Deposit(seen_from.place, found.strength.unbind(), level - primal(level))]
 
 
 def surfaces_shine(scene: SceneTensors, segments: Segments) -> bool:
     """True if one of the surfaces that pass through each other emits light, which all vertices of paths receive straight."""
     return any(bool(((rows(scene.triangles.emitter, triangle.clamp_min(0)) >= 0) & (triangle >= 0)).any())
                for triangle, _ in surfaces_along(segments))
-
-
-def curves_of_view(call: RenderCall, number: int, crossing: SegmentTree) -> CrossedOfView | None:
-    """Samples intersections as seen from path vertices of view `number`; None: there are none.
-
-    Args:
-        call: without derivatives.
-        crossing: the curves.
-    """
-    view, geometry = call.views[number], geometry_of(call.scene)
-    integrand = integrand_of(call, call.integrand, number)
-    points = viewpoints(call, number, integrand, number_of_paths(call, view, PATHS))
-    if not len(points.depth):
-        return None
-    at, corners = vertex_at(call, geometry, number, points), corners_of(geometry, points.hit)
-    one, extent = torch.ones_like(at.x), extent_of(geometry)
-    eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, (points.lobe,))
-    seed, count, (segments, tree) = salted(view, SALT), PLACES * len(points.depth), crossing
-    ways = ways_down(call.stages, tree, eyes, seed, LOOKS, extent)
-    found = call.stages(segment_found)(geometry, segments, tree.slots, eyes, ways, extent)
-    found = picked_ones(found, ways.eye, LOOKS, count)
-    if found is None:
-        return None
-    passed = call.stages(segment_passed)(geometry, segments, eyes, found.lot, found.found, found.eye, seed, extent,
-                                        numbers_to(count, found.eye))
-    passed = rows(passed, unhidden(call.integrand, passed))
-    if not len(passed.edge):
-        return None
-    sheets = joined(list(call.stages(sheets_seen)(geometry, segments, at, passed, extent)))
-    passed = joined([passed, passed])
-    hit = hit_at(sheets, sheets.beside, integrand.proposal.dtype)
-    light = light_beyond(call, integrand, points, hit, passed, at, FirstVertex(True, True)) * sheets.growth
-    kept = ((light != 0) & torch.isfinite(light)).any(0).nonzero().squeeze(1)
-    if not len(kept):
-        return None
-    return CrossedOfView(points, passed.eye[kept], rows(at, passed.eye[kept]), rows(sheets, kept), light[:, kept])
 
 
 def hit_at(sheets: Sheets, place: Vec2, dtype: torch.dtype) -> Hit:

@@ -42,6 +42,13 @@ def eyes_for_each(outline: Outline, eyes: Eyes, looks: int) -> int:
     return each if each >= min(FEWEST, count) else 0
 
 
+class EyesOfEdge(NamedTuple):
+    """How many viewpoints try an edge; () int32 each."""
+
+    each: Tensor  # successive ones
+    count: Tensor  # of all
+
+
 class Tried(NamedTuple):
     """Tests whether edges are silhouettes from viewpoints; N tests."""
 
@@ -61,8 +68,8 @@ def edges_tried(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes
     """
     def found_from(edges: Tensor, each: int, seed: SampleKey) -> tuple[PickedEdges, Tensor]:
         lane, count = numbers_to(each * len(edges), eyes.w), len(eyes.w)
-        numbers = (torch.full((), value, dtype=torch.int32, device=lane.device) for value in (each, count))
-        tried = stages(edge_tried)(geometry, outline, eyes, edges, seed, *numbers, extent, lane)
+        pairing = EyesOfEdge(*(torch.full((), value, dtype=torch.int32, device=lane.device) for value in (each, count)))
+        tried = stages(edge_tried)(geometry, outline, eyes, edges, seed, pairing, extent, lane)
         kept = chosen(tried.angle > 0.0)
         (eye, angle), edge = rows(tried, kept), rows(edges, torch.div(kept, each, rounding_mode="floor"))
         return PickedEdges(edge, torch.full_like(angle, count / each), angle), eye
@@ -88,7 +95,7 @@ def close_to(geometry: Geometry, outline: Outline, found: Tensor) -> Tensor:
 
 
 @stage("geometry", "outline", "eyes", "edges")
-def edge_tried(geometry: Geometry, outline: Outline, eyes: Eyes, edges: Tensor, seed: SampleKey, each: Tensor, count: Tensor,
+def edge_tried(geometry: Geometry, outline: Outline, eyes: Eyes, edges: Tensor, seed: SampleKey, pairing: EyesOfEdge,
                extent: Tensor, lane: Tensor) -> Tried:
     """Tests whether edges are silhouettes as seen from viewpoints.
 
@@ -97,10 +104,10 @@ def edge_tried(geometry: Geometry, outline: Outline, eyes: Eyes, edges: Tensor, 
         eyes: that may look.
         edges: (K,) int32, the edges that are tried.
         seed: of random numbers.
-        each: () int32, how many eyes try an edge.
-        count: () int32, how many there are.
+        pairing: how many eyes try an edge.
         lane: (N,) int32, so many times the place of the edge among these, plus that of the eye among these.
     """
+    each, count = pairing
     place = torch.div(lane, each, rounding_mode="floor")
     edge = rows(edges, place)
     first = (fine_unit(edge * STEPS[0] + hash32(seed.seed)) * count).floor().to(torch.int32)

@@ -20,33 +20,33 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.deposit import Deposit, attached_geometry, swept_areas
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.rendering import asks_for_derivatives
+from torch_radbp.boundary.shadows.border import SOFT, Lights
+from torch_radbp.boundary.shadows.cuts import CutsOfView, all_cuts, cut_at, matter, some_cuts
 from torch_radbp.boundary.shadows.drawn_directions import DirectionNumbers, Drawn, directions_drawn, drawn
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
-from torch_radbp.boundary.shadows.hidden_light import (
-    LOOKS,
-    CutsOfView,
-    FirstVertex,
-    all_cuts,
-    cut_at,
-    eyes_of,
-    matter,
-    number_of_paths,
-    some_cuts,
-)
+from torch_radbp.boundary.shadows.hidden_light import LOOKS, eyes_of, most_paths, number_of_paths
 from torch_radbp.boundary.shadows.lines_through_edges import solid_angle
 from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
     BESIDE,
-    Casting,
     Passed,
     extent_of,
     places_seen,
     salted,
     unhidden,
 )
-from torch_radbp.boundary.shadows.viewpoints import Viewpoints, arriving, path_of, vertex_at, vertex_on, viewpoints
+from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, follows, shadow_term
+from torch_radbp.boundary.shadows.viewpoints import (
+    PathBatch,
+    Viewpoints,
+    arriving,
+    path_of,
+    vertex_at,
+    vertex_on,
+    viewpoints,
+)
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
@@ -91,28 +91,75 @@ class LightBeside(NamedTuple):
     picked: Tensor  # background, by light sampling
 
 
-def directions_turn(call: RenderCall) -> bool:
-    """True if differentiated textures or normals turn sampled directions that carry derivatives."""
-    settings = call.integrand.settings
-    kinds = [(bsdf.textures(), bsdf.kind()) for bsdf in one_sided(call.module.bsdfs())]
-    turned = [source for textures, kind in kinds if kind.smooth and sampling_at(kind, settings.sampling) == "attached"
-              for slot in turning_values(kind, settings.sampling) for source in textures[slot].sources()]
-    follows = settings.sampling == "attached" or settings.following
-    return any(map(asks_for_derivatives, turned)) or follows and any_differentiated(call.scene.triangles.vertices.n)
+@shadow_term
+class FollowedLight(ShadowTerm):
+    """Scattered directions that carry derivatives, and slide over edges."""
 
+    rank = 6
 
-def jumps_of_followed_cuts(call: RenderCall, number: int, casting: Casting, found: FollowedCuts) -> FilmJumps:
-    """The boundary term of directions that slide over edges, for view `number`; args as of `border.jumps_of_borders`."""
-    geometry, own, lamps = attached_geometry(call.scene), found.directions, found.lamps
-    points, viewpoint = own.points, own.cuts.viewpoint
-    rays = arriving(call, number, points, all_of_them=True)
-    at = vertex_on(geometry, points, rays)
-    seen, of_lamps = (cut_at(geometry, casting.outline, at, cuts) for cuts in (own.cuts, lamps.cuts))
-    d = moved_directions(call, rows(points, viewpoint), rows(rays, viewpoint), found.numbers)
-    seen = Vec2(*(place - dot(d, across) for place, across in zip(seen, own.cuts.basis)))
-    amount = torch.cat([own.strength * swept_areas(seen, own.normal),
-                        lamps.strength * swept_areas(of_lamps, lamps.normal)], 1)
-    return FilmJumps(rows(points.place, torch.cat([viewpoint, lamps.cuts.viewpoint])), amount)
+    @classmethod
+    def size(cls, call: RenderCall) -> TermSize:
+        places = follows(call) * most_paths(call) * PLACES * TIMES_AS_LARGE
+        return TermSize(0, places, places)
+
+    @classmethod
+    def turns(cls, call: RenderCall) -> bool:
+        """True if differentiated textures or normals turn sampled directions that carry derivatives."""
+        settings = call.integrand.settings
+        kinds = [(bsdf.textures(), bsdf.kind()) for bsdf in one_sided(call.module.bsdfs())]
+        turned = [source for textures, kind in kinds if kind.smooth and sampling_at(kind, settings.sampling) == "attached"
+                  for slot in turning_values(kind, settings.sampling) for source in textures[slot].sources()]
+        normals = call.scene.triangles.vertices.n
+        return any(map(asks_for_derivatives, turned)) or follows(call) and any_differentiated(normals)
+
+    def applies(self) -> bool:
+        return follows(self.call)
+
+    def samples(self, number: int) -> FollowedCuts | None:
+        call, casting = self.still, self.casting
+        view, geometry = call.views[number], geometry_of(call.scene)
+        integrand = integrand_of(call, call.integrand, number)
+        points = viewpoints(call, number, integrand, PathBatch(number_of_paths(call, view)), following=True)
+        if not len(points.depth):
+            return None
+        at = vertex_at(call, geometry, number, points)
+        eyes = eyes_of(call, number, integrand, points, at, SOFT)
+        passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS, PLACES * len(points.depth))
+        if passed is None:
+            return None
+        passed = rows(passed, unhidden(call.integrand, passed))
+        if not len(passed.edge):
+            return None
+        start = rows(at, passed.eye)
+        beyond = _beside(integrand, passed, start, BESIDE * extent_of(geometry))
+        own = rows(points, passed.eye)._replace(key=passed.key)
+        eager = integrand.with_stages(EAGER)
+        found = drawn(eager, path_of(call, own.ray, own.key), own.hit, beyond.back.ray.d)
+        light = light_beside(call, integrand, own, beyond, found, Lights.uncovered(call))
+
+        def cuts_at(hit: Hit, lost: Tensor) -> CutsOfView:
+            return all_cuts(call.stages, geometry, casting, points, at, passed, hit, lambda cuts: lost)
+
+        nothing = beyond.back.hit._replace(prim=torch.full_like(beyond.back.hit.prim, -1))
+        directions = cuts_at(nothing, light.drawn)
+        onto_lamps = solid_angle(call.scene, beyond.back.hit, Ray(start, passed.p - start))
+        lamps = cuts_at(beyond.back.hit, light.picked * onto_lamps)
+        kept, of_lamps = matter(directions), matter(lamps)
+        if not len(kept) and not len(of_lamps):
+            return None
+        return FollowedCuts(some_cuts(directions, kept), rows(found.numbers, kept), some_cuts(lamps, of_lamps))
+
+    def jumps(self, number: int, found: FollowedCuts) -> list[Deposit]:
+        call, geometry, own, lamps = self.call, attached_geometry(self.call.scene), found.directions, found.lamps
+        points, viewpoint = own.points, own.cuts.viewpoint
+        rays = arriving(call, number, points, all_of_them=True)
+        at = vertex_on(geometry, points, rays)
+        seen, of_lamps = (cut_at(geometry, self.casting.outline, at, cuts) for cuts in (own.cuts, lamps.cuts))
+        d = moved_directions(call, rows(points, viewpoint), rows(rays, viewpoint), found.numbers)
+        seen = Vec2(*(place - dot(d, across) for place, across in zip(seen, own.cuts.basis)))
+        parts = (own, viewpoint, swept_areas(seen, own.normal)), (
+            lamps, lamps.cuts.viewpoint, swept_areas(of_lamps, lamps.normal))
+        return [Deposit(rows(points.place, number), part.strength.unbind(), moved) for part, number, moved in parts]
 
 
 def moved_directions(call: RenderCall, points: Viewpoints, rays: Ray, numbers: DirectionNumbers) -> Vec3:
@@ -130,45 +177,6 @@ def moved_directions(call: RenderCall, points: Viewpoints, rays: Ray, numbers: D
     return found.map(torch.Tensor.double)
 
 
-def followed_cuts_of_view(call: RenderCall, number: int, casting: Casting, first: FirstVertex) -> FollowedCuts | None:
-    """Samples edges that differentiated directions meet; None: there are none.
-
-    Args:
-        call, casting: as for `border.borders_in_view`.
-        first: of which lights picked points count at the first vertices of paths.
-    """
-    view, geometry = call.views[number], geometry_of(call.scene)
-    integrand = integrand_of(call, call.integrand, number)
-    points = viewpoints(call, number, integrand, number_of_paths(call, view), following=True)
-    if not len(points.depth):
-        return None
-    at = vertex_at(call, geometry, number, points)
-    eyes = eyes_of(call, number, integrand, points, at, FirstVertex(True, True))
-    passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS, PLACES * len(points.depth))
-    if passed is None:
-        return None
-    passed = rows(passed, unhidden(call.integrand, passed))
-    if not len(passed.edge):
-        return None
-    start = rows(at, passed.eye)
-    beyond = _beside(integrand, passed, start, BESIDE * extent_of(geometry))
-    own = rows(points, passed.eye)._replace(key=passed.key)
-    eager = integrand.with_stages(EAGER)
-    found = drawn(eager, path_of(call, own.ray, own.key), own.hit, beyond.back.ray.d)
-    light = light_beside(call, integrand, own, beyond, found, first)
-
-    def cuts_at(hit: Hit, lost: Tensor) -> CutsOfView:
-        return all_cuts(call.stages, geometry, casting, points, at, passed, hit, lambda cuts: lost)
-
-    nothing = beyond.back.hit._replace(prim=torch.full_like(beyond.back.hit.prim, -1))
-    directions = cuts_at(nothing, light.drawn)
-    lamps = cuts_at(beyond.back.hit, light.picked * solid_angle(call.scene, beyond.back.hit, Ray(start, passed.p - start)))
-    kept, of_lamps = matter(directions), matter(lamps)
-    if not len(kept) and not len(of_lamps):
-        return None
-    return FollowedCuts(some_cuts(directions, kept), rows(found.numbers, kept), some_cuts(lamps, of_lamps))
-
-
 def _beside(integrand: Integrand, passed: Passed, start: Vec3, off: Tensor) -> Beyond:
     """Traces rays beside samples on edges; `start`: (N,) the path vertices, `off`: distance from the edge."""
     reach = passed.p - start
@@ -183,7 +191,7 @@ def _beside(integrand: Integrand, passed: Passed, start: Vec3, off: Tensor) -> B
 
 
 def light_beside(call: RenderCall, integrand: Integrand, points: Viewpoints, beyond: Beyond, found: Drawn,
-                 first: FirstVertex) -> LightBeside:
+                 first: Lights) -> LightBeside:
     """The light on either side of edges that reaches a view.
 
     Args:
@@ -191,7 +199,7 @@ def light_beside(call: RenderCall, integrand: Integrand, points: Viewpoints, bey
         points: (N,) that see the edges.
         beyond: what lies beside these.
         found: how the vertices draw their directions.
-        first: as for `followed_cuts_of_view`.
+        first: of which lights picked points count at the first vertices of paths.
     """
     none = torch.zeros(3, len(points.depth), dtype=torch.float64, device=call.scene.device)
     by_drawing, by_picking = none, none.clone()
@@ -209,7 +217,7 @@ def light_beside(call: RenderCall, integrand: Integrand, points: Viewpoints, bey
             straight = integrand._replace(max_depth=depth + 2)
             L = trace(straight, sure, hit=back.hit, depth=depth + 1) - trace(straight, behind, hit=back.hit, depth=depth + 1)
             if depth == 0:
-                L = masked(torch.where(back.hit.prim >= 0, *first), L)
+                L = masked(torch.where(back.hit.prim >= 0, first.soft, first.around), L)
             by_picking[:, lanes] = torch.stack(tuple(L)).double()
     scale = torch.stack(tuple(points.beta * found.scattered)).double()
     return LightBeside(by_drawing * scale * found.share.double(), by_picking * scale)

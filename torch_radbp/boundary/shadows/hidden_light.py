@@ -23,39 +23,40 @@ Zhang, Miller, Yan, Gkioulekas and Zhao 2020, "Path-Space Differentiable Renderi
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.geometry import Geometry, geometry_of
-from torch_radbp.boundary.outline import Outline
+from torch_radbp.boundary.deposit import Deposit
+from torch_radbp.boundary.geometry import geometry_of
+from torch_radbp.boundary.rendering import Rendering
 from torch_radbp.boundary.shadows import film_density, split
+from torch_radbp.boundary.shadows.border import SOFT, Lights, most_samples
+from torch_radbp.boundary.shadows.cuts import (
+    CutsOfView,
+    cuts_that_matter,
+    joined_cuts,
+    jumps_of_cuts,
+    rise_of,
+    some_cuts,
+    with_used_viewpoints,
+)
 from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
 from torch_radbp.boundary.shadows.light_points import light_lobes, light_points
 from torch_radbp.boundary.shadows.lines_through_edges import scattered_towards, solid_angle
 from torch_radbp.boundary.shadows.seen_edges import (
-    BESIDE,
     Casting,
     Passed,
-    corners_of,
-    crossed_at,
-    extent_of,
-    finite_normal,
-    pace,
     places_seen,
-    point_of_edge,
     salted,
     unhidden,
     uniform_numbers,
 )
-from torch_radbp.boundary.shadows.slid import less_what_slides
+from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, glues, shadow_term
 from torch_radbp.boundary.shadows.split import ALL, Amount
 from torch_radbp.boundary.shadows.thinning import chances, thinned
-from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
+from torch_radbp.boundary.shadows.viewpoints import PathBatch, Viewpoints, eyes_at, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.call.view import View
 from torch_radbp.path.event import Ends
@@ -63,129 +64,68 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import SampleKey
-from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.tensors.differentiated import primal
-from torch_radbp.tensors.record import leaves_of, with_leaves
-from torch_radbp.tensors.stage import Stages, stage
-from torch_radbp.tensors.vec import Ray, Vec2, Vec3, cross, dot, masked, normalize, rows, unit_normal
+from torch_radbp.tensors.vec import Ray, Vec3, dot, masked, rows
 
 SALT = 0x3C6EF372  # tells the random numbers of these places from others
 SHARE, MOST = 16, 1 << 16  # one path for so many of the image; and at most at once
 ROUNDS = 16  # of `MOST` paths, at most
 LOOKS, PLACES = 8, 4  # for edges from each, and places on edges that were found
 FEWEST_PATHS = 16
-EVEN = 0.1  # how much edges count at grazing angles, by the cosine of interpolated normals
+FEW = 1024  # paths of a warning
+GRAZING = 0.1  # cosine with the normal below which a warning leaves edges out: all such give 1% of a uniform sky's light
+BYTES_OF_WAY = 120  # down the tree of edges: where it is, and what it has found
 
 
-class FirstVertex(NamedTuple):
-    """The lights that count when a path's first vertex receives them directly."""
+@shadow_term
+class HiddenLight(ShadowTerm):
+    """Light that edges occlude from vertices of paths, which see points that are glued to surfaces."""
 
-    surfaces: bool
-    surroundings: bool
+    rank = 3
+    is_split = True
 
-    def meant(self, scene: SceneTensors) -> Tensor:
-        """For each kind of light in a scene, whether it counts; bool."""
-        return torch.tensor([self.surroundings if kind.surround else self.surfaces for kind in scene.layout.lights],
-                            dtype=torch.bool, device=scene.device)
+    @classmethod
+    def size(cls, call: RenderCall) -> TermSize:
+        paths = most_paths(call)
+        places = glues(call) * paths * PLACES
+        # Those of a round beside those that others have kept. Where they are few, they are where places on borders were.
+        more = places if any(view.width * view.height * call.spp > SHARE * MOST for view in call.views) else 0
+        found = max(0, places - most_samples(call)) + more
+        return TermSize(paths * LOOKS * BYTES_OF_WAY, found, found)
 
+    def applies(self) -> bool:
+        return glues(self.call) and (self.call.integrand.max_depth > 2 or any(Lights.uncovered(self.call)))
 
-def without_extent(scene: SceneTensors) -> Tensor:
-    """For each kind of light in a scene, whether it is without extent; bool."""
-    return torch.tensor([kind.delta for kind in scene.layout.lights], dtype=torch.bool, device=scene.device)
+    def samples(self, number: int, amount: Amount = ALL) -> CutsOfView | None:
+        return cuts_of_view(self.still, number, self.casting, amount, first=Lights.uncovered(self.still))
 
+    def left_out(self, rendering: Rendering) -> set[str]:
+        first, outline, names = Lights.uncovered(self.still), self.casting.outline, set()
+        if rendering.shadows or not any(first):
+            return names
+        call = self.still._replace(integrand=self.still.integrand._replace(max_depth=2))  # light straight from lamps
+        for number, view in enumerate(call.views):
+            share = min(1.0, FEW / number_of_paths(call, view))
+            found = cuts_of_view(call, number, self.casting, Amount(share), first=first)
+            if found is None:
+                continue
+            cuts = rows(found.cuts, (rise_of(call, number, outline, found) > GRAZING).nonzero().squeeze(1))
+            if len(cuts.edge):
+                standing = rows(found.points.hit.prim, cuts.viewpoint)
+                names |= rendering.movers_at(outline.triangle(cuts.edge), standing, cuts.hit.prim)
+                names |= {*rendering.moving(view.sensor)}
+        return names
 
-class Cuts(NamedTuple):
-    """N samples of edges that occlude what viewpoints see; detached."""
-
-    viewpoint: Tensor  # (N,) int32
-    edge: Tensor  # (N,) int32, edge of the outline
-    along: Tensor  # (N,) float64, position along the edge, from a to b
-    hit: Hit  # the surface beyond; triangle -1: nothing
-    basis: tuple[Vec3, Vec3]  # across the line of sight
-
-
-class CutsOfView(NamedTuple):
-    """K edge samples that occlude light from paths of a view; detached."""
-
-    points: Viewpoints  # viewpoints, not all of them used
-    cuts: Cuts
-    normal: Vec2  # in the coordinates of `cut_at`; its length is that of the piece per sample
-    strength: Tensor  # (3, K) float64, light lost per unit of motion of the border
-    sweep: Tensor  # as of `border.BordersInView`
-
-    def independent(self) -> Tensor:
-        """The contributions in independent parts, see `split.SampledIntegral`: those of each path together."""
-        _, path = self.cuts.viewpoint.unique(return_inverse=True)
-        return self.strength.new_zeros(3, int(path.max()) + 1).index_add(1, path, self.strength * self.sweep)
-
-    def parted(self) -> tuple[CutsOfView | None, CutsOfView | None]:
-        """Splits into samples of pilot paths, which only estimate noise, and the others; None: there are none."""
-        if self.points.tried is None:
-            return None, self
-        tried, own = rows(self.points.tried, self.cuts.viewpoint), self._replace(points=self.points._replace(tried=None))
-        return tuple(with_used_viewpoints(some_cuts(own, part.nonzero().squeeze(1))) if part.any() else None
-                     for part in (tried, ~tried))
-
-
-def jumps_of_cuts(call: RenderCall, number: int, casting: Casting, found: CutsOfView) -> FilmJumps:
-    """The boundary term of light that edges occlude from paths, for view `number`; args as of `border.jumps_of_borders`."""
-    geometry = attached_geometry(call.scene)
-    at, viewpoint = vertex_at(call, geometry, number, found.points), found.cuts.viewpoint
-    seen, start = cut_at(geometry, casting.outline, at, found.cuts), rows(at.map(primal), viewpoint)
-    seen = less_what_slides(call, number, geometry, rows(found.points, viewpoint), start, found.cuts.hit, seen)
-    return FilmJumps(rows(found.points.place, found.cuts.viewpoint), found.strength * swept_areas(seen, found.normal))
-
-
-class CutCourse(NamedTuple):
-    """The course of borders at which edges occlude light, at N samples; detached, float64."""
-
-    basis: tuple[Vec3, Vec3]  # across the line of sight
-    normal: Vec2  # as of `CutsOfView`; 0 where unknown
-    sweep: Tensor
-
-
-def cut_at(geometry: Geometry, outline: Outline, vertices: Vec3, cuts: Cuts, step: Tensor | float = 0.0,
-           off: Vec3 | None = None) -> Vec2:
-    """Intersections of lines from viewpoints through edges with the surface beyond, (N,) barycentric; attached.
-
-    Where nothing lies beyond: the direction of the line, by its coordinates across the line of sight.
-
-    Args:
-        geometry: attached.
-        outline: the edges.
-        vertices: (M,) the viewpoints, attached.
-        cuts: the places.
-        step, off: as for `border`.
-    """
-    start, p = rows(vertices, cuts.viewpoint), point_of_edge(geometry, outline, cuts.edge, cuts.along + step)
-    reach = (p if off is None else p + off) - start
-    met, d = crossed_at(corners_of(geometry, cuts.hit), Ray(start, reach)), normalize(reach)
-    return Vec2(*(torch.where(cuts.hit.prim >= 0, inside, dot(d, across)) for inside, across in zip(met, cuts.basis)))
-
-
-def as_worth(first: float, found: Callable[[Amount], CutsOfView | None]) -> CutsOfView | None:
-    """Takes as many samples of an integral as pay off; None: there are none.
-
-    Args:
-        first: variance of the first integral, with all of its samples.
-        found: gives so many cuts.
-    """
-    some = found(Amount(split.LEAST, split.TRIED))
-    tried, some = (None, None) if some is None else some.parted()
-    worth = split.effort(first, tried)
-    if worth < split.LEAST + split.TRIED:  # so few others cost far more than they lower the noise
-        return some
-    more = found(Amount(worth - split.LEAST, before=split.LEAST))
-    share = split.LEAST / worth
-    return joined_cuts([(own, share) for own, share in ((some, share), (more, 1.0 - share)) if own is not None])
+    def jumps(self, number: int, found: CutsOfView) -> list[Deposit]:
+        return [jumps_of_cuts(self.call, number, self.casting.outline, found)]
 
 
 def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount = ALL, *,
-                 first: FirstVertex) -> CutsOfView | None:
+                 first: Lights) -> CutsOfView | None:
     """Samples edges that occlude light from paths of view `number`; None: there are none.
 
     Args:
-        call, casting: as for `border.borders_in_view`.
+        call: detached.
+        casting: the edges of all that casts shadows.
         amount: how many paths are looked at; cuts of those that are only tried are among the others.
         first: what the first vertices of paths receive straight from lights.
     """
@@ -194,12 +134,13 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount
         amount.counted, amount.tried, amount.before))
     density, some = None, paths // film_density.SHARE
     if some >= film_density.FEWEST:
-        trial = looks_at_edges(split.trying(call), number, integrand, casting, some, first)
+        trial = looks_at_edges(split.trying(call), number, integrand, casting, PathBatch(some), first)
         density = None if trial is None else film_density.film_density(view, trial.points, trial.passed)
     rounds = -(-(paths + more) // MOST)
     count, found = paths // rounds, []
     for begun in range(before, before + rounds * count, count):
-        looks = looks_at_edges(call, number, integrand, casting, count, first, density, begun, more // rounds)
+        batch = PathBatch(count, density, begun, more // rounds)
+        looks = looks_at_edges(call, number, integrand, casting, batch, first)
         cuts = None if looks is None else cuts_of_looks(call, integrand, casting, looks, first)
         if cuts is not None:
             found.append(cuts if rounds == 1 else fewer(cuts, salted(view, SALT), begun, MOST * PLACES // rounds))
@@ -207,13 +148,13 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount
 
 
 def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, looks: EdgeSightings,
-                  first: FirstVertex) -> CutsOfView | None:
+                  first: Lights) -> CutsOfView | None:
     """Selects the edge samples at which light is occluded; None: there are none. Args as for `looks_at_edges`."""
     geometry, (points, at, passed) = geometry_of(call.scene), looks
     hit = call.integrand.caster.intersect(passed.onwards)
     counts = hit.prim >= 0
     if call.scene.layout.surround is not None:
-        counts = counts | first.surroundings | (rows(points.depth, passed.eye) > 0)
+        counts = counts | first.around | (rows(points.depth, passed.eye) > 0)
     passed, hit = rows((passed, hit), counts.nonzero().squeeze(1))
     passed, hit = rows((passed, hit), unhidden(call.integrand, passed))
     if not len(passed.edge):
@@ -234,19 +175,6 @@ def fewer(found: CutsOfView, key: SampleKey, begun: int, most: int) -> CutsOfVie
     return with_used_viewpoints(some_cuts(found, kept)._replace(strength=found.strength[:, kept] / chance[kept]))
 
 
-def joined_cuts(found: Sequence[tuple[CutsOfView, float]]) -> CutsOfView | None:
-    """Joins sets of samples, each with the weight with which it counts; None: there are none."""
-    if not found:
-        return None
-    before = itertools.accumulate([len(own.points.depth) for own, _ in found], initial=0)
-    parts = [own._replace(strength=own.strength * share, cuts=own.cuts._replace(viewpoint=own.cuts.viewpoint + first))
-             for (own, share), first in zip(found, before)]
-    if len(parts) == 1:
-        return parts[0]
-    columns = zip(*(leaves_of(part) for part in parts))
-    return with_leaves(parts[0], [torch.cat(own, -1) if isinstance(own[0], Tensor) else own[0] for own in columns])
-
-
 class EdgeSightings(NamedTuple):
     """Edge samples as path vertices see them."""
 
@@ -255,23 +183,22 @@ class EdgeSightings(NamedTuple):
     passed: Passed  # (N,) samples, each with an equal share of angle
 
 
-def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting: Casting, count: int, first: FirstVertex,
-                   density: Tensor | None = None, begun: int = 0, tried: int = 0) -> EdgeSightings | None:
-    """Samples edges as seen from vertices of `count` paths; None: they see none.
+def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting: Casting, batch: PathBatch,
+                   first: Lights) -> EdgeSightings | None:
+    """Samples edges as seen from vertices of some paths; None: they see none.
 
     Args:
         call, number, casting: as for `cuts_of_view`.
         integrand: the view's.
-        count: of the paths.
+        batch: the paths.
         first: as for `cuts_of_view`.
-        density, begun, tried: of the paths, as for `viewpoints`.
     """
     geometry = geometry_of(call.scene)
-    points = viewpoints(call, number, integrand, count, density=density, begun=begun, tried=tried)
+    points = viewpoints(call, number, integrand, batch)
     if not len(points.depth):
         return None
-    if begun:
-        call = split.with_numbers(call, SALT + begun)
+    if batch.begun:
+        call = split.with_numbers(call, SALT + batch.begun)
     at = vertex_at(call, geometry, number, points)
     eyes = eyes_of(call, number, integrand, points, at, first)
     passed = places_seen(call.stages, geometry, casting, eyes, salted(call.views[number], SALT), LOOKS,
@@ -279,7 +206,7 @@ def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting:
     return None if passed is None else EdgeSightings(points, at, passed)
 
 
-def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoints, at: Vec3, first: FirstVertex) -> Eyes:
+def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoints, at: Vec3, first: Lights) -> Eyes:
     """The viewpoints, with weights of directions, from which edges are sampled.
 
     Args:
@@ -288,15 +215,13 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
         points, at: the viewpoints, and where they are.
         first: what counts of the light that the first vertices of paths receive straight.
     """
-    one = torch.ones_like(at.x)
-    corners = corners_of(geometry_of(call.scene), points.hit)
-    lobes = (points.lobe,)
+    lobes = ()
     if call.scene.layout.lights:
         lights = light_points(call.stages, call.scene, call.views[number], len(points.depth))
-        meant = ((points.depth > 0) | first.meant(call.scene)[lights.kind]) & ~without_extent(call.scene)[lights.kind]
+        meant = torch.where(points.depth > 0, *(some.of(call.scene)[lights.kind] for some in (SOFT, first)))
         lobe = integrand.part(Ends.SURROUNDINGS).call(light_lobes, at, lights.draw)
-        lobes += (lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),)
-    return Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, lobes)
+        lobes = lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),
+    return eyes_at(geometry_of(call.scene), points, at, lobes)
 
 
 def number_of_paths(call: RenderCall, view: View, share: float = 1.0, most: int = MOST) -> int:
@@ -304,72 +229,13 @@ def number_of_paths(call: RenderCall, view: View, share: float = 1.0, most: int 
     return max(FEWEST_PATHS, int(share * min(most, view.width * view.height * call.spp // SHARE))) if share else 0
 
 
-def cuts_that_matter(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed,
-                     hit: Hit, light: Callable[[Cuts], Tensor]) -> CutsOfView | None:
-    """The samples at which light is lost; None: there are none. Args as for `all_cuts`."""
-    found = all_cuts(stages, geometry, casting, points, at, passed, hit, light)
-    kept = matter(found)
-    return with_used_viewpoints(some_cuts(found, kept)) if len(kept) else None
-
-
-def all_cuts(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed, hit: Hit,
-             light: Callable[[Cuts], Tensor]) -> CutsOfView:
-    """Samples of occluding edges, those included at which nothing is lost.
-
-    Args:
-        stages, geometry, casting: as for `places_seen`.
-        points: viewpoints, which lie `at` (M,) world.
-        passed: (N,) places on edges that are seen from them.
-        hit: (N,) where lines from viewpoints through these are cut off.
-        light: from cuts to (3, N) what the view sees of the light there, for each unit of `cut_at`'s coordinates.
-    """
-    basis, normal, sweep = stages(cut_course)(geometry, casting.outline, at, passed, hit, extent_of(geometry))
-    cuts = Cuts(passed.eye, passed.edge, passed.along, hit, basis)
-    lost = torch.where((normal.x != 0.0) | (normal.y != 0.0), light(cuts), 0.0)
-    return CutsOfView(points, cuts, normal, torch.where(sweep > 0, -lost, lost), sweep)
-
-
-def matter(found: CutsOfView) -> Tensor:
-    """The indices of samples at which an edge occludes any light, int64."""
-    return (found.strength != 0).any(0).nonzero().squeeze(1)
-
-
-def some_cuts(found: CutsOfView, kept: Tensor) -> CutsOfView:
-    """Selects samples of occluding edges by index."""
-    return found._replace(cuts=rows(found.cuts, kept), normal=rows(found.normal, kept), strength=found.strength[:, kept],
-                          sweep=found.sweep[kept])
-
-
-def with_used_viewpoints(found: CutsOfView) -> CutsOfView:
-    """Drops viewpoints without samples: those that slide are traced once more, attached."""
-    used, viewpoint = found.cuts.viewpoint.unique(return_inverse=True)
-    cuts = found.cuts._replace(viewpoint=viewpoint.to(found.cuts.viewpoint.dtype))
-    return found._replace(points=rows(found.points, used.long()), cuts=cuts)
-
-
-@stage("geometry", "outline", "at")
-def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, hit: Hit, extent: Tensor) -> CutCourse:
-    """Computes how borders of occluded light run over the surfaces beyond.
-
-    Args:
-        geometry: of the scene, detached.
-        outline: the edges.
-        at: (M,) the viewpoints.
-        passed: (N,) places on edges that are seen from them.
-        hit: (N,) what lies beyond.
-        extent: () of the scene.
-    """
-    sight = normalize(passed.p - rows(at, passed.eye))
-    side = normalize(cross(passed.outwards, sight))
-    cuts = Cuts(passed.eye, passed.edge, passed.along, hit, (cross(sight, side), side))
-    here, along = pace(lambda step: cut_at(geometry, outline, at, cuts, step), passed.times)
-    open_at = cut_at(geometry, outline, at, cuts, off=passed.outwards * (BESIDE * extent))
-    normal = finite_normal(along, passed.times)
-    return CutCourse(cuts.basis, normal, (open_at.x - here.x) * normal.x + (open_at.y - here.y) * normal.y)
+def most_paths(call: RenderCall) -> int:
+    """The greatest number of paths whose vertices sample edges for a view."""
+    return max(number_of_paths(call, view) for view in call.views)
 
 
 def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, beyond: Hit, passed: Passed, at: Vec3,
-                 first: FirstVertex) -> Tensor:
+                 first: Lights) -> Tensor:
     """(3, N) float64 light past the edges that reaches the view, per unit of `cut_at`'s coordinates.
 
     Args:
@@ -389,8 +255,8 @@ def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, bey
         lanes = (own.depth == depth).nonzero().squeeze(1)
         state, met = path_of(call, *rows((ray, key), lanes)), rows(hit, lanes)
         found = trace(integrand, state, hit=met, depth=depth + 1)
-        if depth == 0 and not all(first):
+        if depth == 0 and first != SOFT:
             straight = trace(integrand._replace(max_depth=2), state, hit=met, depth=1)
-            found = found - masked(torch.where(met.prim >= 0, not first.surfaces, not first.surroundings), straight)
+            found = found - masked(torch.where(met.prim >= 0, not first.soft, not first.around), straight)
         L[:, lanes] = torch.stack(tuple(found)).double()
     return torch.stack(tuple(own.beta * beta)).double() * L * solid_angle(scene, beyond, Ray(start, reach))

@@ -13,18 +13,20 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.deposit import Deposit
 from torch_radbp.boundary.geometry import Geometry, geometry_of
-from torch_radbp.boundary.places import FEWEST, NEIGHBOURS, counts_somewhere, lot_of, on_film, picked
-from torch_radbp.boundary.shadows.border import MOST, SHARE, aperture_of, camera_sample, seen_at, sees
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
-from torch_radbp.boundary.shadows.seen_edges import Casting, corners_of, crossed_at, pace, salted
+from torch_radbp.boundary.places import counts_somewhere, key_of_places, lot_of, on_film, picked
+from torch_radbp.boundary.shadows.border import SHARE, most_samples, samples_of
+from torch_radbp.boundary.shadows.seen_edges import Course, corners_of, crossed_at, finite_normal, pace, salted
+from torch_radbp.boundary.shadows.seen_on_film import aperture_of, camera_sample, seen_at, sees
+from torch_radbp.boundary.shadows.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, films_have_area, shadow_term
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.light_connection import light_numbers
 from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.running_sum import running_sum
-from torch_radbp.sampling.sampler import CAMERA_COUNTER, LaneKey, bounce_key, fine_unit, lane_key, random_bits
+from torch_radbp.sampling.sampler import CAMERA_COUNTER, LaneKey, bounce_key, fine_unit, random_bits
 from torch_radbp.scene.light_choice import LightPick
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
@@ -96,32 +98,36 @@ def in_picture(lines: JumpLines, whole: bool, device: torch.device) -> tuple[Vec
 class PictureBorders(NamedTuple):
     """K samples on borders of projected images that a view sees; detached."""
 
+    kind: int  # of lights
     curves: LitCurves
-    place: Vec2  # on the film
     aperture: Vec2 | None  # of the rays that see them
-    normal: Vec2  # normal of the curve on the film; its length is that of the piece per sample
-    strength: Tensor  # (3, K) float64, light lost per unit of motion of the curve
 
 
-def picture_borders_in_view(call: RenderCall, number: int, casting: Casting, kind: int,
-                            lines: PictureLines) -> PictureBorders | None:
-    """Samples borders of projected images that view `number` sees; None: there are none.
+@shadow_term
+class ProjectedImages(ShadowTerm):
+    """Borders of projected images, and lines at which these jump, on surfaces that the camera sees."""
 
-    Args:
-        call: without derivatives.
-        casting: edges, which do not matter here.
-        kind: of the lights, its number.
-        lines: of their pictures.
-    """
-    lit = curves_lit(call, number, kind, lines)
-    return None if lit is None else borders_seen(call, number, kind, *lit)
+    rank = 1
 
+    @classmethod
+    def size(cls, call: RenderCall) -> TermSize:
+        samples = bool(lines_of_pictures(call)) * most_samples(call)
+        return TermSize(0, samples, samples)
 
-def jumps_of_pictures(call: RenderCall, number: int, casting: Casting, found: PictureBorders, kind: int) -> FilmJumps:
-    """The boundary term of projected images for a view; `call`: with derivatives, other args as for the search."""
-    on_curve = lit_at(call.scene, attached_geometry(call.scene), kind, found.curves)
-    on_view = on_film(call.views[number].camera, on_curve, found.aperture)
-    return FilmJumps(found.place, found.strength * swept_areas(on_view, found.normal))
+    def applies(self) -> bool:
+        return films_have_area(self.call) and self.call.integrand.settings.nee
+
+    def samples(self, number: int) -> list[CutOff] | None:
+        found = [borders_seen(self.still, number, kind, *lit) for kind, lines in lines_of_pictures(self.still).items()
+                 if (lit := curves_lit(self.still, number, kind, lines)) is not None]
+        return [own for own in found if own is not None] or None
+
+    def jumps(self, number: int, found: list[CutOff]) -> list[Deposit]:
+        return [deposit for own in found for deposit in super(ProjectedImages, self).jumps(number, own)]
+
+    def seen(self, number: int, geometry: Geometry, found: CutOff) -> Vec2:
+        kind, curves, aperture = found.samples
+        return on_film(self.call.views[number].camera, lit_at(self.call.scene, geometry, kind, curves), aperture)
 
 
 def lit_at(scene: SceneTensors, geometry: Geometry, kind: int, curves: LitCurves, step: Tensor | float = 0.0,
@@ -152,13 +158,20 @@ def light_of(scene: SceneTensors, kind: int, curves: LitCurves, step: Tensor | f
 
 def curves_lit(call: RenderCall, number: int, kind: int,
                lines: PictureLines) -> tuple[LitCurves, Tensor, LaneKey] | None:
-    """Samples image lines whose light hits a receiver, weights and keys; args as for `picture_borders_in_view`."""
+    """Samples image lines whose light hits a receiver, with weights and keys; None: there are none.
+
+    Args:
+        call: without derivatives.
+        number: of the view.
+        kind: of lights, its number.
+        lines: of their images.
+    """
     view, scene = call.views[number], call.scene
     run = lines.end + lines.start * -1.0
     weight = torch.hypot(run.x, run.y)
-    count = max(FEWEST, min(MOST, view.width * view.height * call.spp // SHARE))
+    count = samples_of(call, view, SHARE)
     place = torch.arange(count, dtype=torch.int32, device=scene.device)
-    key = lane_key(salted(view, SALT), torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
+    key = key_of_places(salted(view, SALT), place)
     along = fine_unit(random_bits(bounce_key(key, CAMERA_COUNTER), 0))
     line, share, times = picked(lot_of(weight, count, running_sum(weight)), place, along)
     row, element, start, run = rows((lines.row, lines.element, lines.start, run), line)
@@ -172,14 +185,13 @@ def curves_lit(call: RenderCall, number: int, kind: int,
 
 
 def borders_seen(call: RenderCall, number: int, kind: int, curves: LitCurves, times: Tensor,
-                 key: LaneKey) -> PictureBorders | None:
-    """Selects samples on curves that a view sees; args as for `picture_borders_in_view` and of `curves_lit`."""
+                 key: LaneKey) -> CutOff | None:
+    """Selects samples on curves that a view sees; args as of `curves_lit`, and its results."""
     view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
     integrand, camera = integrand_of(call, call.integrand, number), view.camera
     aperture, one = aperture_of(view, key), torch.ones_like(curves.receiver.t)
     film, along = pace(lambda step: on_film(camera, lit_at(scene, geometry, kind, curves, step), aperture), times)
-    normal = Vec2(-along.y * times, along.x * times)
-    seen = counts_somewhere(camera, film) & torch.isfinite(normal.x) & torch.isfinite(normal.y)
+    normal, seen = finite_normal(along, times), counts_somewhere(camera, film)
     draw = LightDraw(light_numbers(bounce_key(key, SALT)), LightPick(curves.element, one, torch.zeros_like(one)))
     beside, lights = [], []
     for way in (-BESIDE, BESIDE):
@@ -191,7 +203,7 @@ def borders_seen(call: RenderCall, number: int, kind: int, curves: LitCurves, ti
         hit = seen_at(curves.receiver._replace(u=u.to(scene.dtype), v=v.to(scene.dtype)), sample.ray, p)
         light = light_sent_back(integrand, started(call, sample), hit, draw)
         lights.append(torch.stack(tuple(light if sample.weight is None else light * sample.weight)).double())
-    ahead = (beside[1].x - beside[0].x) * normal.x + (beside[1].y - beside[0].y) * normal.y > 0
-    strength = torch.where(ahead, lights[0] - lights[1], lights[1] - lights[0])
-    kept = (seen & (strength != 0).any(0)).nonzero().squeeze(1)
-    return PictureBorders(*rows((curves, film, aperture, normal), kept), strength[:, kept]) if len(kept) else None
+    aside = Vec2(*(after - before for before, after in zip(*beside)))
+    course = Course(film, normal, aside, aside.x * normal.x + aside.y * normal.y)
+    found = cut_off(film, course, torch.where(seen, lights[0] - lights[1], 0.0), (curves, aperture))
+    return found and found._replace(samples=PictureBorders(kind, *found.samples))

@@ -12,10 +12,10 @@ from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.boundary.edge_order import GROUP, EdgeSlots
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
 from torch_radbp.boundary.outline import Outline
-from torch_radbp.boundary.places import NEIGHBOURS, Lot, picked
-from torch_radbp.boundary.shadows.edge_tree import Descent, EdgeTree, numbers_to
+from torch_radbp.boundary.places import key_of_places, picked
+from torch_radbp.boundary.shadows.edge_tree import Descent, EdgeTree
 from torch_radbp.boundary.shadows.eyes import Eyes, how_much_counts, how_much_lobes_count
-from torch_radbp.boundary.shadows.ways_down import PickedEdges, PickedOnes, found_among, picked_ones, ways_down
+from torch_radbp.boundary.shadows.ways_down import EdgeLot, PickedEdges, found_among, lot_of_found, ways_down
 from torch_radbp.boundary.silhouette import is_silhouette
 from torch_radbp.call.view import View
 from torch_radbp.path.integrand import Integrand
@@ -27,7 +27,6 @@ from torch_radbp.sampling.sampler import (
     bounce_key,
     fine_unit,
     hash32,
-    lane_key,
     random_bits,
     uniform,
 )
@@ -112,23 +111,21 @@ def edge_found(geometry: Geometry, slots: EdgeSlots, eyes: Eyes, at: Descent, ex
     return found_among(slots.edge, at, first, angles)
 
 
-@stage("geometry", "outline", "eyes", "lot", "found", "eye")
-def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, found: PickedEdges, eye: Tensor, seed: SampleKey,
-                extent: Tensor, place: Tensor) -> Passed:
+@stage("geometry", "outline", "eyes", "found")
+def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, found: EdgeLot, seed: SampleKey, extent: Tensor,
+                place: Tensor) -> Passed:
     """Samples points on the silhouette edges that viewpoints have selected.
 
     Args:
         geometry, outline, extent: as for `angle_seen`.
         eyes: look for them.
-        lot: of what was found.
-        found: (K,) edges.
-        eye: (K,) int32, that sees each.
+        found: their edges.
         seed: of the random numbers.
         place: (N,) int32, numbers of the places.
     """
     key, aim, turn = numbers_of_places(seed, place)
-    number, _, times = picked(lot, place, aim)
-    (edge, repeated, _), eye = rows((found, eye), number)
+    number, _, times = picked(found.lot, place, aim)
+    (edge, repeated, _), eye = rows((found.found, found.eye), number)
     times, own = times * repeated, rows(eyes, eye)
     edges, instance, share, parts = rows((outline.edges, outline.instance, outline.share, outline.parts), edge.clamp_min(0))
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
@@ -146,7 +143,7 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, lot: Lot, foun
 
 def numbers_of_places(seed: SampleKey, place: Tensor) -> tuple[LaneKey, Tensor, Tensor]:
     """The random numbers of samples, (N,) int32: keys, one for selection, one for the position along the edge."""
-    key = lane_key(seed, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
+    key = key_of_places(seed, place)
     numbers = bounce_key(key, CAMERA_COUNTER)
     return key, fine_unit(random_bits(numbers, 1)), fine_unit(random_bits(numbers, 0))
 
@@ -214,16 +211,15 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
     at = ways_down(stages, tree, eyes, seed, each, extent, tried)
     found = stages(edge_found)(geometry, outline.slots, eyes, at, extent)
     count = min(count, int(torch.count_nonzero(found.times)))
-    return places_on(stages, geometry, outline, eyes, seed, picked_ones(found, at.eye, each, count, tried))
+    return places_on(stages, geometry, outline, eyes, seed, lot_of_found(found, at.eye, each, count, tried))
 
 
 def places_on(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey,
-              found: PickedOnes | None) -> Passed | None:
-    """Samples points on edges that were `found`; None: there are none. The other args as for `places_seen`."""
+              found: tuple[EdgeLot, Tensor] | None) -> Passed | None:
+    """Samples points on edges, `found` by `lot_of_found`; None: there are none. The other args as for `places_seen`."""
     if found is None:
         return None
-    return stages(edge_passed)(geometry, outline, eyes, found.lot, found.found, found.eye, seed, extent_of(geometry),
-                              numbers_to(found.count, found.eye))
+    return stages(edge_passed)(geometry, outline, eyes, found[0], seed, extent_of(geometry), found[1])
 
 
 def salted(view: View, salt: int) -> SampleKey:
@@ -277,6 +273,28 @@ def crossed_at(corners: tuple[Vec3, Vec3, Vec3], line: Ray) -> Vec2:
     volume, of_u, of_v = crossing(line, corners[0], corners[1] - corners[0], corners[2] - corners[0])
     volume = torch.where(volume != 0.0, volume, 1.0)
     return Vec2(of_u / volume, of_v / volume)
+
+
+class Course(NamedTuple):
+    """The course of borders at N samples, in two coordinates; detached, float64."""
+
+    at: Vec2
+    normal: Vec2  # across the border; its length is that of the piece per sample; 0 where unknown
+    aside: Vec2  # towards points right beside it
+    sweep: Tensor  # what the border sweeps if points move there
+
+
+def course_of(seen: Callable[..., Vec2], times: Tensor, off: Vec3) -> Course:
+    """The course of borders.
+
+    Args:
+        seen: gives where they are, of `step` and `off`, as for `border.border`.
+        times: (N,) of edges for which each sample stands.
+        off: (N,) from edges to points beside them.
+    """
+    (at, along), beside = pace(seen, times), seen(off=off)
+    normal, aside = finite_normal(along, times), Vec2(beside.x - at.x, beside.y - at.y)
+    return Course(at, normal, aside, aside.x * normal.x + aside.y * normal.y)
 
 
 def finite_normal(along: Vec2, times: Tensor) -> Vec2:

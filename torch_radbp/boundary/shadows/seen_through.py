@@ -28,37 +28,30 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.deposit import Deposit
 from torch_radbp.boundary.geometry import geometry_of
 from torch_radbp.boundary.shadows import split
-from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.boundary.shadows.hidden_light import (
-    EVEN,
-    LOOKS,
-    PLACES,
-    CutsOfView,
-    cuts_that_matter,
-    number_of_paths,
-)
+from torch_radbp.boundary.shadows.cuts import CutsOfView, cuts_that_matter, jumps_of_cuts
+from torch_radbp.boundary.shadows.hidden_light import LOOKS, PLACES, most_paths, number_of_paths
 from torch_radbp.boundary.shadows.lines_through_edges import scattered_towards, solid_angle
 from torch_radbp.boundary.shadows.seen_edges import (
     BEFORE,
     BESIDE,
-    Casting,
     Passed,
-    corners_of,
     extent_of,
     places_seen,
     salted,
 )
+from torch_radbp.boundary.shadows.shadow_term import ShadowTerm, TermSize, glues, shadow_term
 from torch_radbp.boundary.shadows.split import ALL, Amount
-from torch_radbp.boundary.shadows.viewpoints import Viewpoints, path_of, vertex_at, viewpoints
+from torch_radbp.boundary.shadows.viewpoints import PathBatch, Viewpoints, eyes_at, path_of, vertex_at, viewpoints
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.sorting import queued
 from torch_radbp.path.trace import trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, rows, unit_normal
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, rows
 
 SALT = 0x27D4EB2F  # tells the random numbers of these places from others
 MOST_SURFACES = 4  # that light passes on the way from an edge
@@ -69,36 +62,53 @@ def passes_straight(scene: SceneTensors) -> bool:
     return any(look.kind.straight for look in scene.layout.appearances)
 
 
-def cuts_seen_through(call: RenderCall, number: int, casting: Casting, amount: Amount = ALL) -> CutsOfView | None:
-    """Samples edges seen through null-scattering surfaces; None: none. Args as for `hidden_light.cuts_of_view`."""
-    geometry, begun = geometry_of(call.scene), number_of_paths(call, call.views[number], amount.before)
-    integrand = integrand_of(call, call.integrand, number)
-    points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1),
-                        number_of_paths(call, call.views[number], amount.counted), begun=begun,
-                        tried=number_of_paths(call, call.views[number], amount.tried))
-    if not len(points.depth):
-        return None
-    call = split.with_numbers(call, SALT + begun) if begun else call
-    at = vertex_at(call, geometry, number, points)
-    one, corners = torch.ones_like(at.x), corners_of(geometry, points.hit)
-    eyes = Eyes(at, one, unit_normal(corners[1] - corners[0], corners[2] - corners[0]), one, one * EVEN, (points.lobe,))
-    passed = places_seen(call.stages, geometry, casting, eyes, salted(call.views[number], SALT), LOOKS,
-                         PLACES * len(points.depth), points.tried)
-    if passed is None:
-        return None
-    hidden = integrand.caster.occluded(passed.back, passed.distance).nonzero().squeeze(1)
-    if not len(hidden):
-        return None
-    passed, off = rows(passed, hidden), BESIDE * extent_of(geometry)
-    start = rows(at, passed.eye)
-    beside, on = (through(integrand, start, passed.p + passed.outwards * (way * off)) for way in (1.0, -1.0))
-    # On a curved surface light comes from nearer than the edge.
-    reached = (beside.reaches & (beside.hit.prim == on.hit.prim)).nonzero().squeeze(1)
-    if not len(reached):
-        return None
-    passed, beside, on = rows((passed, beside, on), reached)
-    return cuts_that_matter(call.stages, geometry, casting, points, at, passed, beside.hit,
-                            lambda cuts: _difference(call, integrand, points, at, passed, (beside, on)))
+@shadow_term
+class SeenThrough(ShadowTerm):
+    """Edges that vertices of paths see through surfaces which let light pass straight."""
+
+    rank = 4
+    is_split = True
+
+    @classmethod
+    def size(cls, call: RenderCall) -> TermSize:
+        places = passes_straight(call.scene) * most_paths(call) * PLACES
+        return TermSize(0, places, places)
+
+    def applies(self) -> bool:
+        return glues(self.call) and self.call.integrand.max_depth > 2 and passes_straight(self.call.scene)
+
+    def samples(self, number: int, amount: Amount = ALL) -> CutsOfView | None:
+        call, casting = self.still, self.casting
+        geometry, view = geometry_of(call.scene), call.views[number]
+        paths, tried, begun = (number_of_paths(call, view, share) for share in amount)
+        integrand = integrand_of(call, call.integrand, number)
+        shorter = integrand._replace(max_depth=integrand.max_depth - 1)
+        points = viewpoints(call, number, shorter, PathBatch(paths, begun=begun, tried=tried))
+        if not len(points.depth):
+            return None
+        call = split.with_numbers(call, SALT + begun) if begun else call
+        at = vertex_at(call, geometry, number, points)
+        eyes = eyes_at(geometry, points, at)
+        passed = places_seen(call.stages, geometry, casting, eyes, salted(call.views[number], SALT), LOOKS,
+                             PLACES * len(points.depth), points.tried)
+        if passed is None:
+            return None
+        hidden = integrand.caster.occluded(passed.back, passed.distance).nonzero().squeeze(1)
+        if not len(hidden):
+            return None
+        passed, off = rows(passed, hidden), BESIDE * extent_of(geometry)
+        start = rows(at, passed.eye)
+        beside, on = (through(integrand, start, passed.p + passed.outwards * (way * off)) for way in (1.0, -1.0))
+        # On a curved surface light comes from nearer than the edge.
+        reached = (beside.reaches & (beside.hit.prim == on.hit.prim)).nonzero().squeeze(1)
+        if not len(reached):
+            return None
+        passed, beside, on = rows((passed, beside, on), reached)
+        return cuts_that_matter(call.stages, geometry, casting, points, at, passed, beside.hit,
+                                lambda cuts: _difference(call, integrand, points, at, passed, (beside, on)))
+
+    def jumps(self, number: int, found: CutsOfView) -> list[Deposit]:
+        return [jumps_of_cuts(self.call, number, self.casting.outline, found)]
 
 
 class Through(NamedTuple):
@@ -106,8 +116,8 @@ class Through(NamedTuple):
 
     ray: Ray
     hit: Hit  # the first surface
-    reaches: Tensor  # of the first surface
-  # (N,) bool: light reaches the origin from the target
+    reaches: Tensor  # (N,) bool: light reaches the origin from the target
+
 
 def through(integrand: Integrand, start: Vec3, target: Vec3) -> Through:
     """Traces rays from points, (N,) float64 world, straight through surfaces to occluded targets."""

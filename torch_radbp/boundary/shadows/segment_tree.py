@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.edge_order import GROUP, slots_of
 from torch_radbp.boundary.geometry import Corners, Geometry
-from torch_radbp.boundary.places import Lot, picked
+from torch_radbp.boundary.places import picked
 from torch_radbp.boundary.segments import Segments, faces_viewer, height_above, place_of
 from torch_radbp.boundary.shadows.edge_tree import (
     STRAIGHT,
@@ -27,7 +27,7 @@ from torch_radbp.boundary.shadows.edge_tree import (
 )
 from torch_radbp.boundary.shadows.eyes import Eyes
 from torch_radbp.boundary.shadows.seen_edges import Passed, angle_of, numbers_of_places, passed_at, place_between
-from torch_radbp.boundary.shadows.ways_down import PickedEdges, found_among
+from torch_radbp.boundary.shadows.ways_down import EdgeLot, PickedEdges, found_among
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import Stages, stage
@@ -102,18 +102,18 @@ def segment_found(geometry: Geometry, segments: Segments, slots: Tensor, eyes: E
     return found_among(slots, at, first, angles)
 
 
-@stage("geometry", "segments", "eyes", "lot", "found", "eye")
-def segment_passed(geometry: Geometry, segments: Segments, eyes: Eyes, lot: Lot, found: PickedEdges, eye: Tensor,
-                   seed: SampleKey, extent: Tensor, place: Tensor) -> Passed:
+@stage("geometry", "segments", "eyes", "found")
+def segment_passed(geometry: Geometry, segments: Segments, eyes: Eyes, found: EdgeLot, seed: SampleKey, extent: Tensor,
+                   place: Tensor) -> Passed:
     """Samples points on found segments, with `outwards` between the two surfaces.
 
     Args:
         geometry, segments, eyes, extent: as for `segment_found`.
-        lot, found, eye, seed, place: as for `edge_passed`.
+        found, seed, place: as for `edge_passed`.
     """
     key, aim, turn = numbers_of_places(seed, place)
-    number, _, times = picked(lot, place, aim)
-    (segment, repeated, _), eye = rows((found, eye), number)
+    number, _, times = picked(found.lot, place, aim)
+    (segment, repeated, _), eye = rows((found.found, found.eye), number)
     own, segments = rows(eyes, eye), rows(segments, segment.clamp_min(0))
     along, times, p = place_between(*ends_of(geometry, segments), own, turn, times * repeated)
     times = times if segments.share is None else times / segments.share

@@ -11,11 +11,15 @@ Reference: Owen 2013, "Monte Carlo theory, methods and examples", section 8.4 (N
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.shadows.cuts import CutsOfView, joined_cuts
+from torch_radbp.boundary.shadows.shadow_term import ShadowTerm
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.sampling.sampler import SampleKey, hash32
 
@@ -83,3 +87,37 @@ def effort(first: float, tried: SampledIntegral | None) -> float:
         tried: the other, with a share of `TRIED`; None: nothing of it counts.
     """
     return min(1.0, max(LEAST, (TRIED * variance(tried) / (COST * first))**0.5)) if first > 0.0 else 1.0
+
+
+def as_worth(first: float, found: Callable[[Amount], CutsOfView | None]) -> CutsOfView | None:
+    """Takes as many samples of an integral as pay off; None: there are none.
+
+    Args:
+        first: variance of the first integral, with all of its samples.
+        found: gives so many cuts.
+    """
+    some = found(Amount(LEAST, TRIED))
+    tried, some = (None, None) if some is None else some.parted()
+    worth = effort(first, tried)
+    if worth < LEAST + TRIED:  # so few others cost far more than they lower the noise
+        return some
+    more = found(Amount(worth - LEAST, before=LEAST))
+    share = LEAST / worth
+    return joined_cuts([(own, share) for own, share in ((some, share), (more, 1.0 - share)) if own is not None])
+
+
+def samples_of_view(still: RenderCall, number: int, terms: Sequence[ShadowTerm]) -> list[Any]:
+    """The samples of each term for a view: of the first all, of the others as many as pay off.
+
+    Args:
+        still: without derivatives.
+        number: of the view.
+        terms: of the call.
+    """
+    found = [term.samples(number) for term in terms[:1]]
+    splits = any(term.is_split for term in terms[1:]) and is_worth_trying(still, number)
+    first = variance(found[0]) if splits else 0.0
+    for term in terms[1:]:
+        worth = term.is_split and first > 0.0
+        found.append(as_worth(first, partial(term.samples, number)) if worth else term.samples(number))
+    return found

@@ -19,14 +19,16 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.boundary.contacts import resting_among
+from torch_radbp.boundary.film_term import lanes
 from torch_radbp.boundary.geometry import Geometry, geometry_of, positions
-from torch_radbp.boundary.places import FEWEST, Places, Sight, lot_of, on_film, sight_of
-from torch_radbp.boundary.primary import lanes
-from torch_radbp.boundary.segments import Segments, place_of, segment_place, segment_weight
-from torch_radbp.boundary.shadows.border import MOST, SHARE, camera_sample, seen_at, sees
-from torch_radbp.boundary.shadows.film_jumps import FilmJumps, attached_geometry, swept_areas
+from torch_radbp.boundary.places import Places, Sight, lot_of, on_film, sight_of
+from torch_radbp.boundary.segments import place_of, segment_place, segment_weight
+from torch_radbp.boundary.shadows.border import SHARE, samples_of
 from torch_radbp.boundary.shadows.light_points import light_line, light_points
 from torch_radbp.boundary.shadows.seen_edges import BEFORE, BESIDE, FAR, crossed_at, extent_of
+from torch_radbp.boundary.shadows.seen_on_film import camera_sample, seen_at, sees
+from torch_radbp.boundary.shadows.shadow_term import CutOff, ShadowTerm, films_have_area, shadow_term
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.event import Ends
@@ -42,18 +44,61 @@ class Strips(NamedTuple):
     places: Places  # on the triangles at the edges
     draw: LightDraw
     surface: Hit  # on what the edges lie, there
-    normal: Vec2  # direction in which x grows on the film; its length is that of the piece per sample
-    strength: Tensor  # (3, K) float64, gain of the strip per unit of x_l - x_c
 
 
-def jumps_of_strips(call: RenderCall, number: int, strips: Strips) -> FilmJumps:
-    """The boundary term of such strips for view `number`; `call`: with derivatives."""
-    geometry, camera, places = attached_geometry(call.scene), call.views[number].camera, strips.places
-    p = places.at(geometry)
-    light_ends = on_film(camera, shadow_of(call.scene, geometry, strips, p), places.aperture)
-    sight_ends = on_film(camera, p, places.aperture)
-    amount = strips.strength * (swept_areas(light_ends, strips.normal) - swept_areas(sight_ends, strips.normal))
-    return FilmJumps(places.film, amount)
+@shadow_term
+class OpeningStrips(ShadowTerm):
+    """Strips that the camera sees open below edges which lie on a surface."""
+
+    rank = 2
+    needs = "casting", "crossing"
+
+    def applies(self) -> bool:
+        return films_have_area(self.call) and self.call.integrand.settings.nee
+
+    def samples(self, number: int) -> CutOff | None:
+        call, contacts = self.still, resting_among(self.crossing)
+        if contacts is None:
+            return None
+        view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
+        sight = sight_of(view, ())
+        weight = call.stages(segment_weight)(geometry, sight, contacts)
+        if not bool((weight > 0.0).any()):
+            return None
+        count = samples_of(call, view, SHARE)
+        places = call.stages(segment_place)(geometry, sight, contacts, lot_of(weight, count, running_sum(weight)),
+                                           lanes(count, weight))
+        draw = light_points(call.stages, scene, view, count).draw
+        counted = (places.counts & ((places.normal.x != 0.0) | (places.normal.y != 0.0))).nonzero().squeeze(1)
+        places, draw = rows((places, draw), counted)
+        integrand = integrand_of(call, call.integrand, number)
+        line = integrand.part(Ends.SURROUNDINGS).call(light_line, places.p, draw)
+        across = across_edge(geometry, sight, places, line[1] * -1.0)
+        film = _beside(sight, places, across.outwards, extent_of(geometry))
+        sample = camera_sample(call, view, film, places.aperture, places.key)
+        corners = place_of(geometry, places.through, places.shown_by)
+        u, v = crossed_at(corners, Ray(places.p, across.upwards))
+        dtype = scene.dtype
+        surface = Hit(places.through, u.to(dtype), v.to(dtype), torch.zeros_like(u, dtype=dtype), places.shown_by)
+        kept = (across.counts & sees(integrand, sample.ray, surface, places.p)).nonzero().squeeze(1)
+        places, draw, sample, surface, across, line, film = rows((places, draw, sample, surface, across, line, film), kept)
+        kept = lit(call, places, across, line, extent_of(geometry)).nonzero().squeeze(1)
+        places, draw, sample, surface, across, film = rows((places, draw, sample, surface, across, film), kept)
+        if not len(kept):
+            return None
+        light = light_sent_back(integrand, started(call, sample), seen_at(surface, sample.ray, places.p), draw)
+        light = light if sample.weight is None else light * sample.weight
+        aside, normal = Vec2(film.x - places.film.x, film.y - places.film.y), places.normal
+        outwards = torch.sign(aside.x * normal.x + aside.y * normal.y)
+        strength = torch.stack(tuple(light)).double() * torch.where(across.through, 1.0, -1.0)
+        return CutOff(places.film, normal * outwards, strength, Strips(places, draw, surface))
+
+    def seen(self, number: int, geometry: Geometry, found: CutOff) -> Vec2:
+        camera, places = self.call.views[number].camera, found.samples.places
+        p = places.at(geometry)
+        light_end = on_film(camera, shadow_of(self.call.scene, geometry, found.samples, p), places.aperture)
+        sight_end = on_film(camera, p, places.aperture)
+        return Vec2(light_end.x - sight_end.x, light_end.y - sight_end.y)
 
 
 def shadow_of(scene: SceneTensors, geometry: Geometry, strips: Strips, p: Vec3) -> Vec3:
@@ -61,48 +106,6 @@ def shadow_of(scene: SceneTensors, geometry: Geometry, strips: Strips, p: Vec3) 
     start, d, _ = light_line(scene, p, strips.draw)
     corners = place_of(geometry, strips.surface.prim, strips.surface.instance)
     return interpolated(corners, *crossed_at(corners, Ray(start, d)))
-
-
-def strips_in_view(call: RenderCall, number: int, contacts: Segments) -> Strips | None:
-    """Samples edges that rest on surfaces in view, for the strips that open below them; None: there are none.
-
-    Args:
-        call: detached.
-        number: of the view.
-        contacts: segments along which triangles pass through what their edges lie on.
-    """
-    view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
-    sight = sight_of(view, ())
-    weight = call.stages(segment_weight)(geometry, sight, contacts)
-    if not bool((weight > 0.0).any()):
-        return None
-    count = max(FEWEST, min(MOST, view.width * view.height * call.spp // SHARE))
-    places = call.stages(segment_place)(geometry, sight, contacts, lot_of(weight, count, running_sum(weight)),
-                                       lanes(count, weight))
-    draw = light_points(call.stages, scene, view, count).draw
-    counted = (places.counts & ((places.normal.x != 0.0) | (places.normal.y != 0.0))).nonzero().squeeze(1)
-    places, draw = rows((places, draw), counted)
-    integrand = integrand_of(call, call.integrand, number)
-    line = integrand.part(Ends.SURROUNDINGS).call(light_line, places.p, draw)
-    across = across_edge(geometry, sight, places, line[1] * -1.0)
-    film = _beside(sight, places, across.outwards, extent_of(geometry))
-    sample = camera_sample(call, view, film, places.aperture, places.key)
-    corners = place_of(geometry, places.through, places.shown_by)
-    u, v = crossed_at(corners, Ray(places.p, across.upwards))
-    dtype = scene.dtype
-    surface = Hit(places.through, u.to(dtype), v.to(dtype), torch.zeros_like(u, dtype=dtype), places.shown_by)
-    kept = (across.counts & sees(integrand, sample.ray, surface, places.p)).nonzero().squeeze(1)
-    places, draw, sample, surface, across, line, film = rows((places, draw, sample, surface, across, line, film), kept)
-    kept = lit(call, places, across, line, extent_of(geometry)).nonzero().squeeze(1)
-    places, draw, sample, surface, across, film = rows((places, draw, sample, surface, across, film), kept)
-    if not len(kept):
-        return None
-    light = light_sent_back(integrand, started(call, sample), seen_at(surface, sample.ray, places.p), draw)
-    light = light if sample.weight is None else light * sample.weight
-    aside, normal = Vec2(film.x - places.film.x, film.y - places.film.y), places.normal
-    outwards = torch.sign(aside.x * normal.x + aside.y * normal.y)
-    strength = torch.stack(tuple(light)).double() * torch.where(across.through, 1.0, -1.0)
-    return Strips(places, draw, surface, normal * outwards, strength)
 
 
 class AcrossEdge(NamedTuple):

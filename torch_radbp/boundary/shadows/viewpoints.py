@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_radbp.adjoint.attached import rays_reaching
 from torch_radbp.boundary.geometry import Geometry, geometry_of
-from torch_radbp.boundary.shadows.eyes import Lobe, lobe_around
+from torch_radbp.boundary.shadows.eyes import Eyes, Lobe, lobe_around
 from torch_radbp.boundary.shadows.seen_edges import corners_of, salted, uniform_numbers
 from torch_radbp.call.render_call import RenderCall, started
 from torch_radbp.path.camera_rays import CameraSample, sample_camera
@@ -29,9 +29,10 @@ from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import joined, leaves_of, with_leaves
 from torch_radbp.tensors.stage import stage
-from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, max_component, rows, where
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, max_component, rows, unit_normal, where
 
 SALT = 0x5BE0CD19  # tells the random numbers of these paths from others,
+EVEN = 0.1  # how much edges count at grazing angles, by the cosine of interpolated normals
 OF_TRIED = 0x2F6E2B17  # and those of paths that are tried
 
 
@@ -59,6 +60,15 @@ class Begun(NamedTuple):
     place: Vec2
     area: Tensor  # (N,) float64, area of the film per path
     camera: CameraSample
+
+
+class PathBatch(NamedTuple):
+    """Camera paths of which one vertex each is sampled."""
+
+    count: int
+    density: Tensor | None = None  # (cells,) float64, by which they are spread over the cells of the film; None: evenly
+    begun: int = 0  # how many others have begun before, with random numbers of their own
+    tried: int = 0  # of how many paths more the vertices only tell how much noise there is, likewise; they come first
 
 
 class Picked(NamedTuple):
@@ -94,23 +104,20 @@ class PathsAtBounce(NamedTuple):
     onwards: PathState  # with these states
 
 
-def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, following: bool = False,
-               density: Tensor | None = None, begun: int = 0, tried: int = 0) -> Viewpoints:
+def viewpoints(call: RenderCall, number: int, integrand: Integrand, batch: PathBatch, following: bool = False) -> Viewpoints:
     """Samples one vertex per camera path, in proportion to throughput; paths without candidates are dropped.
 
     Args:
         call, number: of the view.
         integrand: of the detached scene.
-        count: of the paths.
+        batch: the paths.
         following: vertices whose scattered directions carry derivatives are meant; else those after which points are glued.
-        density: (cells,) float64, by which the paths are spread over the cells of the film; None: evenly.
-        begun: how many others have begun before, with random numbers of their own.
-        tried: of how many paths more the vertices only tell how much noise there is, likewise; they come first.
     """
-    key = salted(call.views[number], SALT)
-    paths = paths_begun(call, number, key, count, density, begun)
+    key, (_, _, begun, tried) = salted(call.views[number], SALT), batch
+    paths = paths_begun(call, number, key, batch)
     if tried:
-        paths = joined([paths_begun(call, number, salted(call.views[number], OF_TRIED), tried, density, begun), paths])
+        pilots = paths_begun(call, number, salted(call.views[number], OF_TRIED), batch._replace(count=tried))
+        paths = joined([pilots, paths])
     pixel, sample, place, area, camera = paths
     chosen = key._replace(seed=hash32(key.seed ^ begun)) if begun else key
     picked = picked_vertices(integrand, started(call, camera), chosen, following)
@@ -128,9 +135,9 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, count: int, 
     return found._replace(slides=found.slides | (near & (found.depth > 0)))
 
 
-def paths_begun(call: RenderCall, number: int, key: SampleKey, count: int, density: Tensor | None, begun: int) -> Begun:
+def paths_begun(call: RenderCall, number: int, key: SampleKey, batch: PathBatch) -> Begun:
     """Starts paths that are distributed over the film; args as for `viewpoints`, `key`: of random numbers."""
-    view, grid = call.views[number], call.views[number].grid
+    view, grid, (count, density, begun, _) = call.views[number], call.views[number].grid, batch
     sample = torch.arange(begun, begun + count, dtype=torch.int32, device=call.scene.device)
     jitter = uniform_numbers(key, sample, SALT, torch.float64)
     cell, area = cells_begun(sample - begun + jitter, count, grid.columns * grid.rows, density)
@@ -148,7 +155,7 @@ def cells_begun(along: Tensor, count: int, cells: int, density: Tensor | None) -
     Args:
         along: (N,) float64 from 0 to `count`, the number of all paths.
         cells: how many there are.
-        density: as for `viewpoints`.
+        density: as of `PathBatch`.
     """
     if density is None:
         return (along * (cells / count)).floor().clamp_max(cells - 1).to(torch.int32), along.new_tensor(cells / count)
@@ -221,6 +228,13 @@ def scatters_as(integrand: Integrand, event: Scatters, following: bool) -> bool:
         return False
     kind = scatterer.kind
     return kind.smooth and (settings.sampling == "attached" or settings.following and kind.follows) == following
+
+
+def eyes_at(geometry: Geometry, points: Viewpoints, at: Vec3, lobes: tuple[Lobe, ...] = ()) -> Eyes:
+    """The viewpoints, which lie `at` (M,) world, with weights of directions; `lobes`: beside those that scatter."""
+    one, corners = torch.ones_like(at.x), corners_of(geometry, points.hit)
+    normal = unit_normal(corners[1] - corners[0], corners[2] - corners[0])
+    return Eyes(at, one, normal, one, one * EVEN, (points.lobe, *lobes))
 
 
 def vertex_at(call: RenderCall, geometry: Geometry, number: int, points: Viewpoints) -> Vec3:

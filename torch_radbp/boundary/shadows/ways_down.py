@@ -40,19 +40,20 @@ def ways_down(stages: Stages, tree: EdgeTree, eyes: Eyes, seed: SampleKey, each:
     return at
 
 
-class PickedOnes(NamedTuple):
-    """The edges that K descents have found, and the distribution for samples on them."""
+class EdgeLot(NamedTuple):
+    """The edges that K descents have found, and the distribution of samples over them."""
 
     found: PickedEdges
     eye: Tensor  # (K,) int32, viewpoint of each
     lot: Lot
-    count: int  # number of samples
 
 
-def picked_ones(found: PickedEdges, eye: Tensor, each: int, count: int, tried: Tensor | None = None) -> PickedOnes | None:
-    """The distribution of `count` samples over found edges, `each` descents per viewpoint; None: nothing was found.
+def lot_of_found(found: PickedEdges, eye: Tensor, each: int, count: int,
+                 tried: Tensor | None = None) -> tuple[EdgeLot, Tensor] | None:
+    """The distribution of `count` samples over found edges, and their numbers, int32; None: nothing was found.
 
     Args:
+        each: descents per viewpoint.
         tried: as for `seen_edges.places_seen`.
     """
     own = None if tried is None else rows(tried, eye)
@@ -65,7 +66,7 @@ def picked_ones(found: PickedEdges, eye: Tensor, each: int, count: int, tried: T
     total = running_sum(weight)
     if not len(total) or not float(total[-1]) > 0.0:
         return None
-    return PickedOnes(found, eye, lot_of(weight, count, total), count)
+    return EdgeLot(found, eye, lot_of(weight, count, total)), numbers_to(count, eye)
 
 
 def weights_apart(weight: Tensor, tried: Tensor, count: int, share: float) -> tuple[Tensor, int]:
