@@ -56,7 +56,7 @@ def weighted(of):
 
 
 def gradcheck(of, value, atol=2e-5):
-    """Both modes against finite differences, along directions that each mix all entries: a wrong one shows in all of them."""
+    """Both modes against finite differences, along directions that each mix all entries: a wrong one shows in each."""
     base = value.detach()
     mixed = torch.randn(min(MIXED, base.numel()), *base.shape, dtype=base.dtype, generator=torch.Generator().manual_seed(6))
     steps = torch.zeros(len(mixed), dtype=base.dtype, requires_grad=True)
