@@ -76,12 +76,6 @@ def test_bsdf_sampling_and_next_event_estimation_agree_with_each_other(tmp_path)
     assert_agrees(compare(with_nee, without))
 
 
-def test_brute_force_rays_give_the_same_image(tmp_path):
-    case, path, theirs = load_case("cornell_depth_3", tmp_path)
-    ours = estimate(our_renders(rb.load(path, **case.variables), case, batches=8, caster="brute"), case.spp)
-    assert compare(ours, theirs).p > ALPHA
-
-
 def cornell_dict(to_matrix=lambda matrix: matrix) -> dict:
     """A part of the Cornell box as a dict; transforms are 4 x 4 arrays for us, made into Mitsuba's by `to_matrix`."""
     def turned(axis: str, degrees: float, x: float = 0, y: float = 0, z: float = 0, scale=(1, 1, 1)):
