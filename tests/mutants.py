@@ -55,7 +55,7 @@ MUTANTS = (
     Mutant("sampling/warp.py", "return Vec2(root * (1.0 - v), root * v)", "return Vec2(u * (1.0 - v), u * v)",
            ("sampling/test_warp.py",)),
     Mutant("emitter/area.py", "return density * (distance * distance) /", "return density * distance /",
-           ("emitter/test_estimators.py",)),
+           ("adjoint/test_furnace.py", "emitter/test_estimators.py")),
     Mutant("bsdf/microfacet.py", "2.276 * w.z * t", "2.376 * w.z * t", ("bsdf/test_mitsuba.py", "bsdf/test_energy.py")),
     Mutant("bsdf/blendbsdf.py", "chance = weight.clamp(LEAST_CHANCE, 1.0 - LEAST_CHANCE)",
            "chance = weight.clamp(0.0, 1.0 - LEAST_CHANCE)", ("bsdf/test_nested.py", "bsdf/test_both_orders.py")),

@@ -22,10 +22,10 @@ from .mitsuba_images import render as mitsuba_renders
 BATCHES = 16
 
 
-def our_renders(scene: rb.Scene, case: Case, batches: int = BATCHES, first_seed: int = 16, **settings) -> list[np.ndarray]:
+def our_renders(scene: rb.Scene, case: Case, first_seed: int = 16, **settings) -> list[np.ndarray]:
     """Independent (H, W, 3) renders of a scene by this renderer."""
     renderer = rb.Renderer(scene, spp=case.spp, **settings)
-    return [renderer(seed=first_seed + batch)[0].permute(1, 2, 0).numpy() for batch in range(batches)]
+    return [renderer(seed=first_seed + batch)[0].permute(1, 2, 0).numpy() for batch in range(BATCHES)]
 
 
 def against_reference(name: str, tmp_path, **settings) -> Comparison:
