@@ -129,7 +129,8 @@ def found_by(tree: Path, arguments: list[str], processes: int) -> str | None:
         return None
     if done.returncode == pytest.ExitCode.USAGE_ERROR:
         raise ValueError(f"pytest cannot run {arguments}: {done.stderr}")
-    failed = [line.split()[1] for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    failed = [line.partition(" ")[2].partition(" - ")[0] for line in done.stdout.splitlines()
+              if line.startswith(("FAILED", "ERROR"))]
     return failed[0] if failed else f"exit status {done.returncode}"
 
 
