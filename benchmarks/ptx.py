@@ -53,13 +53,14 @@ class Kernel(NamedTuple):
         return self.text.split("(", 1)[1].split(") #0", 1)[0].count("%")
 
 
-def kernels(scene: str, sampling: str) -> Iterator[Kernel]:
+def kernels(name: str, sampling: str) -> Iterator[Kernel]:
     """The kernels of a scene of `SCENES`."""
-    for stage, cases in calls_of(scene, sampling).items():
+    for stage, cases in calls_of(name, sampling).items():
         for arguments in cases.values():
             listing = Listing()
             CompiledStages(Gpu(listing))(stage_named(stage)).fused.prepared(arguments)[0].load()
-            scatterer = arguments[0].layout.scatterer if stage in ("bounce", "bounce_adjoint") else None
+            scene = arguments[0].scene if stage == "bounce_adjoint" else arguments[0]
+            scatterer = scene.layout.scatterer if stage in ("bounce", "bounce_adjoint") else None
             kind = "" if scatterer is None else type(scatterer.kind).__name__
             yield from (Kernel(stage, kind, text) for text in listing.texts)
 

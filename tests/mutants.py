@@ -17,6 +17,8 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 LEFT_ASIDE = shutil.ignore_patterns(".git", ".venv", "runs", "build", "dist", "*.egg-info", "__pycache__", ".pytest_cache")
 
@@ -53,7 +55,7 @@ MUTANTS = (
     Mutant("sampling/warp.py", "return Vec2(root * (1.0 - v), root * v)", "return Vec2(u * (1.0 - v), u * v)",
            ("sampling/test_warp.py",)),
     Mutant("emitter/area.py", "return density * (distance * distance) /", "return density * distance /",
-           ("emitter/test_estimators.py",)),
+           ("adjoint/test_furnace.py", "emitter/test_estimators.py")),
     Mutant("bsdf/microfacet.py", "2.276 * w.z * t", "2.376 * w.z * t", ("bsdf/test_mitsuba.py", "bsdf/test_energy.py")),
     Mutant("bsdf/blendbsdf.py", "chance = weight.clamp(LEAST_CHANCE, 1.0 - LEAST_CHANCE)",
            "chance = weight.clamp(0.0, 1.0 - LEAST_CHANCE)", ("bsdf/test_nested.py", "bsdf/test_both_orders.py")),
@@ -77,22 +79,62 @@ MUTANTS = (
     Mutant("io/gltf/material.py", 'scaled(image, 1, numbers["roughness"])', 'scaled(image, 2, numbers["roughness"])',
            ("io/test_gltf.py",)),
     Mutant("formats/obj.py", "np.where(index > 0, index - 1, before + index)", "np.where(index > 0, index - 1, index)",
-           ("io/test_mesh.py", "io/test_bad_mesh.py")),
+           ("formats/test_mesh.py", "formats/test_bad_mesh.py")),
+    # Boundary terms.
+    Mutant("boundary/edge_places.py", "scale = times * reach", "scale = times", ("boundary/test_primary.py",)),
+    Mutant("boundary/segments.py", "return -volume * (normal.x", "return volume * (normal.x",
+           ("boundary/test_intersections.py", "derivatives/test_crossing_bodies.py")),
+    Mutant("boundary/segments.py", "(f0, f1, f2)[(2 + other) % 3]", "(f0, f1, f2)[(1 + other) % 3]",
+           ("boundary/test_intersections.py", "boundary/test_texture_lines.py")),
+    Mutant("boundary/contour.py", "return 2.0 * (at_1 - at_0), 2.0 *", "return (at_1 - at_0),",
+           ("boundary/test_rims.py", "boundary/test_cuts.py")),
+    Mutant("boundary/geometry.py", "normals if instance is None else shown_normals(geometry, _ShownBy(instance), normals)",
+           "normals", ("boundary/test_rims.py", "derivatives/test_inner_jumps.py")),
+    Mutant("boundary/contacts.py", "0.5 - 0.5 * pierces.double()", "1.0 - pierces.double()",
+           ("derivatives/test_contacts.py",)),
+    Mutant("boundary/shadows/lines_through_edges.py", "facing * per_distance * per_distance", "per_distance * per_distance",
+           ("boundary/test_lines_through_edges.py", "derivatives/test_shadows.py")),
+    Mutant("boundary/shadows/crossed_surfaces.py", "growth = side * torch.sqrt(", "growth = torch.sqrt(",
+           ("boundary/test_crossed_surfaces.py", "derivatives/test_nearby.py")),
+    Mutant("boundary/shadows/seen_edges.py", "torch.sqrt(dot(normal, normal)) / (dot(p, p) * angle)",
+           "torch.sqrt(dot(normal, normal)) / dot(p, p)", ("boundary/test_edge_tree.py", "derivatives/test_shadows.py")),
+    Mutant("boundary/shadows/spread_borders.py", "((1 + len(spans)) / density)", "(len(spans) / density)",
+           ("boundary/test_spread_borders.py", "derivatives/test_shadows.py")),
+    Mutant("boundary/shadows/edge_tree.py", "u, at.chance * share)", "u, share)",
+           ("boundary/test_edge_tree.py", "boundary/test_segment_tree.py")),
+    Mutant("boundary/reflections/__init__.py", "slope.x.abs() + slope.y.abs()",
+           "torch.maximum(slope.x.abs(), slope.y.abs())", ("derivatives/test_mirrors.py",)),
+    # Ray casters.
+    Mutant("raycast/every_triangle.py", 'code.both(code.compare(distance, "ogt", ZERO), code.compare(distance, "olt", end))',
+           'code.compare(distance, "olt", end)', ("raycast/test_hits.py", "raycast/test_direct.py")),
+    Mutant("raycast/every_triangle.py", "code.determinant(d, c), code.determinant(a, d)]", "code.determinant(d, c)]",
+           ("raycast/test_direct.py",)),
+    Mutant("raycast/batch.py", 'code.add(half, loaded["margin"])', "half", ("raycast/test_direct.py", "raycast")),
+    Mutant("raycast/every_ball.py", "[code.dot(row, rays.d) for row in rows]", "rays.d", ("raycast/test_ball.py",)),
+    Mutant("raycast/runs.py", ":3].norm(dim=2)", ":3].norm(dim=1)", ("raycast/test_ball.py",)),
+    Mutant("raycast/refined.py", " + matrices[..., None, :, 3]", "", ("raycast/test_instances.py",)),
+    Mutant("raycast/embree.py", "instances.first_instance[:-1] + 1]", "instances.first_instance[:-1]]",
+           ("raycast/test_instances.py",)),
+    Mutant("raycast/warp.py", "u[lane] = hit.v", "u[lane] = hit.u", ("raycast/test_warp.py",)),
 )
 
 
-def found_by(tree: Path, arguments: list[str]) -> str | None:
+def found_by(tree: Path, arguments: list[str], processes: int) -> str | None:
     """The first test that fails in a tree; None: all pass."""
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-x", "-n", "2", "--dist", "worksteal", "-p", "no:cacheprovider", *arguments],
+        [sys.executable, "-m", "pytest", "-q", "-x", f"-n{processes}", "--dist", "worksteal", "-p", "no:cacheprovider",
+         *arguments],
         cwd=tree, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
     if done.returncode in (0, 5):  # 5: these folders have no deep tests
         return None
-    failed = [line.split()[1] for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    if done.returncode == pytest.ExitCode.USAGE_ERROR:
+        raise ValueError(f"pytest cannot run {arguments}: {done.stderr}")
+    failed = [line.partition(" ")[2].partition(" - ")[0] for line in done.stdout.splitlines()
+              if line.startswith(("FAILED", "ERROR"))]
     return failed[0] if failed else f"exit status {done.returncode}"
 
 
-def examine(mutant: Mutant) -> str | None:
+def examine(mutant: Mutant, processes: int) -> str | None:
     """The test that finds a fault; None: there is none."""
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(shutil.copytree(ROOT, Path(folder) / "tree", ignore=LEFT_ASIDE))
@@ -103,7 +145,7 @@ def examine(mutant: Mutant) -> str | None:
         path.write_text(text.replace(mutant.right, mutant.wrong))
         near = [f"tests/{part}" for part in mutant.tests]
         for arguments in (near, ["--deep", *near], [], ["--deep"]):
-            if found := found_by(tree, arguments):
+            if found := found_by(tree, arguments, processes):
                 return f"{'deep: ' * ('--deep' in arguments)}{found}"
     return None
 
@@ -112,13 +154,14 @@ def main() -> None:
     """Examines all, or those asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("numbers", type=int, nargs="*", help="only these, counted from 1")
+    parser.add_argument("--processes", type=int, default=2, help="that run tests; 0: this one alone")
     options = parser.parse_args()
     missed = 0
     for number, mutant in enumerate(MUTANTS, 1):
         if options.numbers and number not in options.numbers:
             continue
         start = time.perf_counter()
-        found = examine(mutant)
+        found = examine(mutant, options.processes)
         missed += found is None
         print(f"{number:2} {mutant.file}: {mutant.wrong!r} -> {found or 'NOT FOUND'} ({time.perf_counter() - start:.0f} s)",
               flush=True)

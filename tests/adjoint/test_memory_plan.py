@@ -85,9 +85,8 @@ def prepared(name: str, **settings) -> rb.Renderer:
 
 
 @pytest.mark.parametrize("settings", [{"chunk": 4096}, {"chunk": 2048, "adjoint": rb.MemoizedAdjoint("log")},
-                                      {"chunk": 4096, "sampling": "attached"}, {"adjoint": rb.TapeAdjoint()},
-                                      {"chunk": 4096, "compile": True}],
-                         ids=["stride 1", "log", "attached", "tape", "compiled"])
+                                      {"chunk": 4096, "sampling": "attached"}, {"adjoint": rb.TapeAdjoint()}],
+                         ids=["stride 1", "log", "attached", "tape"])
 @pytest.mark.parametrize("name", deep_but(["a bitmap beside glass and metal"], CASES))
 def test_a_call_needs_what_is_predicted(name, settings):
     renderer = prepared(name, **settings)

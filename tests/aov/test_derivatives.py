@@ -14,6 +14,7 @@ from torch_radbp.rendering.jvp import render_with_tangents
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 SETTINGS = {"spp": 2, "max_depth": 1, "terms": ["interior"], "share_samples": True}
 SLOPE, EXTENT = 0.5, 1000.0
+MIXED = 6  # directions in which a parameter is moved
 FILM = {"type": "hdrfilm", "width": 2, "height": 512, "rfilter": {"type": "box"}}
 # What has to have a derivative with respect to what; everything else has to be zero, or close to it by rounding.
 FOLLOWS = {
@@ -46,19 +47,21 @@ def images(scene, names, parameter):
 
 
 def weighted(of):
-    """Three numbers of each quantity: sums over its pixels with fixed weights, so that a Jacobian has few rows."""
+    """One number of each quantity: a sum over its pixels with fixed weights, so that a Jacobian has few rows."""
     def sums(value):
         generator = torch.Generator().manual_seed(5)
-        return tuple((torch.rand(3, *image.shape, dtype=image.dtype, generator=generator) * image).flatten(1).sum(1)
-                     for image in of(value))
+        return tuple((torch.rand(image.shape, dtype=image.dtype, generator=generator) * image).sum() for image in of(value))
 
     return sums
 
 
 def gradcheck(of, value, atol=2e-5):
-    """Both modes against finite differences."""
-    return torch.autograd.gradcheck(weighted(of), value, eps=1e-6, atol=atol, rtol=1e-5, check_forward_ad=True,
-                                    check_undefined_grad=False)
+    """Both modes against finite differences, along directions that each mix all entries: a wrong one shows in each."""
+    base = value.detach()
+    mixed = torch.randn(min(MIXED, base.numel()), *base.shape, dtype=base.dtype, generator=torch.Generator().manual_seed(6))
+    steps = torch.zeros(len(mixed), dtype=base.dtype, requires_grad=True)
+    return torch.autograd.gradcheck(weighted(lambda step: of(base + torch.tensordot(step, mixed, 1))), steps, eps=1e-6,
+                                    atol=atol, rtol=1e-5, check_forward_ad=True, check_undefined_grad=False)
 
 
 @pytest.mark.parametrize("parameter", FOLLOWS)

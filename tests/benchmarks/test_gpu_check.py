@@ -23,7 +23,7 @@ def check(monkeypatch, tmp_path, scripts: dict[str, str], *arguments: str, needs
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda: "a card")
     monkeypatch.setattr(gpu_check, "steps", lambda folder, quick: [
         gpu_check.Step(name, (sys.executable, "-c", script.replace("{0}", str(folder))),
-                       4 if "sleep" in script else 600, needs)
+                       2 if "sleep" in script else 600, needs)
         for name, script in scripts.items()])
     status = gpu_check.main(["--folder", str(tmp_path), *arguments])
     folder, = tmp_path.iterdir()
@@ -43,6 +43,7 @@ def test_with_a_gpu_every_step_runs_and_is_saved(monkeypatch, tmp_path, capsys, 
 
 
 def test_a_step_that_takes_too_long_is_ended_with_what_it_started_and_the_next_one_runs(monkeypatch, tmp_path):
+    monkeypatch.setattr(gpu_check, "PATIENCE", 1)  # a shell's background jobs ignore interrupts, and so do their children
     waiting = ("import subprocess, sys, time; "
                "subprocess.run([sys.executable, '-c', 'import time; time.sleep(600)'])")
     status, report, folder = check(monkeypatch, tmp_path, {"figures": waiting, "times": ""}, "--patience", "0.5")

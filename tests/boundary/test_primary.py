@@ -25,7 +25,10 @@ from torch_radbp.shape.surface import grid
 
 @pytest.mark.parametrize("rfilter", ["box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos"])
 def test_each_pixel_gains_what_the_filter_counts_at_an_edge_that_moves(rfilter):
-    """A half plane that glows, left of x = 0.05: column j changes by jump * filter(edge - centre of j) * velocity."""
+    """A half plane that glows, left of x = 0.05: column j changes by jump * filter(edge - centre of j) * velocity.
+
+    The jump is the same all along the edge, so that few samples give it without noise.
+    """
     scene = load(camera=parallel(rfilter=rfilter), sky=DARK, plane=rectangle((-9.95, 0, 0), 10, **GLOW))
     kernel: Filter = scene.sensors[0].film.rfilter
     edge, velocity = SIZE / 2 + 0.05 * SIZE / 2, SIZE / 2  # pixels, and pixels per unit of length
@@ -36,7 +39,7 @@ def test_each_pixel_gains_what_the_filter_counts_at_an_edge_that_moves(rfilter):
     kernel_there = torch.where(offset.abs() < kernel.radius, kernel.evaluate(offset), 0.0)
     expected = kernel_there / total * velocity * JUMP[0] * SIZE
     parameter = scene.get_parameter("plane.to_world").requires_grad_()
-    red = unwarned_renderer(scene, spp=4096, max_depth=1)(seed=1)[0, 0].sum(0)
+    red = unwarned_renderer(scene, spp=256, max_depth=1)(seed=1)[0, 0].sum(0)
     found = torch.stack([torch.autograd.grad(red[int(j)], parameter, retain_graph=True)[0][0, 3] for j in columns])
     assert expected.abs().max() > 0 and relative_error(found, expected) < 0.03, (found, expected)
 
@@ -111,9 +114,10 @@ def camera(kind: str) -> dict:
     return view | {"type": "thinlens", "aperture_radius": 0.4, "focus_distance": 3.0}
 
 
-@pytest.mark.parametrize("shape", ["sphere", "cube"])
-@pytest.mark.parametrize("kind", ["perspective", "thinlens"])
-def test_a_narrower_view_magnifies_whatever_is_seen(kind, shape):
+# Samples by which the noise is far below 2 %: none of an outline through a pinhole; through a lens, a sphere's is rare.
+@pytest.mark.parametrize("kind, shape, spp", [("perspective", "sphere", 1 << 11), ("perspective", "cube", 1 << 11),
+                                              ("thinlens", "sphere", 1 << 14), ("thinlens", "cube", 1 << 12)])
+def test_a_narrower_view_magnifies_whatever_is_seen(kind, shape, spp):
     """The light of a thing that is wholly in view is that over 1 / tan^2(x_fov / 2) of the image, with any lens."""
     placed = {"type": shape, "to_world": translate((0.1, 0.05, 0)) @ rotate((1, 2, 3), 40) @ scale((0.2, 0.2, 0.2))}
     scene = load(camera=camera(kind), dark={"type": "constant", "radiance": rgb(0, 0, 0)}, shape=placed | GLOW)
@@ -121,7 +125,7 @@ def test_a_narrower_view_magnifies_whatever_is_seen(kind, shape):
         total = rb.render(scene, spp=1024, max_depth=1)[0].sum((1, 2))
     half = math.radians(20)
     expected = -total / (math.sin(half) * math.cos(half)) * math.radians(1)
-    assert_close(derivative(scene, "camera.x_fov", torch.tensor(1.0, dtype=torch.float64), spp=1 << 14), expected, 0.02)
+    assert_close(derivative(scene, "camera.x_fov", torch.tensor(1.0, dtype=torch.float64), spp=spp), expected, 0.02)
 
 
 @pytest.mark.parametrize("distortion", [{"fx": 20.0, "k1": 0.1}, {"fx": 20.0, "distortion": "fisheye", "k1": 0.05}])

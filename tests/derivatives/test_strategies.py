@@ -99,9 +99,12 @@ def test_chunks_do_not_matter(name, sampling):
     def scene():
         return build_everything(name)
 
-    names = subjects(scene())
-    image, expected = gradients_of(scene, names, spp=SPP[name], sampling=sampling)
-    found, gradients = gradients_of(scene, names, spp=SPP[name], sampling=sampling, chunk=300)
+    whole = scene()
+    sensors = list(range(len(whole.sensors)))[:2]  # of many cameras two: chunks are the same thing for all
+    left_out = tuple(whole.name_of(sensor) + "." for sensor in whole.sensors[2:])
+    names = [parameter for parameter in subjects(whole) if not parameter.startswith(left_out)]
+    image, expected = gradients_of(scene, names, spp=SPP[name], sampling=sampling, sensors=sensors)
+    found, gradients = gradients_of(scene, names, spp=SPP[name], sampling=sampling, sensors=sensors, chunk=300)
     assert relative_error(found, image) < 1e-14
     assert_same(names, gradients, expected, 1e-11)
 

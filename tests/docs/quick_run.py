@@ -1,5 +1,7 @@
 """Runs a script of the documentation in its smallest form: few samples, pixels and steps, and without its last assertions.
 
+Renderers run in plain torch: for so few samples compiling takes longer than all the rest.
+
     python -m tests.docs.quick_run docs/tutorials/01_first_gradient.py
 """
 
@@ -8,6 +10,8 @@ from __future__ import annotations
 import ast
 import sys
 from pathlib import Path
+
+import torch_radbp as rb
 
 MOST = {"spp": 2, "resolution": 24, "width": 24, "height": 24, "steps": 2, "epochs": 2, "count": 3, "max_iter": 1}  # by name
 STEPS, COUNTED = 2, ("step", "epoch")  # of loops over these
@@ -65,4 +69,5 @@ def smallest(source: str) -> ast.Module:
 
 if __name__ == "__main__":
     script = Path(sys.argv[1])
+    rb.Renderer.runs_compiled = lambda renderer: False
     exec(compile(smallest(script.read_text(encoding="utf-8")), str(script), "exec"), {"__name__": "__main__"})

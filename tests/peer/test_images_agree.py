@@ -22,10 +22,10 @@ from .mitsuba_images import render as mitsuba_renders
 BATCHES = 16
 
 
-def our_renders(scene: rb.Scene, case: Case, batches: int = BATCHES, first_seed: int = 16, **settings) -> list[np.ndarray]:
+def our_renders(scene: rb.Scene, case: Case, first_seed: int = 16, **settings) -> list[np.ndarray]:
     """Independent (H, W, 3) renders of a scene by this renderer."""
     renderer = rb.Renderer(scene, spp=case.spp, **settings)
-    return [renderer(seed=first_seed + batch)[0].permute(1, 2, 0).numpy() for batch in range(batches)]
+    return [renderer(seed=first_seed + batch)[0].permute(1, 2, 0).numpy() for batch in range(BATCHES)]
 
 
 def against_reference(name: str, tmp_path, **settings) -> Comparison:
@@ -74,12 +74,6 @@ def test_bsdf_sampling_and_next_event_estimation_agree_with_each_other(tmp_path)
     with_nee, without = (estimate(our_renders(scene, case, first_seed=seed, nee=nee), case.spp)
                          for seed, nee in ((100, True), (200, False)))
     assert_agrees(compare(with_nee, without))
-
-
-def test_brute_force_rays_give_the_same_image(tmp_path):
-    case, path, theirs = load_case("cornell_depth_3", tmp_path)
-    ours = estimate(our_renders(rb.load(path, **case.variables), case, batches=8, caster="brute"), case.spp)
-    assert compare(ours, theirs).p > ALPHA
 
 
 def cornell_dict(to_matrix=lambda matrix: matrix) -> dict:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import warnings
 from collections.abc import Callable
 from importlib import import_module
@@ -51,6 +52,7 @@ def build(name: str, dtype: torch.dtype = torch.float64) -> rb.Scene:
     return (NETWORKS[name](dtype=dtype) if name in NETWORKS else build_everything(name, dtype)).requires_grad_()
 
 
+@functools.lru_cache(maxsize=1)  # of those that follow each other in a file
 def calls_of(name: str, sampling: str, dtype: torch.dtype = torch.float64) -> Calls:
     """The arguments of all calls of the stages while a scene of `SCENES` is rendered, differentiated and described."""
     stages, found = recording()
