@@ -7,6 +7,7 @@ stride and way of running against the tape's; forward mode as the transpose of b
 from __future__ import annotations
 
 import math
+import warnings
 
 import pytest
 import torch
@@ -158,6 +159,17 @@ def test_flights_fill_the_way_to_walls_that_move(sampling):
     check = rb.check_gradient(furnace(DULL, (0.3, 0.6, 1.0)), "box.to_world", direction=grows, step=0.4, spp=32768,
                               max_depth=4, seed=3, sampling=sampling)
     assert check.agrees, str(check)
+
+
+def test_moving_a_shape_in_it_warns_of_the_edges_that_it_sees():
+    scene = room()
+    for name, warned in ((NAMES[0], False), ("floor.to_world", True), ("bulb.position", True)):
+        scene.requires_grad_(False)
+        scene.get_parameter(name).requires_grad_()
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            rb.Renderer(scene, spp=1, max_depth=3)(seed=1)
+        assert any("the medium scatters" in str(each.message) and name in str(each.message) for each in caught) == warned
 
 
 def test_one_medium_fills_the_scene():

@@ -59,8 +59,8 @@ class JumpWatch:
 
     def __init__(self) -> None:
         # Those that have not warned yet.
-        self.looks = [self.silhouettes_in_view, self.lines_in_view, self.shadows_in_view, self.jumps_of_a_bsdf,
-                      self.edges_slid_over, self.edges_far_off]
+        self.looks = [self.silhouettes_in_view, self.lines_in_view, self.shadows_in_view, self.edges_in_a_medium,
+                      self.jumps_of_a_bsdf, self.edges_slid_over, self.edges_far_off]
         self.said: dict[str, Warning] = {}  # by their messages
         # Looks at the image that are due: one at the first rendering is enough.
         self.of_images: list[Callable] = [unfound_caustics, unmapped_textures, inward_faces]
@@ -121,6 +121,15 @@ class JumpWatch:
         return SilhouetteWarning(f"derivatives with respect to {listed(found)} lack the contribution of "
                                  f"{' and '.join(dict.fromkeys(found.values()))}: some move in view. {instead}")
 
+    def edges_in_a_medium(self, rendering: Rendering) -> SilhouetteWarning | None:
+        """The warning about edges that a medium which scatters sees, where anything moves, or None: no term has them."""
+        names = moving_names(rendering)
+        if rendering.call.scene.layout.scattering_medium is None or rendering.max_depth < 2 or not names:
+            return None
+        return SilhouetteWarning(f"derivatives with respect to {listed(sorted(names))} lack what edges and shadows "
+                                 "contribute to the light that the medium scatters: check_gradient measures how much that is. Those by "
+                                 "extinction, albedo and phase function, by colours and lamps' powers lack nothing")
+
     def shadows_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about shadow borders that move with a light, an occluder, a receiver or the camera, or None.
 
@@ -131,8 +140,7 @@ class JumpWatch:
         found = self.sharp_shadows_in_mirrors(rendering) if soft else None
         if found is not None or soft and sharp or rendering.max_depth < 2:
             return found
-        names = {name for plugin in rendering.emitters for name in rendering.moving(plugin, MOVE_LIGHTS)}
-        names = names.union(*rendering.movers, *rendering.camera_movers)
+        names = moving_names(rendering)
         looks = {(name, soft, sharp) for name in names}
         if not looks or rendering.has_area and looks <= self.looked_at:
             return None
@@ -260,6 +268,12 @@ class JumpWatch:
                                  f"float32, in which rays are cast whatever the scene's dtype, rounds positions so much "
                                  f"there that what edges contribute is inaccurate or missing. Move the scene to the origin, "
                                  f"cameras and lights included")
+
+
+def moving_names(rendering: Rendering) -> set[str]:
+    """The parameters with derivatives that move shapes, lights or cameras."""
+    names = {name for plugin in rendering.emitters for name in rendering.moving(plugin, MOVE_LIGHTS)}
+    return names.union(*rendering.movers, *rendering.camera_movers)
 
 
 def missing_silhouettes(rendering: Rendering) -> dict[str, int]:
