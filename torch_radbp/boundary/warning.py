@@ -127,8 +127,9 @@ class JumpWatch:
         if rendering.call.scene.layout.scattering_medium is None or rendering.max_depth < 2 or not names:
             return None
         return SilhouetteWarning(f"derivatives with respect to {listed(sorted(names))} lack what edges and shadows "
-                                 "contribute to the light that the medium scatters: check_gradient measures how much that is. Those by "
-                                 "extinction, albedo and phase function, by colours and lamps' powers lack nothing")
+                                 "contribute to the light that the medium scatters: check_gradient measures how much that "
+                                 "is. Those by extinction, albedo and phase function, by colours and by lamps' powers lack "
+                                 "nothing")
 
     def shadows_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about shadow borders that move with a light, an occluder, a receiver or the camera, or None.
