@@ -111,10 +111,9 @@ class JumpWatch:
         """
         if rendering.primary or rendering.call.scene.triangles.vertices.uv is None:
             return None
-        named, found = missing_silhouettes(rendering), {}
-        for term in TERMS:
-            names = lines_left_out(term, rendering) - named.keys()
-            found |= {name: term.what for name in sorted(names)}
+        found = {name: term.what for term in TERMS for name in sorted(lines_left_out(term, rendering))}
+        named = missing_silhouettes(rendering) if found else {}
+        found = {name: what for name, what in found.items() if name not in named}
         if not found:
             return None
         instead = "The default terms have it; check_gradient measures the bias" if rendering.has_area else OF_RAYS
