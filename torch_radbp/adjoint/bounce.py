@@ -9,7 +9,6 @@ So the memo also holds what the one below has found, and both are added to the g
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -26,6 +25,7 @@ from torch_radbp.tensors.lookup import Tap, tapped
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.torch_internals import tree_map
 from torch_radbp.tensors.vec import Ray, Vec3, rows
+from torch_radbp.tensors.vector_jacobian import TableAdjoint, table_adjoints, vector_jacobian_product, zeros_unless
 from torch_radbp.texture.reader import TextureValue
 
 
@@ -76,13 +76,6 @@ class LanesOfChunk(NamedTuple):
 
     adj_L: Vec3  # derivative of the loss with respect to L_1
     memo: Memo
-
-
-class TableAdjoint(NamedTuple):
-    """The adjoint of one table look-up, (N,) each, before it is scattered into the table's gradient."""
-
-    index: Tensor  # int32
-    adjoint: Tensor
 
 
 @stage("part", "arrival", "chunk")
@@ -158,33 +151,3 @@ def read_again(positions: Vec3, corners: tuple[Tensor, Tensor, Tensor], adj_corn
     """Gathers the vertices `corners` from recorded positions, with a part of their adjoints from the bounce below."""
     return tuple(Vec3(*(tap.read(row, found) for tap, found in zip(positions, adj_p)))
                  for row, adj_p in zip(corners, adj_corners))
-
-
-def vector_jacobian_product(outputs: list[Tensor], inputs: list[Tensor], adjoints: list[Tensor]) -> tuple:
-    """The adjoints of `inputs` by torch's autograd; None where nothing depends on them."""
-    dependent = [(output, adjoint) for output, adjoint in zip(outputs, adjoints) if output.requires_grad]
-    if not dependent or not inputs:
-        return (None,) * len(inputs)
-    outputs, adjoints = zip(*dependent)
-    return torch.autograd.grad(outputs, inputs, adjoints, allow_unused=True)
-
-
-def zeros_unless(adjoint: Tensor | None, like: Tensor) -> Tensor:
-    """The adjoint, or zeros if it is None."""
-    return torch.zeros_like(like) if adjoint is None else adjoint
-
-
-def table_adjoints(tap: Tap, adjoints: Iterator[Tensor | None]) -> list[TableAdjoint]:
-    """Pairs the look-ups of a table with their adjoints.
-
-    Args:
-        tap: of the table.
-        adjoints: of its leaves come next.
-    """
-    found = []
-    for read in tap.reads:
-        adjoint = next(adjoints)
-        parts = [part for part in (adjoint, read.found) if part is not None]
-        if parts:
-            found.append(TableAdjoint(read.index, sum(parts[1:], parts[0])))
-    return found

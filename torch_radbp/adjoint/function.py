@@ -9,7 +9,6 @@ from functools import partial, wraps
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.checked_sweep import CheckedSweep
 from torch_radbp.adjoint.images import render_images
 from torch_radbp.adjoint.record import record_wavefront
@@ -34,6 +33,7 @@ from torch_radbp.tensors.record import leaves_of, mapped, rows_between, with_lea
 from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.torch_internals import batched
 from torch_radbp.tensors.vec import Ray
+from torch_radbp.tensors.vector_jacobian import vector_jacobian_product, zeros_unless
 
 SAVED = object()  # stands for a tensor that autograd keeps
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torch_radbp.adjoint.bounce import DifferentiatedPart, LanesOfChunk, Memo, TableAdjoint, bounce_adjoint
+from torch_radbp.adjoint.bounce import DifferentiatedPart, LanesOfChunk, Memo, bounce_adjoint
 from torch_radbp.adjoint.local_map import Verdict
 from torch_radbp.adjoint.outside import values_that_move
 from torch_radbp.adjoint.scatter import Contribution
@@ -27,6 +27,7 @@ from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.record import rows_between
 from torch_radbp.tensors.stage import Stage
 from torch_radbp.tensors.vec import Vec3, rows
+from torch_radbp.tensors.vector_jacobian import TableAdjoint
 from torch_radbp.texture.reader import Place, TextureValue
 
 

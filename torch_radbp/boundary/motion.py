@@ -10,7 +10,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.bounce import TableAdjoint, table_adjoints, vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.adjoint.function import asks_for_gradient
 from torch_radbp.adjoint.scatter import Contribution, Gradients, gradients_of
@@ -24,6 +23,7 @@ from torch_radbp.tensors.lookup import Tap, summed, tapped
 from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import rows
+from torch_radbp.tensors.vector_jacobian import TableAdjoint, table_adjoints, vector_jacobian_product, zeros_unless
 
 
 class JumpPlaces(NamedTuple):

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.boundary.geometry import Between, Geometry, positions
 from torch_radbp.boundary.silhouette import Eye
 from torch_radbp.call.render_call import RenderCall
@@ -30,6 +29,7 @@ from torch_radbp.sensor.frustum import Frustum
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import TINY, Vec2, Vec3, dot, interpolated, max_component, rows
+from torch_radbp.tensors.vector_jacobian import vector_jacobian_product, zeros_unless
 
 APART = 2e-6  # share of its distance by which places on either side of a curve lie off it, through which paths are traced
 ROUNDED = 8 * 2.0**-24  # the same as a share of the coordinates, by whose rounding in float32 rays miss the places

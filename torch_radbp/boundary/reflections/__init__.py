@@ -26,7 +26,6 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.attached import rays_reaching
-from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.boundary.deposit import Deposit, image_of
@@ -54,6 +53,7 @@ from torch_radbp.path.trace import trace
 from torch_radbp.tensors.differentiated import any_differentiated, detached, primal
 from torch_radbp.tensors.record import joined, leaves_of
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3, rows
+from torch_radbp.tensors.vector_jacobian import vector_jacobian_product, zeros_unless
 
 BLOCK = 1 << 12  # places that are scanned together
 BYTES_OF_CORNER = 700  # what is known of the path from there

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.sorting import queued
 from torch_radbp.path.state import BSDF_CHOICE, Arrival, PathState, Settings
@@ -28,6 +27,7 @@ from torch_radbp.scene.light_tree import Vantage
 from torch_radbp.scene.material import Material, evaluate, material_at, material_places, sample
 from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.vec import TINY, Frame, Vec3, dot, masked, rows
+from torch_radbp.tensors.vector_jacobian import vector_jacobian_product, zeros_unless
 
 GUESSES = 6  # of each number
 STEPS = 14

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.bounce import vector_jacobian_product, zeros_unless
 from torch_radbp.boundary.edge_order import GROUP, EdgeSlots
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
 from torch_radbp.boundary.outline import Outline
@@ -33,6 +32,7 @@ from torch_radbp.sampling.sampler import (
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, angle_between, cross, crossing, dot, normalize, rows
+from torch_radbp.tensors.vector_jacobian import vector_jacobian_product, zeros_unless
 
 BESIDE = 2e-5  # share of the scene's extent by which rays pass edges
 BEFORE = 1e-3  # share of its length by which a ray ends before what it aims at
