@@ -12,9 +12,9 @@ from torch_radbp.jit.cpu import Cpu
 from torch_radbp.jit.emit import emit
 from torch_radbp.jit.machine import host_width
 from torch_radbp.jit.window import TableWindow
+from torch_radbp.tensors.interleaved import LEAST, interleaved
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import leaves_of
-from torch_radbp.texture.interleaved import LEAST, interleaved
 
 LANES = 1000
 DTYPES = (torch.float32, torch.int32, torch.bool, torch.float64)

@@ -38,10 +38,10 @@ from torch_radbp.scene import Scene
 from torch_radbp.scene.tensors import SceneTensors, TriangleTable
 from torch_radbp.shape.placement import Instances
 from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.interleaved import interleaved
 from torch_radbp.tensors.record import joined as joined_records
 from torch_radbp.tensors.record import mapped
 from torch_radbp.tensors.vec import rows
-from torch_radbp.texture.interleaved import interleaved
 
 
 class Outline(NamedTuple):

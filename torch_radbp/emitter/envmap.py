@@ -25,10 +25,10 @@ from torch_radbp.plugin.domain import AMOUNT, POSE, Domain
 from torch_radbp.sampling.grid import GridDistribution, grid_distribution
 from torch_radbp.sampling.sampler import fine_unit
 from torch_radbp.tensors.differentiated import primal
+from torch_radbp.tensors.interleaved import columns_of_rows
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Frame, Vec2, Vec3, dot
 from torch_radbp.texture.bitmap import IMAGES, LUMINANCE, linear_image
-from torch_radbp.texture.interleaved import columns_of_rows
 from torch_radbp.transforms import transform
 
 EVEN = 4.0  # the mean square of light, over the square of its mean, up to which it is even

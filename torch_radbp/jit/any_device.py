@@ -11,6 +11,7 @@ from torch import Tensor
 from torch_radbp.jit.addition import Addition
 from torch_radbp.jit.graph import Program
 from torch_radbp.jit.recording import NotRecordable
+from torch_radbp.tensors.partition import partition_by_torch
 
 
 class AnyDevice:
@@ -55,12 +56,7 @@ class AnyDevice:
         return torch.zeros_like(flags)
 
     def partition(self, number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
-        """As `order.partition`; waits for the device once to know the queues' sizes."""
-        dtype = torch.uint8 if queues <= 256 else torch.int32  # a radix sort takes a turn for each byte
-        numbers, order = number.to(dtype).sort(stable=True)
-        queue = torch.arange(queues, dtype=dtype, device=number.device)
-        ends = torch.searchsorted(numbers, queue, right=True).tolist()
-        return order.to(torch.int32), [end - first for first, end in zip([0, *ends], ends)]
+        return partition_by_torch(number, queues)
 
     def in_order(self, major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor, Tensor]:
         """As `order.in_order`; waits for the device once."""

@@ -103,7 +103,7 @@ class Parameter:
 
 
 class Column(NamedTuple):
-    """The layout of a table that is one column of interleaved rows (`interleaved.py`)."""
+    """The layout of a table that is one column of interleaved rows (`tensors/interleaved.py`)."""
 
     block: int  # index of the rows, among those of an argument
     width: int  # entries per row

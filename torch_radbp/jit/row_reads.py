@@ -12,8 +12,7 @@ import torch
 
 from torch_radbp.jit.graph import LANES, Program, Value
 from torch_radbp.jit.instructions import SCALARS
-
-AT_ONCE = 4  # entries of a row; also the lanes of which a square of entries is turned
+from torch_radbp.tensors.interleaved import AT_ONCE  # also the lanes of which a square of entries is turned
 
 
 def in_rows(program: Program, width: int) -> dict[tuple[Value, int], list[Value]]:

@@ -18,8 +18,8 @@ from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.placement import Instances
 from torch_radbp.shape.surface import Surface, Triangles
 from torch_radbp.tensors.differentiated import differentiated
+from torch_radbp.tensors.interleaved import interleaved
 from torch_radbp.tensors.vec import Vec2, Vec3, masked, max_component, normalize, scaled, unit_normal, where
-from torch_radbp.texture.interleaved import interleaved
 
 BLOCK = 1 << 15  # number of triangles that are processed at a time
 FEW = 1 << 10  # number of triangles examined before all of a surface are

@@ -15,9 +15,9 @@ from torch_radbp.formats.image import read_image, srgb_to_linear
 from torch_radbp.plugin import Filename, Matrix4, Plugin, Texture, finite, nearest, register
 from torch_radbp.plugin.domain import Domain
 from torch_radbp.plugin.jump_lines import JumpLines
+from torch_radbp.tensors.interleaved import columns_of_rows
 from torch_radbp.tensors.vec import Vec2, Vec3
 from torch_radbp.texture.bank import TextureBank, sample_texture, texture_slope
-from torch_radbp.texture.interleaved import columns_of_rows
 from torch_radbp.texture.pyramid import PyramidBank, pyramid, pyramid_slope, sample_pyramid, starts
 from torch_radbp.texture.reader import Reader, TableReader, TexturePoint, TriangleEdges
 from torch_radbp.texture.uv_transform import jump_lines, uv_matrix, uv_rows

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.order import partition
 from torch_radbp.jit.team import each, threads
+from torch_radbp.tensors.partition import partition_by_torch
 from torch_radbp.tensors.vec import Vec2, Vec3, rows
 from torch_radbp.texture.module_function import ModuleFunction
 
@@ -164,7 +164,7 @@ class ModuleBank(NamedTuple):
             row: as for `values`.
             parameters: a place that a batch may have at the most.
         """
-        order, counts = partition(row + 1, len(self.functions) + 1)
+        order, counts = partition_by_torch(row + 1, len(self.functions) + 1)
         batches, first = [], counts[0]
         for module, count in enumerate(counts[1:]):
             size, last = length_of_batches(count, self.size(module, row.device, parameters)), first + count

@@ -27,11 +27,11 @@ from torch_radbp.boundary.edge_order import GROUP
 from torch_radbp.boundary.geometry import Between, Geometry, in_world, positions
 from torch_radbp.boundary.outline import Outline
 from torch_radbp.boundary.shadows.eyes import COPLANAR, Eyes, how_much_counts, how_much_lobes_count
+from torch_radbp.tensors.interleaved import interleaved
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import TINY, Vec3, angle_between, cross, dot, max_component, normalize, rows, unit_normal, where
-from torch_radbp.texture.interleaved import interleaved
 
 LEVELS = 3  # that places go down at once
 LEAST = 0.02  # how much nodes count in which directions across are just possible

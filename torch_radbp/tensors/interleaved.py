@@ -13,11 +13,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.row_reads import AT_ONCE
 from torch_radbp.tensors.differentiated import differentiated, tangent_of
 from torch_radbp.tensors.record import leaves_of, with_leaves
 
 LEAST = 256  # entries
+AT_ONCE = 4  # entries of a row that are read together
 
 
 class _MovedTable(torch.autograd.Function):
