@@ -9,7 +9,7 @@ import torch
 from tests.jit.programs import addition
 from torch_radbp.jit.addition import side_by_side
 from torch_radbp.jit.cpu_scatter import BLOCK, SHARED
-from torch_radbp.jit.machine import made_once
+from torch_radbp.jit.made_once import made_once
 from torch_radbp.jit.scatter import Sums, scatter_add
 from torch_radbp.jit.team import alone_in_torch
 

@@ -15,7 +15,7 @@ import ctypes
 import os
 import sys
 
-from torch_radbp.jit.machine import made_once
+from torch_radbp.jit.made_once import made_once
 
 TRIM_THRESHOLD, TOP_PAD, MMAP_THRESHOLD = -1, -2, -3  # numbers of the parameters, malloc.h
 KEPT = 256 << 20  # bytes that are free and not given back; larger blocks always are

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.addition import Addition
-from torch_radbp.jit.graph import Program
 from torch_radbp.jit.recording import NotRecordable
 from torch_radbp.tensors.partition import partition_by_torch
 
@@ -26,20 +25,20 @@ class AnyDevice:
     def __init__(self, reason: str = "lanes are compiled for the CPU and for GPUs of NVIDIA's; run the function as it is"):
         self.reason = reason
 
-    def text(self, program: Program) -> str:
+    def text(self, program: Any) -> str:
         raise RuntimeError(self.reason)
 
     @property
     def platform(self) -> str:
         raise RuntimeError(self.reason)
 
-    def code(self, program: Program) -> bytes:
+    def code(self, program: Any) -> bytes:
         raise RuntimeError(self.reason)
 
     def loop(self, code: bytes, searched: Sequence[int]):
         raise RuntimeError(self.reason)
 
-    def compile(self, program: Program):
+    def compile(self, program: Any):
         raise RuntimeError(self.reason)
 
     def recorded(self, recording, given: Sequence[Tensor | int], results: Any):

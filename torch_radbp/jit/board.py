@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from torch_radbp.jit.loops import WRITE_JOB
-from torch_radbp.jit.machine import MachineCode, cached_code, made_once
+from torch_radbp.jit.machine import MachineCode, cached_code
+from torch_radbp.jit.made_once import made_once
 from torch_radbp.jit.team import assisted
 
 # Words of a board: whether a loop is open to helpers, how many are inside, whether all is done, the address of a function

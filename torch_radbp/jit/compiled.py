@@ -24,7 +24,7 @@ from torch_radbp.jit.recording import NotRecordable, Recording
 from torch_radbp.jit.structure import assembler
 from torch_radbp.jit.target import Loop, Target
 from torch_radbp.jit.team import PART
-from torch_radbp.tensors import torch_internals
+from torch_radbp.tensors import interleaved, torch_internals
 
 UNREADABLE = (pickle.UnpicklingError, AttributeError, ImportError, EOFError, IndexError, TypeError, ValueError)
 
@@ -110,8 +110,9 @@ def _plain(column: Column | None) -> tuple[int, ...] | None:
 @functools.cache
 def compiler() -> tuple[str, ...]:
     """The versions that compiled code depends on: of libraries, this package's source, and its view of torch."""
-    digest = hashlib.sha256()
-    for path in (*sorted(Path(__file__).parent.glob("*.py")), Path(torch_internals.__file__)):
+    digest, here = hashlib.sha256(), Path(__file__).parent
+    files = sorted(path for folder in (here, here.parent / "threads") for path in folder.rglob("*.py"))
+    for path in (*files, Path(torch_internals.__file__), Path(interleaved.__file__)):
         digest.update(path.read_bytes())
     return str(torch.__version__), llvmlite.__version__, sys.version, digest.hexdigest()
 

@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.loops import FEW_LANES, TAKE_PARTS
-from torch_radbp.jit.machine import MachineCode, cached_code, made_once
+from torch_radbp.jit.machine import MachineCode, cached_code
+from torch_radbp.jit.made_once import made_once
 from torch_radbp.jit.team import run_lanes
 
 # The body may begin with values that are carried from turn to turn.

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.cpu_order import partition_on_cpu
-from torch_radbp.jit.machine import cached_code, made_once
+from torch_radbp.jit.machine import cached_code
+from torch_radbp.jit.made_once import made_once
 
 # Each run of lanes, one after the other, in the order of its keys: a key moves down past those that are greater. And the
 # number of the run of each lane.

@@ -15,7 +15,8 @@ import torch
 
 from torch_radbp.jit.addition import MOST_TABLES, PAGE_BITS, SCALARS, Addition, side_by_side
 from torch_radbp.jit.loops import FEW_LANES, TAKE_PARTS
-from torch_radbp.jit.machine import cached_code, made_once
+from torch_radbp.jit.machine import cached_code
+from torch_radbp.jit.made_once import made_once
 from torch_radbp.jit.recording import recording
 from torch_radbp.jit.team import run_lanes
 

@@ -35,6 +35,7 @@ ASIDE = frozenset({
     "__annotations_cache__", "__dataclass_fields__", "__dataclass_params__", "__parameters__", "__orig_bases__",
     "__firstlineno__", "__static_attributes__", "__slotnames__", "_abc_impl"})
 WRAPPED = (staticmethod, classmethod, MethodType)  # around a function, `__func__`
+COMPILER = ("torch_radbp.jit.", "torch_radbp.threads.")  # modules that count like those of a library
 MOST = 20_000  # definitions that are read
 
 
@@ -188,7 +189,7 @@ def names(code: CodeType) -> list[str]:
 
 def is_library(module: str) -> bool:
     """True if a module belongs to a library, whose version stands for its contents."""
-    return module.partition(".")[0] in LIBRARIES or module.startswith(f"{__package__}.")
+    return module.partition(".")[0] in LIBRARIES or module.startswith(COMPILER)
 
 
 def in_library(thing: Any) -> bool:

@@ -22,7 +22,7 @@ from torch_radbp.jit.emit import emit
 from torch_radbp.jit.graph import Program
 from torch_radbp.jit.launches import Caster, Launch, RayQuery
 from torch_radbp.jit.lowered import without_library
-from torch_radbp.jit.machine import made_once
+from torch_radbp.jit.made_once import made_once
 from torch_radbp.jit.nvptx import BLOCK, kernel_module
 from torch_radbp.jit.nvptx_lanes import COPIES, SMALL, put_text, scatter_text
 from torch_radbp.jit.recorded_launches import RecordedLaunches

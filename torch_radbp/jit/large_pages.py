@@ -16,7 +16,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.machine import made_once
+from torch_radbp.jit.made_once import made_once
 
 PAGE, LEAST = 2 << 20, 8 << 20  # bytes: of a large page, and of a block that is worth asking for
 HUGEPAGE, COLLAPSE = 14, 25  # numbers of the advice, mman-common.h

@@ -27,7 +27,7 @@ from collections.abc import Sequence
 from llvmlite import binding as llvm
 
 from torch_radbp.jit.emit import Body
-from torch_radbp.jit.machine import made_once
+from torch_radbp.jit.made_once import made_once
 
 # Without a least number of blocks the assembler gives some long kernels 32 registers, and spills three times as much.
 BLOCK = 128  # threads of a block; with 255 registers each, the most that a thread may have, two fit on a multiprocessor

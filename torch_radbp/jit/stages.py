@@ -11,7 +11,7 @@ import torch
 from torch_radbp.jit.allocator import keep_freed_memory
 from torch_radbp.jit.arguments import PreparedArgument
 from torch_radbp.jit.dual import DualFunction
-from torch_radbp.jit.machine import made_once
+from torch_radbp.jit.made_once import made_once
 from torch_radbp.jit.refusal import UnknownOperation
 from torch_radbp.jit.run import LaneFunction
 from torch_radbp.jit.target import Target, target_of

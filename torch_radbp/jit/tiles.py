@@ -16,7 +16,8 @@ from torch import Tensor
 from torch_radbp.jit.board import run_loop
 from torch_radbp.jit.large_pages import block_of_bytes
 from torch_radbp.jit.loops import WRITE_JOB
-from torch_radbp.jit.machine import MachineCode, cached_code, made_once
+from torch_radbp.jit.machine import MachineCode, cached_code
+from torch_radbp.jit.made_once import made_once
 from torch_radbp.jit.recorded import WHOLE, Recorded, RecordedInputs
 from torch_radbp.jit.recording import NotRecordable
 from torch_radbp.jit.team import run_lanes, threads

@@ -10,7 +10,8 @@ from threading import Lock
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.machine import MachineCode, cached_code, host_width, made_once
+from torch_radbp.jit.machine import MachineCode, cached_code, host_width
+from torch_radbp.jit.made_once import made_once
 from torch_radbp.jit.recording import recording
 from torch_radbp.jit.team import PART, run_lanes
 from torch_radbp.raycast import ball, batches, runs

@@ -13,7 +13,8 @@ from threading import Lock
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.machine import MachineCode, cached_code, made_once
+from torch_radbp.jit.machine import MachineCode, cached_code
+from torch_radbp.jit.made_once import made_once
 from torch_radbp.jit.recording import recording
 from torch_radbp.jit.team import run_lanes
 from torch_radbp.raycast import every_ball, library, packets, queries

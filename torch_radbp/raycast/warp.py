@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.launches import RayQuery
-from torch_radbp.jit.machine import made_once
+from torch_radbp.jit.made_once import made_once
 from torch_radbp.jit.recording import recording
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices
 from torch_radbp.raycast.protocol import Hit, Ray
