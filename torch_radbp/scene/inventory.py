@@ -17,8 +17,7 @@ from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
 from torch_radbp.plugin import BSDF, Emitter, Plugin, Shape
-from torch_radbp.scene.module_attributes import dicts_of, stands_still
-from torch_radbp.scene.scene import Scene
+from torch_radbp.scene.module_attributes import ModuleTree, dicts_of, separate_roots, shared_with_roots, stands_still
 from torch_radbp.tensors.differentiated import differentiated
 from torch_radbp.tensors.torch_internals import inside_dual_level
 
@@ -28,17 +27,15 @@ KIND = operator.attrgetter("shape", "dtype", "device", "layout", "requires_grad"
 class Inventory:
     """The attributes of a module and of all modules in it, at one rendering.
 
-    Of a scene, sensors are left out, but for the medium in which they stand: each is a root of its own, so that what a
-    rendering costs does not depend on how many there are that it does not show.
+    Of a scene, sensors are left out, but for the medium in which they stand; see `ModuleTree`.
 
     Args:
         root: the module.
     """
 
     def __init__(self, root: nn.Module):
-        left_out = set(root.named_sensors.values()) if isinstance(root, Scene) else set()
-        self.media = media_of(root)
-        self.root, self.modules = root, list(_held_by([*self.media, root], left_out))
+        self.shared = shared_with_roots(root)
+        self.root, self.modules = root, list(_held_by([*self.shared, root], separate_roots(root)))
         self.inner = [each for module in self.modules for each in dicts_of(module)[1:]]  # found in `vars` of the modules
         dicts = self.dicts()
         self.sizes, self.names = list(map(len, dicts)), list(chain.from_iterable(dicts))
@@ -62,7 +59,7 @@ class Inventory:
     def holds(self, root: nn.Module) -> bool:
         """True if a module and all modules in it still have the same attributes, whatever the values of tensors are."""
         dicts = self.dicts()
-        return (root is self.root and not inside_dual_level() and media_of(root) == self.media
+        return (root is self.root and not inside_dual_level() and shared_with_roots(root) == self.shared
                 and list(map(len, dicts)) == self.sizes and list(chain.from_iterable(dicts)) == self.names
                 and all(map(operator.is_, chain.from_iterable(map(dict.values, dicts)), self.values))
                 and list(map(KIND, self.tensors)) == self.kinds)
@@ -72,11 +69,6 @@ class Inventory:
         if modules not in self.reaches:
             self.reaches[modules] = reach_of(modules)
         return self.reaches[modules]
-
-
-def media_of(root: nn.Module) -> list[nn.Module]:
-    """The media of a scene, which sensors hold; of other modules none."""
-    return root.media if isinstance(root, Scene) else []
 
 
 def reach_of(modules: Iterable[nn.Module]) -> frozenset[int]:
@@ -89,7 +81,7 @@ def reach_of(modules: Iterable[nn.Module]) -> frozenset[int]:
 def is_restless(module: nn.Module) -> bool:
     """True if a module may compute something else while its attributes are the same objects with the same numbers: it has
     parametrisations, which may compute anything, or is none of ours and has a list or the like."""
-    return parametrize.is_parametrized(module) or not (isinstance(module, (Plugin, Scene)) or stands_still(module))
+    return parametrize.is_parametrized(module) or not (isinstance(module, (Plugin, ModuleTree)) or stands_still(module))
 
 
 def _held_by(modules: Iterable[nn.Module], left_out: Collection[nn.Module] = (), of_shapes: bool = True

@@ -61,6 +61,28 @@ def modules_in(root: nn.Module, prefix: str = "", without: Collection[nn.Module]
     return named
 
 
+class ModuleTree(nn.Module):
+    """A tree of modules without some that are roots of their own, as a scene without its sensors."""
+
+    def separate_roots(self) -> Collection[nn.Module]:
+        """The modules that are roots of their own; what a rendering costs does not depend on those that it does not show."""
+        raise NotImplementedError
+
+    def shared_with_roots(self) -> list[nn.Module]:
+        """The modules within these that belong to this tree, too."""
+        raise NotImplementedError
+
+
+def separate_roots(root: nn.Module) -> set[nn.Module]:
+    """The modules within a root that are roots of their own."""
+    return set(root.separate_roots()) if isinstance(root, ModuleTree) else set()
+
+
+def shared_with_roots(root: nn.Module) -> list[nn.Module]:
+    """The modules within separate roots that belong to this root, too."""
+    return root.shared_with_roots() if isinstance(root, ModuleTree) else []
+
+
 def dicts_of(module: nn.Module) -> tuple[dict[str, Any], ...]:
     """The dicts that hold a module's attributes, parameters, buffers and submodules."""
     shared = module.shared if isinstance(module, Plugin) else {}

@@ -18,14 +18,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.scene.interaction import (
-    Corners,
-    SurfaceInteraction,
-    at_corners,
-    corner_rows,
-    edges,
-    where_the_ray_goes,
-)
+from torch_radbp.scene.interaction import Corners, SurfaceInteraction, at_corners, corner_rows, edges, where_the_ray_goes
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, sampling_at
 from torch_radbp.scene.nearby import Floor, Nearby, Slide, slide_at
 from torch_radbp.scene.placement import points_in_world

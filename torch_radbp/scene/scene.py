@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch_radbp.formats.html_table import html_table
 from torch_radbp.integrator.path import Path
 from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Integrator, Medium, Plugin, SceneError, Sensor, nearest, with_article
-from torch_radbp.scene.module_attributes import modules_in
+from torch_radbp.scene.module_attributes import ModuleTree, modules_in
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import trimesh
 
 
-class Scene(nn.Module):
+class Scene(ModuleTree):
     """Shapes, materials, emitters and sensors, each a submodule under its name in the scene description.
 
     Parameter names follow Mitsuba's `mi.traverse`: a material of its own is named by its id (`white.reflectance.value`),
@@ -165,6 +165,14 @@ class Scene(nn.Module):
         """All sensors by name; each sensor of a batch has its own."""
         return {f"{name}{part}": view for name, child in self._modules.items() if isinstance(child, Sensor)
                 for part, view in child.views().items()}
+
+    def separate_roots(self) -> list[Sensor]:
+        """All sensors: a rendering need not look at those that it does not show."""
+        return self.sensors
+
+    def shared_with_roots(self) -> list[Medium]:
+        """The medium in which the sensors stand."""
+        return self.media
 
     @property
     def emitters(self) -> list[Emitter]:
