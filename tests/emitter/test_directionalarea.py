@@ -10,7 +10,8 @@ from tests.scenes import load, rectangle, rgb, sensor
 from tests.scenes.lights import FLOOR, scene_of, slide, turned
 from torch_radbp.emitter.area import AreaKind
 from torch_radbp.io.transform import scale, translate
-from torch_radbp.scene.light import LightSample, emitted, emitted_pdf, sample_light
+from torch_radbp.scene.emission import emitted, emitted_pdf
+from torch_radbp.scene.light import LightSample, sample_light
 from torch_radbp.tensors.vec import Ray, Vec3
 
 POSE = translate((0.3, 1.1, -0.2)) @ turned(70, 20, -10) @ scale((0.5, 0.3, 1))

@@ -13,16 +13,16 @@ from tests.scenes import load, sensor
 from tests.scenes.lights import EMITTERS, FINDABLE, FLOOR, scene_of
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
-from torch_radbp.scene.interaction import surface_interaction
-from torch_radbp.scene.light import (
+from torch_radbp.scene.emission import (
     emitted,
     emitted_by_surface,
     emitted_by_surround,
     emitted_pdf,
     pdf_of_surface,
     pdf_of_surround,
-    sample_light,
 )
+from torch_radbp.scene.interaction import surface_interaction
+from torch_radbp.scene.light import sample_light
 from torch_radbp.tensors.vec import Ray, rows
 
 COUNT = 100_000

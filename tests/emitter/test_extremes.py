@@ -12,8 +12,9 @@ from tests.scenes.lights import EMITTERS, FLOOR, sky_image
 from torch_radbp.emitter.envmap import EnvmapKind, density
 from torch_radbp.emitter.latitude_longitude import latitude_longitude
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.emission import emitted, emitted_pdf
 from torch_radbp.scene.interaction import at_corners, edges, surface_interaction
-from torch_radbp.scene.light import LightNumbers, emitted, emitted_pdf, sample_light
+from torch_radbp.scene.light import LightNumbers, sample_light
 from torch_radbp.scene.pack import pack
 from torch_radbp.tensors.vec import Ray, Vec3
 

@@ -11,7 +11,8 @@ from tests.gradients import relative_error
 from tests.scenes import diffuse, load, rectangle, rgb, sensor
 from tests.scenes.lights import EMITTERS, FLOOR, turned
 from torch_radbp.io.transform import scale, translate
-from torch_radbp.scene.light import sample_light, vantage
+from torch_radbp.scene.emission import vantage
+from torch_radbp.scene.light import sample_light
 from torch_radbp.scene.light_choice import MANY, LightPick, chance_of_emitter, drawn_element
 from torch_radbp.scene.light_tree import Vantage, halved, importance
 from torch_radbp.scene.pack import pack

@@ -16,8 +16,9 @@ from tests.scenes import load, sensor
 from tests.scenes.lights import FLOOR
 from torch_radbp.plugin import BSDF
 from torch_radbp.scene.barycentric_gradients import barycentric_gradients
+from torch_radbp.scene.emission import emitted, emitted_by_surround
 from torch_radbp.scene.interaction import surface_interaction
-from torch_radbp.scene.light import emitted, emitted_by_surround, sample_light
+from torch_radbp.scene.light import sample_light
 from torch_radbp.scene.pack import pack
 from torch_radbp.tensors.vec import Ray, ShadingFrame, Vec2, Vec3
 from torch_radbp.texture.bitmap import reader_of

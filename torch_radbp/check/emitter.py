@@ -28,15 +28,9 @@ from torch_radbp.raycast import make_caster
 from torch_radbp.rendering.settings import checked_seed
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF
+from torch_radbp.scene.emission import emitted_by_surface, emitted_by_surround, pdf_of_surface, pdf_of_surround
 from torch_radbp.scene.interaction import surface_interaction
-from torch_radbp.scene.light import (
-    LightSample,
-    emitted_by_surface,
-    emitted_by_surround,
-    pdf_of_surface,
-    pdf_of_surround,
-    sample_light,
-)
+from torch_radbp.scene.light import LightSample, sample_light
 from torch_radbp.scene.light_choice import LightNumbers
 from torch_radbp.scene.pack import pack
 from torch_radbp.scene.scene import Scene

@@ -20,7 +20,8 @@ from torch_radbp.path.state import Arrival, PathState, Settings
 from torch_radbp.path.surface import scattered_to, shares_of, surface_met
 from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.light import emission_places, light_aims, sample_light, sample_places
+from torch_radbp.scene.emission import emission_places
+from torch_radbp.scene.light import light_aims, sample_light, sample_places
 from torch_radbp.scene.light_choice import LightNumbers, LightPick
 from torch_radbp.scene.material import material_at, material_places, sampling_at
 from torch_radbp.scene.media import attenuated, transmittance, transmittance_to_light

@@ -14,8 +14,9 @@ from torch import Tensor
 from torch_radbp.path.state import LIGHT_CHOICE, LIGHT_SPLIT, LIGHT_U, LIGHT_V, Arrival, Settings
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import BounceKey, random_bits
+from torch_radbp.scene.emission import emitted, emitted_by_surface, emitted_pdf, pdf_of_surface
 from torch_radbp.scene.interaction import SurfaceInteraction
-from torch_radbp.scene.light import LightSample, emitted, emitted_by_surface, emitted_pdf, pdf_of_surface
+from torch_radbp.scene.light import LightSample
 from torch_radbp.scene.light_choice import LightNumbers
 from torch_radbp.scene.media import attenuated, transmittance_to_light
 from torch_radbp.scene.tensors import SceneTensors

@@ -15,7 +15,7 @@ from torch_radbp.path.state import Arrival, PathState, Position, Settings
 from torch_radbp.path.surface import surface_met
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import bounce_key
-from torch_radbp.scene.light import vantage
+from torch_radbp.scene.emission import vantage
 from torch_radbp.scene.light_choice import LightPick, TreeChoice, chance_of_emitter, drawn_element
 from torch_radbp.scene.light_tree import Vantage
 from torch_radbp.scene.tensors import SceneTensors

@@ -15,8 +15,9 @@ from torch_radbp.path.vertex import Terms, VertexKind
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import bounce_key, uniform
 from torch_radbp.scene.cone import Cone, cone_beyond
+from torch_radbp.scene.emission import emission_places, vantage
 from torch_radbp.scene.interaction import Corners, SurfaceInteraction, surface_interaction
-from torch_radbp.scene.light import emission_places, light_aims, sample_light, sample_places, vantage
+from torch_radbp.scene.light import light_aims, sample_light, sample_places
 from torch_radbp.scene.light_tree import Vantage
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, material_places, sample, sampling_at
 from torch_radbp.scene.media import attenuated, way_through

@@ -21,8 +21,8 @@ from torch_radbp.path.surface import surface_met
 from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import bounce_key, uniform
+from torch_radbp.scene.emission import vantage
 from torch_radbp.scene.interaction import SurfaceInteraction
-from torch_radbp.scene.light import vantage
 from torch_radbp.scene.light_tree import Vantage
 from torch_radbp.scene.material import Material, evaluate, material_at, material_places, sample
 from torch_radbp.tensors.record import leaves_of, with_leaves

@@ -14,8 +14,9 @@ from torch_radbp.path.direct_light import LightDraw
 from torch_radbp.path.light_connection import light_numbers
 from torch_radbp.sampling.alias import AliasTable
 from torch_radbp.sampling.sampler import SampleKey, bounce_key, fine_unit, lane_key, unit
-from torch_radbp.scene.light import Aims, among, light_aims
+from torch_radbp.scene.light import Aims, light_aims
 from torch_radbp.scene.light_choice import LightPick, TreeChoice
+from torch_radbp.scene.light_kinds import among
 from torch_radbp.scene.tensors import SceneTensors
 from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import TINY, Vec3, masked, normalize, rows, where
