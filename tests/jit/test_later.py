@@ -12,8 +12,9 @@ import torch
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.board import board
 from torch_radbp.jit.later import Later
-from torch_radbp.jit.recorded import Recorded, RecordedInputs
+from torch_radbp.jit.recorded import Recorded
 from torch_radbp.jit.recording import ALL, Recording, Reserve, listening
+from torch_radbp.jit.results import RecordedInputs
 from torch_radbp.jit.target import Cpu
 
 LEAVES = """

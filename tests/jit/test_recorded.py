@@ -10,8 +10,9 @@ from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.addition import Addition, Sums
 from torch_radbp.jit.board import board
 from torch_radbp.jit.order import chosen, inverted, nothing, partition, put
-from torch_radbp.jit.recorded import Recorded, RecordedInputs
+from torch_radbp.jit.recorded import Recorded
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, listening, outside
+from torch_radbp.jit.results import RecordedInputs
 from torch_radbp.jit.scatter import scatter_add
 from torch_radbp.jit.team import alone_in_torch
 

@@ -6,8 +6,9 @@ from torch import Tensor
 
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.order import chosen, put
-from torch_radbp.jit.recorded import Recorded, RecordedInputs
+from torch_radbp.jit.recorded import Recorded
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, listening, outside
+from torch_radbp.jit.results import RecordedInputs
 from torch_radbp.jit.team import alone_in_torch
 from torch_radbp.jit.tiles import TILE, TileStep, handed, run_in_tiles
 

@@ -28,7 +28,8 @@ from torch_radbp.tensors.differentiated import primal
 from torch_radbp.tensors.interleaved import columns_of_rows
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Frame, Vec2, Vec3, dot
-from torch_radbp.texture.bitmap import IMAGES, LUMINANCE, linear_image
+from torch_radbp.texture.bitmap import IMAGES, linear_image
+from torch_radbp.texture.reader import LUMINANCE
 from torch_radbp.transforms import transform
 
 EVEN = 4.0  # the mean square of light, over the square of its mean, up to which it is even

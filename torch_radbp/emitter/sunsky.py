@@ -31,7 +31,7 @@ from torch_radbp.plugin.domain import FRACTION, NUMBER, Domain
 from torch_radbp.sampling.sampler import fine_unit
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Frame, Vec3, dot, where
-from torch_radbp.texture.bitmap import LUMINANCE
+from torch_radbp.texture.reader import LUMINANCE
 from torch_radbp.transforms import affine
 
 DATA = Path(__file__).with_name("sunsky_data.npz")  # its origin: sunsky_data.md

@@ -29,8 +29,8 @@ from torch_radbp.jit.lane_operations import (
 from torch_radbp.jit.nvptx import BLOCK
 from torch_radbp.jit.nvptx_lanes import counts_text, move_text, put_text, scatter_text
 from torch_radbp.jit.nvptx_order import GROUP, MOST_QUEUES, RUN, count_text, place_text, sum_text
-from torch_radbp.jit.recorded_text import ResultLayout
 from torch_radbp.jit.recording import NotRecordable
+from torch_radbp.jit.results import ResultLayout
 
 OF_SIZE = {1: torch.bool, 4: torch.int32, 8: torch.int64}  # entries that are moved, by their bytes
 BLOCKS = "nothing", "counts", "scratch", "room"  # of memory, that words may point into; behind these come results

@@ -5,49 +5,21 @@ from __future__ import annotations
 import ctypes
 import itertools
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_radbp.jit.board import Board
-from torch_radbp.jit.lane_operations import LaneSpan, MemoryPlace, Outside
+from torch_radbp.jit.lane_operations import MemoryPlace, Outside
 from torch_radbp.jit.large_pages import block_of_bytes
 from torch_radbp.jit.machine import MachineCode, cached_code
-from torch_radbp.jit.recorded_text import ResultGroup, ResultLayout, Writer
-from torch_radbp.jit.recording import NotRecordable, Recording
-from torch_radbp.jit.structure import Leaf, assembler, flatten, with_other_leaves
+from torch_radbp.jit.recorded_text import Writer
+from torch_radbp.jit.recording import Recording
+from torch_radbp.jit.results import WHOLE, RecordedInputs, RecordedResults, ResultGroup
 
 RECORDED = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 6, ctypes.c_int64, ctypes.c_int64)
-
-
-class RecordedInputs:
-    """The inputs of a recording, taken apart: tensors, and addresses of what loops read."""
-
-    __slots__ = ("items", "addresses", "lengths")
-
-    def __init__(self, items: Sequence[Tensor | int]):
-        self.items = items
-        self.addresses = array("q", [item.data_ptr() if isinstance(item, Tensor) else item for item in items])
-        self.lengths = array("q", [item.numel() if isinstance(item, Tensor) else 0 for item in items])
-
-    @property
-    def pattern(self) -> tuple[int, ...]:
-        """For each input the index of the first that is the same; equal where one recording serves."""
-        firsts: dict[int, int] = {}
-        return tuple(map(firsts.setdefault, self.addresses, range(len(self.addresses))))
-
-
-class ResultPlace(NamedTuple):
-    """The memory in which a result of a recording lies."""
-
-    group: int  # index in `ResultLayout.groups`; GIVEN: an input; EMPTY: no lanes
-    row: int  # row of the group, or index of the input
-    count: int  # index of the count of its entries; WHOLE: as the group
-
-
-GIVEN, EMPTY, WHOLE = -2, -1, -1
 
 
 class Memory(NamedTuple):
@@ -58,40 +30,6 @@ class Memory(NamedTuple):
     places: array  # addresses of these
     room: Tensor  # bytes for temporaries
     row: int  # entries per temporary
-
-
-class RecordedResults:
-    """The results of what was recorded, and where they lie.
-
-    Args:
-        recording: of a function.
-        given: what it was given.
-        results: what it returned: tensors in nested tuples.
-    """
-
-    def __init__(self, recording: Recording, given: Sequence[Tensor | int], results: Any):
-        leaves: list[Tensor] = []
-        flatten(results, leaves, [])
-        places = [recording.place(leaf) if leaf.numel() else None for leaf in leaves]
-        self.assemble: Callable[[list[Tensor]], Any] = assembler(with_other_leaves(results, Leaf))
-        self.layout = ResultLayout(recording, [place.tensor for place in places if place and place.made])
-        self.empty: list[torch.dtype] = []  # of results without lanes, which are new each time
-        self.found = [self.where(place, recording.span(leaf.numel()), leaf.dtype) for place, leaf in zip(places, leaves)]
-        self.rays, self.counts = recording.rays, recording.counts
-
-    def where(self, place: MemoryPlace | None, lanes: LaneSpan, dtype: torch.dtype) -> ResultPlace:
-        """The memory of a result; `place`: None if it has no lanes."""
-        if place is None:
-            self.empty.append(dtype)
-            return ResultPlace(EMPTY, len(self.empty) - 1, WHOLE)
-        if not place.made:
-            return ResultPlace(GIVEN, place.tensor, WHOLE)
-        group, row = self.layout.rows[place.tensor]
-        if lanes == self.layout.groups[group].lanes:
-            return ResultPlace(group, row, WHOLE)
-        if place.first or lanes.first:
-            raise NotRecordable("a result is a part of a tensor that does not begin where it does")
-        return ResultPlace(group, row, lanes.last)
 
 
 class Recorded(RecordedResults):

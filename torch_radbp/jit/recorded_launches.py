@@ -13,8 +13,8 @@ from torch import Tensor
 from torch_radbp.jit.lane_count import LaneCount, most_of
 from torch_radbp.jit.lane_operations import LaneSpan, MemoryPlace, Outside
 from torch_radbp.jit.launches import Caster, DeviceRecording, Launches
-from torch_radbp.jit.recorded import WHOLE, RecordedInputs, RecordedResults, ResultPlace
 from torch_radbp.jit.recording import NotRecordable, Recording
+from torch_radbp.jit.results import WHOLE, RecordedInputs, RecordedResults, ResultPlace
 
 MOST_ROOMS = 64  # for which the launches of a recording are kept
 BITS = 6  # bits of a number of lanes that count, so that there are few rooms

@@ -1,4 +1,4 @@
-"""The LLVM IR of a recording, and the memory layout of what it makes; see `recorded.py`.
+"""The LLVM IR of a recording; see `recorded.py`.
 
     void recorded0(ptr given, ptr kept, ptr room, ptr counts, ptr functions, ptr board, i64 lanes, i64 row)
 
@@ -11,10 +11,7 @@ function, `recorded1`, which finds the same memory and counts, and in `kept` wha
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
-
-import torch
+from collections.abc import Sequence
 
 from torch_radbp.jit import cpu_order, cpu_scatter
 from torch_radbp.jit.addition import MOST_TABLES
@@ -34,12 +31,12 @@ from torch_radbp.jit.lane_operations import (
     Scattered,
 )
 from torch_radbp.jit.recording import Recording
+from torch_radbp.jit.results import ResultLayout
 from torch_radbp.jit.team import PART
 
 HEAD = """\
 define void @recorded{number}(ptr %given, ptr %kept, ptr %room, ptr %counts, ptr %functions, ptr %board,
                               i64 %lanes, i64 %row) {{"""
-SIZES = (1, 4, 8)
 # Runs of lanes abreast, as `cpu_order.partition_on_cpu` takes them.
 PARTITION = """\
 define internal void @partition(ptr %functions, ptr %order, ptr %numbers, i64 %lanes, i64 %queues, ptr %found) {{
@@ -62,70 +59,6 @@ define internal void @partition(ptr %functions, ptr %order, ptr %numbers, i64 %l
 declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)
 declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 """
-
-
-class ResultGroup(NamedTuple):
-    """Results with the same dtype and number of lanes, which are rows of one tensor."""
-
-    dtype: torch.dtype
-    lanes: LaneSpan
-    tensors: list[int]  # indices of the tensors
-    handed: bool = False  # True: a tensor that outside work returns
-
-
-class ResultLayout:
-    """The memory layout of tensors made: results in groups, temporaries in rows that are reused after their last reading.
-
-    Args:
-        recording: whose.
-        results: numbers of the tensors that are asked for.
-    """
-
-    def __init__(self, recording: Recording, results: Sequence[int]):
-        self.groups: list[ResultGroup] = []
-        self.rows: dict[int, tuple[int, int]] = {}  # of each result the group and the row
-        for operation in recording.operations:
-            for place in operation.outputs if isinstance(operation, Outside) else ():
-                dtype, lanes = recording.made[place.tensor]
-                self.rows[place.tensor] = len(self.groups), 0
-                self.groups.append(ResultGroup(dtype, lanes, [place.tensor], True))
-        for number in dict.fromkeys(results):
-            if number in self.rows:
-                continue
-            dtype, lanes = recording.made[number]
-            group = next((group for group in self.groups if group[:2] == (dtype, lanes) and not group.handed), None)
-            if group is None:
-                self.groups.append(group := ResultGroup(dtype, lanes, []))
-            self.rows[number] = self.groups.index(group), len(group.tensors)
-            group.tensors.append(number)
-        self.bytes = 0  # of all rows of the rest, for each lane
-        self.at: dict[int, int] = {}  # of each of the rest, the bytes for each lane that lie before it
-        free: dict[int, list[int]] = {size: [] for size in SIZES}
-        reads = [set(made_in(operation)) for operation in recording.operations]
-        last = {number: place for place, read in enumerate(reads) for number in read}
-        for place, read in enumerate(reads):
-            for number in sorted(read):
-                size = recording.made[number].dtype.itemsize
-                if number not in self.at and number not in self.rows:
-                    if not free[size]:
-                        free[size].append(self.bytes)
-                        self.bytes += size
-                    self.at[number] = free[size].pop()
-            for number in read:
-                if last[number] == place and number in self.at:
-                    free[recording.made[number].dtype.itemsize].append(self.at[number])
-
-
-def made_in(operation: Operation) -> Iterator[int]:
-    """The indices of made tensors that an operation reads or writes."""
-    waiting = list(operation)
-    while waiting:
-        item = waiting.pop()
-        if isinstance(item, MemoryPlace):
-            if item.made:
-                yield item.tensor
-        elif isinstance(item, tuple) and not isinstance(item, LaneSpan):
-            waiting.extend(item)
 
 
 class Writer:

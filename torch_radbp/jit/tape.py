@@ -23,9 +23,10 @@ from torch import Tensor
 from torch_radbp.jit.board import Board
 from torch_radbp.jit.dual import dual, tangents_and_tensors, values_and_tangents
 from torch_radbp.jit.lane_count import LaneCount
-from torch_radbp.jit.recorded import Recorded, RecordedInputs
+from torch_radbp.jit.recorded import Recorded
 from torch_radbp.jit.recorded_launches import RecordedLaunches
 from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
+from torch_radbp.jit.results import RecordedInputs
 from torch_radbp.jit.structure import flatten
 from torch_radbp.jit.target import Target, target_of
 from torch_radbp.jit.tiles import Handed, handed

@@ -18,8 +18,9 @@ from torch_radbp.jit.large_pages import block_of_bytes
 from torch_radbp.jit.loops import WRITE_JOB
 from torch_radbp.jit.machine import MachineCode, cached_code
 from torch_radbp.jit.made_once import made_once
-from torch_radbp.jit.recorded import WHOLE, Recorded, RecordedInputs
+from torch_radbp.jit.recorded import Recorded
 from torch_radbp.jit.recording import NotRecordable
+from torch_radbp.jit.results import WHOLE, RecordedInputs
 from torch_radbp.jit.team import run_lanes, threads
 
 TILE = 4096  # lanes

@@ -26,8 +26,7 @@ from torch_radbp.scene.light_tree import LightTree, Vantage, chance_of_leaf, dra
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.vec import Vec2, Vec3, interpolated, where
-from torch_radbp.texture.bitmap import LUMINANCE
-from torch_radbp.texture.reader import OutsideReader, TableReader, TexturePoint
+from torch_radbp.texture.reader import LUMINANCE, OutsideReader, TableReader, TexturePoint
 
 CHOICES = ("uniform", "tree")
 # Emitters with bounds from which on the tree is the default. With 8, noise times time is less than with a uniform choice, as

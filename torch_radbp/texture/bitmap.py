@@ -19,13 +19,12 @@ from torch_radbp.tensors.interleaved import columns_of_rows
 from torch_radbp.tensors.vec import Vec2, Vec3
 from torch_radbp.texture.bank import TextureBank, sample_texture, texture_slope
 from torch_radbp.texture.pyramid import PyramidBank, pyramid, pyramid_slope, sample_pyramid, starts
-from torch_radbp.texture.reader import Reader, TableReader, TexturePoint, TriangleEdges
+from torch_radbp.texture.reader import LUMINANCE, Reader, TableReader, TexturePoint, TriangleEdges
 from torch_radbp.texture.uv_transform import jump_lines, uv_matrix, uv_rows
 
 WRAP_MODES = ("repeat", "mirror", "clamp")
 FILTERS = ("bilinear", "nearest", "trilinear")
 FORMATS = ("auto", "variant", "float16", "fp16", "uint8")
-LUMINANCE = (0.212671, 0.715160, 0.072169)  # weights of linear RGB, ITU-R BT.709 with Mitsuba's digits
 IMAGES = {channels: Domain(shapes=(("H", "W", channels),)) for channels in (1, 3)}
 TO_UV = Domain(shapes=((4, 4),))
 

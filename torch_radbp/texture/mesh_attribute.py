@@ -13,8 +13,7 @@ from torch_radbp.plugin import Texture, finite, register
 from torch_radbp.plugin.domain import NUMBER, Domain
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Vec2, Vec3
-from torch_radbp.texture.bitmap import LUMINANCE
-from torch_radbp.texture.reader import TableReader, TexturePoint
+from torch_radbp.texture.reader import LUMINANCE, TableReader, TexturePoint
 
 PREFIXES = ("vertex_", "face_")
 

@@ -17,6 +17,8 @@ from torch import Tensor
 from torch_radbp.plugin import Texture
 from torch_radbp.tensors.vec import Vec2, Vec3
 
+LUMINANCE = (0.212671, 0.715160, 0.072169)  # weights of linear RGB, ITU-R BT.709 with Mitsuba's digits
+
 
 class TriangleEdges(NamedTuple):
     """The two edges of the triangle that each lane is on, and the changes of uv and attributes along them; attached."""
