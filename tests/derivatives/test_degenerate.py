@@ -6,10 +6,11 @@ import torch
 from tests.scenes import load, rectangle, rgb, sensor
 from torch_radbp.bsdf.diffuse import DiffuseKind
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.interaction import at_corners, corner_rows, surface_interaction
+from torch_radbp.scene.interaction import corner_rows, surface_interaction
 from torch_radbp.scene.material import Material, sample
 from torch_radbp.scene.outgoing_ray import glued_direction
 from torch_radbp.scene.pack import pack
+from torch_radbp.scene.triangle_corners import at_corners
 from torch_radbp.tensors.vec import Ray, Vec3
 
 LAMP = {"type": "area", "radiance": rgb(1, 2, 3)}

@@ -13,9 +13,10 @@ from torch_radbp.emitter.envmap import EnvmapKind, density
 from torch_radbp.emitter.latitude_longitude import latitude_longitude
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.emission import emitted, emitted_pdf
-from torch_radbp.scene.interaction import at_corners, edges, surface_interaction
+from torch_radbp.scene.interaction import surface_interaction
 from torch_radbp.scene.light import LightNumbers, sample_light
 from torch_radbp.scene.pack import pack
+from torch_radbp.scene.triangle_corners import at_corners, edges
 from torch_radbp.tensors.vec import Ray, Vec3
 
 DTYPES = [torch.float32, torch.float64]

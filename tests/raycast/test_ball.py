@@ -12,8 +12,8 @@ from torch_radbp.raycast.brute import Brute
 from torch_radbp.raycast.direct import DirectCaster, code_of_batches, tensor_addresses
 from torch_radbp.raycast.embree import Embree
 from torch_radbp.raycast.refined import refined
-from torch_radbp.scene.interaction import clearance
 from torch_radbp.scene.pack import pack
+from torch_radbp.scene.triangle_corners import clearance
 from torch_radbp.shape.ball import RINGS, SEGMENTS, TRIANGLES, Balls
 from torch_radbp.tensors.vec import Vec3, dot, normalize, unit_normal
 

@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from torch_radbp.raycast import make_caster
-from torch_radbp.scene.interaction import at_corners, clearance, edges, interpolated
+from torch_radbp.scene.interaction import interpolated
+from torch_radbp.scene.triangle_corners import at_corners, clearance, edges
 from torch_radbp.tensors.vec import Ray, Vec3, cross, dot, normalize, unit_normal
 
 PLACES = {"at the origin": (0.0, 0.0, 0.0), "100 sizes away": (100.0, 30.0, -50.0), "1000 sizes away": (1e3, 300.0, -500.0)}

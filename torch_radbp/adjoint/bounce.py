@@ -19,8 +19,9 @@ from torch_radbp.adjoint.local_map import BothCorners, Verdict, local_map
 from torch_radbp.path.state import Arrival, Position, Settings
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.cone import Cone
-from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
+from torch_radbp.scene.interaction import corner_rows
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.triangle_corners import Corners, at_corners
 from torch_radbp.tensors.lookup import Tap, tapped
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.torch_internals import tree_map

@@ -29,7 +29,7 @@ from torch_radbp.boundary.places import (
 )
 from torch_radbp.boundary.silhouette import is_silhouette
 from torch_radbp.boundary.terminators import light_may_end
-from torch_radbp.scene.interaction import clearance
+from torch_radbp.scene.triangle_corners import clearance
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Vec2, Vec3, dot, normalize, rows, unit_normal

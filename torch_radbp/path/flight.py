@@ -29,13 +29,14 @@ from torch_radbp.path.vertex import Terms, VertexKind
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import bounce_key, uniform
 from torch_radbp.scene.cone import Cone, cone_beyond
-from torch_radbp.scene.interaction import Corners, at_corners, corner_rows
+from torch_radbp.scene.interaction import corner_rows
 from torch_radbp.scene.light import FAR, light_aims, sample_light, sample_places
 from torch_radbp.scene.light_tree import Vantage
 from torch_radbp.scene.media import transmittance
 from torch_radbp.scene.outgoing_ray import glued_direction
 from torch_radbp.scene.placement import points_in_world
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.triangle_corners import Corners, at_corners
 from torch_radbp.tensors.differentiated import detached, settled
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, max_component

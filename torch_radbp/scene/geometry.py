@@ -9,10 +9,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.scene.interaction import at_corners, clearance, edges
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.placement import InstanceTable, boxes, instance_table
 from torch_radbp.scene.tensors import TriangleTable, VertexTable
+from torch_radbp.scene.triangle_corners import at_corners, clearance, edges
 from torch_radbp.shape.ball import TRIANGLES, Ball, Balls
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.placement import Instances

@@ -12,10 +12,10 @@ from torch import Tensor
 from torch_radbp.emitter.bounds import LightBounds
 from torch_radbp.emitter.kind import EmittingTriangles, Light, LightKind, SurfaceKind, Table
 from torch_radbp.sampling.alias import alias_table
-from torch_radbp.scene.interaction import edges
 from torch_radbp.scene.light_choice import MANY, EmitterTextures, TreeChoice, bounds_of_kind, tree_choice
 from torch_radbp.scene.pack_cache import PackCache
 from torch_radbp.scene.tensors import Layout, LightTable, TriangleTable
+from torch_radbp.scene.triangle_corners import edges
 from torch_radbp.tensors.vec import attached, cross, rows, unit_normal
 
 SMALLEST_SHARE = 1e-12  # of a lamp's area: smaller triangles are never picked

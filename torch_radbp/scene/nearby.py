@@ -38,11 +38,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.scene.triangle_corners import Corners
 from torch_radbp.tensors.vec import TINY, Vec3, cross, dot
 
 REACH = 0.5  # of the least height of a triangle: how near x must be
-
-Corners = tuple[Vec3, Vec3, Vec3]
 
 
 class Slide(NamedTuple):

@@ -18,11 +18,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.scene.interaction import Corners, SurfaceInteraction, at_corners, corner_rows, edges, where_the_ray_goes
+from torch_radbp.scene.interaction import SurfaceInteraction, corner_rows, where_the_ray_goes
 from torch_radbp.scene.material import BSDFSample, Material, evaluate, sampling_at
 from torch_radbp.scene.nearby import Floor, Nearby, Slide, slide_at
 from torch_radbp.scene.placement import points_in_world
 from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.triangle_corners import Corners, at_corners, edges
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, attached, cross, dot, normalize, where
 

@@ -18,9 +18,9 @@ from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.raycast.caster_cache import same_values
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene import Scene
-from torch_radbp.scene.interaction import at_corners
 from torch_radbp.scene.placement import for_lanes
 from torch_radbp.scene.tensors import SceneTensors, TriangleTable
+from torch_radbp.scene.triangle_corners import at_corners
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import Vec3, interpolated

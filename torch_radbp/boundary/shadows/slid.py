@@ -15,8 +15,8 @@ from torch_radbp.boundary.shadows.seen_edges import corners_of, crossed_at
 from torch_radbp.boundary.shadows.viewpoints import Viewpoints, hits_plain, vertex_at
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.interaction import clearance
 from torch_radbp.scene.nearby import Floor, Nearby, slide_at
+from torch_radbp.scene.triangle_corners import clearance
 from torch_radbp.tensors.differentiated import detached, primal
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows, unit_normal
 
