@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 
 import torch_radbp as rb
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 SIDE = 224  # vertices
 

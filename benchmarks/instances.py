@@ -25,7 +25,7 @@ import trimesh
 import torch_radbp as rb
 from benchmarks.resident import MIB, resident
 from torch_radbp.formats.image import save_image
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 from torch_radbp.pose import look_at
 
 INSTANCES, TRIANGLES, SIZE, SPP, DEPTH = 10_000, 10_000, 128, 16, 4

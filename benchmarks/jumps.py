@@ -33,7 +33,7 @@ from tests.scenes.meshes import POSE, ball
 from tests.scenes.moving import TWIST, MovingScene, constant, rigid, scene
 from tests.scenes.projected import PROJECTOR, SMOOTH
 from torch_radbp.formats.image import linear_to_srgb
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 SIZE = PANEL // 2  # pixels of an image
 PICTURES = Path("assets/pictures")

@@ -26,7 +26,7 @@ import torch_radbp as rb
 from tests.scenes import diffuse, load, look_at, rgb
 from tests.scenes.distant_lamps import LAMPS
 from tests.scenes.meshes import icosphere
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 SIZE, BLOCK = 16, 4  # pixels
 DIFFERENCES, DERIVATIVES = 4, 8  # how many are taken

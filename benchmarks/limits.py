@@ -29,13 +29,13 @@ from benchmarks.peers import Ours
 from benchmarks.scenes import QUICK, SCENES
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.arguments import Arguments
-from torch_radbp.jit.cpu import CpuLoop, loop_module
-from torch_radbp.jit.emit import ProgramText
-from torch_radbp.jit.graph import LANES, Program, Value
-from torch_radbp.jit.instructions import memory
-from torch_radbp.jit.later import Later
-from torch_radbp.jit.machine import host_width, object_code
+from torch_radbp.jit.cpu.cpu import CpuLoop, loop_module
+from torch_radbp.jit.cpu.machine import host_width, object_code
+from torch_radbp.jit.lane.emit import ProgramText
+from torch_radbp.jit.lane.graph import LANES, Program, Value
+from torch_radbp.jit.lane.instructions import memory
 from torch_radbp.jit.run import Compiled
+from torch_radbp.threads.later import Later
 
 NO_WORK = ("input", "constant", "gather")
 CHAINS, STEPS = 8, 64  # of the arithmetic that is measured: independent chains hide the latency of each operation

@@ -20,8 +20,8 @@ from pathlib import Path
 import torch
 
 import torch_radbp as rb
-from torch_radbp.boundary import JumpWatch
-from torch_radbp.io.transform import translate
+from torch_radbp.boundary.terms.jump_watch import JumpWatch
+from torch_radbp.io.values.transform import translate
 from torch_radbp.shape.surface import grid
 
 CORNELL = Path(__file__).parents[1] / "assets" / "cornell_box" / "scene.xml"

@@ -33,7 +33,7 @@ from benchmarks.resident import give_back, peak_of, resident
 from benchmarks.scenes import ALL
 from benchmarks.scenes.description import BenchmarkScene, Setting, camera, cotangent, use
 from tests.scenes.meshes import icosphere
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 WARM_UP = 3
 SPP, DEPTH = 16, 4

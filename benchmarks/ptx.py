@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 from benchmarks.ptxas import Usage, assemble, find
 from tests.rendering.recorded import SAMPLINGS, SCENES, calls_of, stage_named
-from torch_radbp.jit.gpu import Gpu
-from torch_radbp.jit.nvptx import ptx
+from torch_radbp.jit.nvidia.gpu import Gpu
+from torch_radbp.jit.nvidia.nvptx import ptx
 from torch_radbp.jit.stages import CompiledStages
 
 ARCHITECTURES = ("sm_80", "sm_90")

@@ -22,7 +22,7 @@ import torch_radbp as rb
 from benchmarks.scenes.cornell_box import SCENE
 from benchmarks.scenes.description import camera, rgb
 from benchmarks.scenes.metal_mesh import bumpy_sphere
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 from torch_radbp.raycast import CASTERS, Ray, RayCaster, make_caster
 
 RESOLUTION, SPP, DEPTH = 256, 4, 5

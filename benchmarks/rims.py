@@ -25,7 +25,7 @@ from torch.func import functional_call
 import torch_radbp as rb
 from tests.scenes import diffuse, load, look_at, meshes, rgb, texels
 from tests.scenes.meshes import POSE, icosphere
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 SIZE = 32  # pixels
 STEP = 0.1  # pixels, that what moves is moved to either side

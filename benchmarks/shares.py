@@ -43,8 +43,9 @@ from benchmarks.resident import MIB, peak_of
 from benchmarks.scenes import ALL, QUICK, SCENES
 from torch_radbp.adjoint import function, taped_sweep
 from torch_radbp.adjoint.scatter import Gradients
-from torch_radbp.boundary import JumpWatch
-from torch_radbp.jit import LaneFunction, cpu
+from torch_radbp.boundary.terms.jump_watch import JumpWatch
+from torch_radbp.jit import LaneFunction
+from torch_radbp.jit.cpu import cpu
 from torch_radbp.path import taped_bounces
 from torch_radbp.raycast.direct import DirectCaster
 from torch_radbp.raycast.embree import Embree

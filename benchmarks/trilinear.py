@@ -26,7 +26,7 @@ from torch import Tensor
 
 import torch_radbp as rb
 from torch_radbp.formats.image import linear_to_srgb
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 WIDTH, HEIGHT = 240, 140
 FILTERS = ("bilinear", "trilinear")

@@ -9,7 +9,7 @@ import pytest
 
 from tests.deep import deep
 from tests.elsewhere import render
-from torch_radbp.jit import code_cache
+from torch_radbp.jit.store import code_cache
 
 
 @pytest.mark.parametrize("platform", ["win32", deep("darwin")])

@@ -3,7 +3,7 @@
 The pipeline, in the order of data:
 
 1. `load` / `load_dict` (io/) read a Mitsuba 3 scene into a `Scene` (scene/), a tree of modules with named parameters.
-2. `Renderer` (rendering/) packs it into flat tensors (scene/pack.py), attached to the parameters by plain torch.
+2. `Renderer` (rendering/) packs it into flat tensors (scene/packing/pack.py), attached to the parameters by plain torch.
 3. `path/` traces bounces: L_k = E_k + F_k L_{k+1}; rays are cast by raycast/, never differentiated.
 4. `adjoint/` walks the bounces back: one local vector-Jacobian product each, with the incident radiance in a memo.
    `adjoint/function.py` is the `autograd.Function` of an image; `adjoint/schedule.py` says which path states are kept.

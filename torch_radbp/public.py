@@ -29,7 +29,7 @@ modules and names, and the bits of an image at a given seed.
 
 import torch_radbp.io.trimesh_out  # noqa: F401 (gives shapes and scenes their to_trimesh)
 from torch_radbp.adjoint import AdjointStrategy, MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
-from torch_radbp.boundary import JumpWarning, SilhouetteWarning
+from torch_radbp.boundary.terms.jump_watch import JumpWarning, SilhouetteWarning
 from torch_radbp.call.finite import NonFiniteError
 from torch_radbp.check import GradientCheck, PluginCheck, check_bsdf, check_emitter, check_gradient, check_texture
 from torch_radbp.formats.contact_sheet import contact_sheet
@@ -50,7 +50,7 @@ from torch_radbp.rendering.noise_watch import RepeatedNoiseWarning
 from torch_radbp.rendering.render import render
 from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.rendering.zero_gradients import ZeroGradientWarning
-from torch_radbp.scene import Scene
+from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.texture.neural import NeuralTexture
 
 __all__ = ["AdjointStrategy", "Exposure", "GltfWarning", "GradientCheck", "JumpWarning", "LensFalloff", "MemoizedAdjoint",

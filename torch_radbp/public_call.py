@@ -3,7 +3,7 @@
 `torch.autocast` would round matrix products to 8 bits of mantissa, so that poses, and with them images, would be off by a
 percent. `torch.compile` would trace a loop over bounces, whose length depends on the paths, through a foreign library: it
 calls it instead, as it is, and compiles what is around. Both are modes of a thread, which worker threads do not inherit.
-Nor do torch's own threads take part in its operations, see `jit/team.py`.
+Nor do torch's own threads take part in its operations, see `threads/team.py`.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from typing import Any, TypeVar, cast
 
 import torch
 
-from torch_radbp.jit.team import alone_in_torch
 from torch_radbp.plugin import nearest
 from torch_radbp.tensors.torch_internals import without_compiler
+from torch_radbp.threads.team import alone_in_torch
 
 Function = TypeVar("Function", bound=Callable)
 

@@ -13,7 +13,7 @@ from benchmarks.headline.tasks.shape import radius
 from benchmarks.scenes import pictures
 from benchmarks.scenes.description import BenchmarkScene, Setting, camera, rgb
 from benchmarks.scenes.metal_mesh import bumpy_sphere
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 VERTICES = "body.vertex_positions"
 WAVES, FREQUENCY = 6, 3.0  # fields of displacement of a body, and how often they swing over a unit of length

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.scenes.description import BenchmarkScene, Setting, camera, rgb, use
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 SETTING = Setting(192, 8, 8)
 PARAMETERS = ("wall.reflectance.value",)

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.scenes import pictures
 from benchmarks.scenes.description import BenchmarkScene, Setting, camera
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 SETTING = Setting(192, 16, 6)
 TEXTURES = ("floor.bsdf.reflectance.data", "mesh.bsdf.alpha.value", "sky.data")

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.scenes import pictures
 from benchmarks.scenes.description import BenchmarkScene, Setting, camera, rgb, use
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 SETTING = Setting(192, 8, 12)
 MATERIALS, METALS = 20, 6  # the last six are metals

@@ -29,7 +29,7 @@ import torch_radbp as rb
 
 # %%
 @dataclass(frozen=True)
-class MinnaertKind(rb.bsdf.kind.Kind):
+class MinnaertKind(rb.interface.bsdf.Kind):
     """Values: reflectance, exponent."""
 
     @property

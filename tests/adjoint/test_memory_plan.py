@@ -12,7 +12,7 @@ from tests.allocated import allocated
 from tests.deep import deep_but
 from tests.scenes import cornell, load, rectangle, sensor
 from tests.scenes.endless import envmap, smooth_noise
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 SETTINGS = {"spp": 16, "max_depth": 5, "rr_depth": 100}

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from torch_radbp.adjoint.scatter import Contribution, Gradients, blocks_of, gradients_of
-from torch_radbp.jit.cpu import SMALL
+from torch_radbp.jit.cpu.cpu import SMALL
 from torch_radbp.tensors.interleaved import LEAST, are_columns, columns_of_rows
 
 LENGTHS = (1, 4, 511, 513, SMALL, SMALL + 1, 200_000)

@@ -7,7 +7,7 @@ import torch_radbp as rb
 from tests.gradients import cotangent, unwarned_renderer
 from tests.scenes import load, rectangle, rgb, sensor
 from torch_radbp.adjoint.scatter import Gradients
-from torch_radbp.scene.pack import pack
+from torch_radbp.scene.packing.pack import pack
 
 ROUGH = {"type": "roughconductor", "alpha": 0.3, "eta": 0.9, "k": 2.4, "specular_reflectance": 0.8}
 ALPHA, REFLECTANCE = "{}.bsdf.alpha.value", "{}.bsdf.specular_reflectance.value"

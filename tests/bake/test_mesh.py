@@ -7,7 +7,7 @@ import trimesh
 
 import torch_radbp as rb
 from torch_radbp.bake.texels import texels_of
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 LOOK = {"type": "perspective", "fov": 40, "to_world": rb.look_at([1.5, 1.2, 3], [0.3, 0.3, 0.3], [0, 1, 0]),
         "film": {"type": "hdrfilm", "width": 24, "height": 24}}

@@ -4,7 +4,7 @@ import torch
 
 from benchmarks.limits import Work, watched, without_reads
 from torch_radbp.jit import LaneFunction
-from torch_radbp.jit.later import Later
+from torch_radbp.threads.later import Later
 
 
 def test_work_of_a_loop_is_counted():

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import torch
 
-from torch_radbp.boundary.faces import Faces
-from torch_radbp.boundary.geometry import Geometry, NormalsOnly
-from torch_radbp.boundary.shadows.eyes import Eyes, Lobe
-from torch_radbp.scene.tensors import TriangleTable, VertexTable
+from torch_radbp.boundary.curve.faces import Faces
+from torch_radbp.boundary.curve.geometry import Geometry, NormalsOnly
+from torch_radbp.boundary.eye.eyes import Eyes, Lobe
+from torch_radbp.scene.tables.scene_tensors import TriangleTable, VertexTable
 from torch_radbp.tensors.vec import Vec3, normalize, rows
 
 

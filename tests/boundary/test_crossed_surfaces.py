@@ -9,7 +9,7 @@ import torch
 
 from tests.boundary.closed_forms import along, assert_close, derivative
 from tests.scenes import diffuse, load, look_at, overhead, rectangle, rgb
-from torch_radbp.io.transform import scale
+from torch_radbp.io.values.transform import scale
 
 LIGHT = torch.tensor([3.0, 2.0, 1.0], dtype=torch.float64)
 PIXELS = 2

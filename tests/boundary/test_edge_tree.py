@@ -8,14 +8,14 @@ from tests.boundary.random_places import eyes_around, of_each
 from tests.scenes import diffuse, load, sensor
 from tests.scenes.meshes import wavy
 from tests.scenes.shadows import CUBE, FLOOR
-from torch_radbp.boundary.edge_order import GROUP
-from torch_radbp.boundary.geometry import Geometry, in_world
-from torch_radbp.boundary.shadows import hidden_light
-from torch_radbp.boundary.shadows.edge_tree import angle_of_node, rounded
-from torch_radbp.boundary.shadows.edges_tried import FEWEST, edges_tried, eyes_for_each
-from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.boundary.shadows.seen_edges import Casting, angle_seen, edge_found, extent_of, places_seen
-from torch_radbp.boundary.shadows.ways_down import ways_down
+from torch_radbp.boundary.curve.edge_order import GROUP
+from torch_radbp.boundary.curve.geometry import Geometry, in_world
+from torch_radbp.boundary.eye.edge_tree import angle_of_node, rounded
+from torch_radbp.boundary.eye.edges_tried import FEWEST, edges_tried, eyes_for_each
+from torch_radbp.boundary.eye.eyes import Eyes
+from torch_radbp.boundary.eye.seen_edges import Casting, angle_seen, edge_found, extent_of, places_seen
+from torch_radbp.boundary.eye.ways_down import ways_down
+from torch_radbp.boundary.terms import hidden_light
 from torch_radbp.jit.stages import compiled
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.tensors.stage import EAGER

@@ -8,8 +8,9 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes import diffuse, load, rectangle, rgb, sensor
-from torch_radbp.boundary import SilhouetteWarning, warning
-from torch_radbp.io.transform import scale, translate
+from torch_radbp.boundary.terms import jump_watch as warning
+from torch_radbp.boundary.terms.jump_watch import SilhouetteWarning
+from torch_radbp.io.values.transform import scale, translate
 from torch_radbp.shape.surface import grid
 
 SKY = {"type": "constant"}

@@ -5,8 +5,9 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes.shadows import SHADOWS
-from torch_radbp.boundary.shadows import film_density, hidden_light
-from torch_radbp.boundary.shadows.viewpoints import cells_begun
+from torch_radbp.boundary.eye import film_density
+from torch_radbp.boundary.eye.viewpoints import cells_begun
+from torch_radbp.boundary.terms import hidden_light
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 

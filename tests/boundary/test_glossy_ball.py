@@ -7,7 +7,7 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes import diffuse, load, rectangle, rgb, sensor
-from torch_radbp.io.transform import scale, translate
+from torch_radbp.io.values.transform import scale, translate
 
 
 def said(bsdf: dict, max_depth: int = 4) -> list[warnings.WarningMessage]:

@@ -8,7 +8,7 @@ import trimesh
 
 import torch_radbp as rb
 from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor, texels
-from torch_radbp.io.transform import scale, translate
+from torch_radbp.io.values.transform import scale, translate
 
 SKY = {"type": "constant", "radiance": rgb(0.5, 0.6, 0.7)}
 PICTURE = {"type": "bitmap", "data": texels(4, 4)}

@@ -8,9 +8,9 @@ import torch
 from tests.boundary.closed_forms import DARK, GLOW, JUMP, SIZE, along, assert_close, derivative, parallel
 from tests.boundary.random_places import triangles
 from tests.scenes import diffuse, load, rectangle, rgb
-from torch_radbp.boundary import intersections as module
-from torch_radbp.boundary.intersections import Bodies, Pairs, intersections, segments_between
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.boundary.curve import intersections as module
+from torch_radbp.boundary.curve.intersections import Bodies, Pairs, intersections, segments_between
+from torch_radbp.io.values.transform import rotate, scale, translate
 from torch_radbp.tensors.stage import EAGER
 
 DIM = {"emitter": {"type": "area", "radiance": rgb(0.25, 0.25, 0.25)}}

@@ -5,7 +5,7 @@ import torch
 
 from tests.boundary.closed_forms import DARK, GLOW, JUMP, SIZE, along, assert_close, derivative, parallel
 from tests.scenes import load
-from torch_radbp.boundary.edges import edges_of
+from torch_radbp.boundary.curve.edges import edges_of
 
 # A square whose left half is one rectangle; the right half is several, one above the other.
 HALF = 0.55

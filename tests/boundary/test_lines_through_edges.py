@@ -8,14 +8,14 @@ import torch
 import torch_radbp as rb
 from tests.scenes import diffuse, load, rectangle, sensor
 from tests.scenes.meshes import wavy
-from torch_radbp.boundary.geometry import Between, geometry_of, positions
-from torch_radbp.boundary.shadows import cuts as cuts_module
-from torch_radbp.boundary.shadows import hidden_light
-from torch_radbp.boundary.shadows.cuts import Cuts, cut_at, cut_course
-from torch_radbp.boundary.shadows.eyes import Eyes
-from torch_radbp.boundary.shadows.lines_through_edges import solid_angle
-from torch_radbp.boundary.shadows.seen_edges import corners_of, extent_of, places_seen
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.boundary.curve.geometry import Between, geometry_of, positions
+from torch_radbp.boundary.eye.eyes import Eyes
+from torch_radbp.boundary.eye.lines_through_edges import solid_angle
+from torch_radbp.boundary.eye.seen_edges import corners_of, extent_of, places_seen
+from torch_radbp.boundary.terms import cuts as cuts_module
+from torch_radbp.boundary.terms import hidden_light
+from torch_radbp.boundary.terms.cuts import Cuts, cut_at, cut_course
+from torch_radbp.io.values.transform import rotate, scale, translate
 from torch_radbp.jit.stages import compiled
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.tensors.lookup import lookup

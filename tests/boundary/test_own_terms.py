@@ -11,12 +11,12 @@ from torch import Tensor
 import torch_radbp as rb
 from tests.boundary.closed_forms import DARK, GLOW, JUMP, SIZE, along, assert_close, derivative, parallel
 from tests.scenes import load, rectangle
-from torch_radbp.boundary.edge_places import edge_place, edge_weight
-from torch_radbp.boundary.film_term import FILM_TERMS, CurvesInView, ExaminedView, FilmTerm, film_term, lines_in_view
-from torch_radbp.boundary.geometry import Geometry
-from torch_radbp.boundary.outline import Jumps
-from torch_radbp.boundary.rendering import Rendering
-from torch_radbp.boundary.shadows.shadow_term import SHADOW_TERMS, CutOff, ShadowTerm, TermSize, shadow_term
+from torch_radbp.boundary.curve.edge_places import edge_place, edge_weight
+from torch_radbp.boundary.curve.film_term import FILM_TERMS, CurvesInView, ExaminedView, FilmTerm, film_term, lines_in_view
+from torch_radbp.boundary.curve.geometry import Geometry
+from torch_radbp.boundary.curve.outline import Jumps
+from torch_radbp.boundary.curve.rendering import Rendering
+from torch_radbp.boundary.terms.shadow_term import SHADOW_TERMS, CutOff, ShadowTerm, TermSize, shadow_term
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Vec2

@@ -13,13 +13,13 @@ from tests.boundary.random_places import triangles
 from tests.gradients import unwarned_renderer
 from tests.scenes import load
 from tests.scenes.meshes import crossing_sheets
-from torch_radbp.boundary import pierced as module
-from torch_radbp.boundary.edges import edges_of
-from torch_radbp.boundary.faces import Faces
-from torch_radbp.boundary.geometry import Geometry
-from torch_radbp.boundary.intersections import Pairs, segments_between
-from torch_radbp.boundary.pierced import BodyEdges, Probes, probes, self_intersections
-from torch_radbp.boundary.segments import Segments
+from torch_radbp.boundary.curve import pierced as module
+from torch_radbp.boundary.curve.edges import edges_of
+from torch_radbp.boundary.curve.faces import Faces
+from torch_radbp.boundary.curve.geometry import Geometry
+from torch_radbp.boundary.curve.intersections import Pairs, segments_between
+from torch_radbp.boundary.curve.pierced import BodyEdges, Probes, probes, self_intersections
+from torch_radbp.boundary.curve.segments import Segments
 from torch_radbp.raycast.brute import Brute
 from torch_radbp.tensors.stage import EAGER
 

@@ -12,14 +12,15 @@ import torch_radbp as rb
 from tests.boundary.closed_forms import DARK, GLOW, JUMP, SIZE, along, assert_close, derivative, parallel
 from tests.gradients import cotangent, relative_error, unwarned_renderer
 from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor
-from torch_radbp.boundary import Outlines, outline, primary
-from torch_radbp.boundary.edge_places import jump_of_creases
-from torch_radbp.boundary.edges import edges_of
-from torch_radbp.boundary.geometry import geometry_of, in_world
-from torch_radbp.boundary.outline import Moving
+from torch_radbp.boundary.curve import outline
+from torch_radbp.boundary.curve.edge_places import jump_of_creases
+from torch_radbp.boundary.curve.edges import edges_of
+from torch_radbp.boundary.curve.geometry import geometry_of, in_world
+from torch_radbp.boundary.curve.outline import Moving, Outlines
+from torch_radbp.boundary.terms import primary
 from torch_radbp.film.filter import Filter
-from torch_radbp.io.transform import rotate, scale, translate
-from torch_radbp.scene.pack import pack
+from torch_radbp.io.values.transform import rotate, scale, translate
+from torch_radbp.scene.packing.pack import pack
 from torch_radbp.shape.surface import grid
 
 

@@ -14,7 +14,7 @@ from tests.deep import deep, deep_but
 from tests.gradients import cotangent, relative_error, unwarned_renderer
 from tests.scenes import diffuse, load, rectangle, rgb, sensor
 from tests.scenes.meshes import POSE, ball, icosphere
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 RADIANCE = torch.tensor([3, 2, 1], dtype=torch.float64)
 PIXEL = 2 / SIZE  # of `parallel`

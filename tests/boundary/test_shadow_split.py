@@ -8,12 +8,12 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes.shadows import SHADOWS
-from torch_radbp.boundary.places import NEIGHBOURS
-from torch_radbp.boundary.shadows import hidden_light, split
-from torch_radbp.boundary.shadows.cuts import Cuts, CutsOfView, with_used_viewpoints
-from torch_radbp.boundary.shadows.seen_edges import evenly_seen
-from torch_radbp.boundary.shadows.viewpoints import Viewpoints
-from torch_radbp.boundary.shadows.ways_down import weights_apart
+from torch_radbp.boundary.curve.places import NEIGHBOURS
+from torch_radbp.boundary.eye.seen_edges import evenly_seen
+from torch_radbp.boundary.eye.viewpoints import Viewpoints
+from torch_radbp.boundary.eye.ways_down import weights_apart
+from torch_radbp.boundary.terms import hidden_light, split
+from torch_radbp.boundary.terms.cuts import Cuts, CutsOfView, with_used_viewpoints
 from torch_radbp.tensors.vec import Vec3
 
 NOISE = 3.8e-7  # of another integral, beside which a plate's cuts are just worth a look of their own, or just not

@@ -9,9 +9,9 @@ from tests.boundary.closed_forms import DARK, parallel
 from tests.gradients import unwarned_renderer
 from tests.scenes import diffuse, load
 from tests.scenes.meshes import crossing_sheets
-from torch_radbp.boundary import passing, single_bodies
-from torch_radbp.boundary.segments import Segments
-from torch_radbp.io.transform import scale, translate
+from torch_radbp.boundary.curve import passing, single_bodies
+from torch_radbp.boundary.curve.segments import Segments
+from torch_radbp.io.values.transform import scale, translate
 
 
 @pytest.fixture

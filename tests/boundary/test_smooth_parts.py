@@ -8,9 +8,9 @@ import torch
 import torch_radbp as rb
 from tests.scenes import load
 from tests.scenes.mirrors import CUBE, IN_MIRROR, METAL, MIRROR, SKY
-from torch_radbp.boundary import terms
-from torch_radbp.boundary.reflections.surfaces import Surfaces, connected, surfaces_of
-from torch_radbp.io.transform import scale
+from torch_radbp.boundary.eye.surfaces import Surfaces, connected, surfaces_of
+from torch_radbp.boundary.terms import of_call as terms
+from torch_radbp.io.values.transform import scale
 
 
 def surfaces(scene: rb.Scene, monkeypatch) -> Surfaces:

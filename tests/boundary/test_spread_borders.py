@@ -8,11 +8,11 @@ import torch
 import torch_radbp as rb
 from tests.scenes import load, rectangle, sensor
 from tests.scenes.crossings import GREY
-from torch_radbp.boundary.geometry import geometry_of
-from torch_radbp.boundary.shadows import bounced
-from torch_radbp.boundary.shadows.seen_edges import Passed, corners_of, crossed_at, onto_surfaces, point_of_edge
-from torch_radbp.boundary.shadows.spread_borders import planes_met, spread_borders
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.boundary.curve.geometry import geometry_of
+from torch_radbp.boundary.eye.seen_edges import Passed, corners_of, crossed_at, onto_surfaces, point_of_edge
+from torch_radbp.boundary.terms import bounced
+from torch_radbp.boundary.terms.spread_borders import planes_met, spread_borders
+from torch_radbp.io.values.transform import rotate, scale, translate
 from torch_radbp.tensors.vec import Ray, Vec3, angle_between, cross, dot, interpolated, normalize, rows, unit_normal
 
 STEP = 1e-6

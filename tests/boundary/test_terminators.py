@@ -12,7 +12,7 @@ import torch_radbp as rb
 from tests.scenes import diffuse, load, look_at
 from tests.scenes.distant_lamps import LAMPS
 from tests.scenes.meshes import icosphere
-from torch_radbp.io.transform import rotate
+from torch_radbp.io.values.transform import rotate
 
 SIZE, STEP, SPP = 16, 0.01, 64
 SENSORS = {"perspective": {}, "thinlens": {"aperture_radius": 0.05, "focus_distance": 3.0}}

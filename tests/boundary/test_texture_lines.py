@@ -10,9 +10,9 @@ import torch
 from tests.boundary.closed_forms import DARK, SIZE, along, assert_close, derivative, parallel
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
 from tests.scenes.inner_jumps import CHECKERBOARD, POINT, VIEWED, nearest, patterned
-from torch_radbp.boundary.faces import Faces
-from torch_radbp.boundary.texture_lines import segments_along
-from torch_radbp.io.transform import scale
+from torch_radbp.boundary.curve.faces import Faces
+from torch_radbp.boundary.curve.texture_lines import segments_along
+from torch_radbp.io.values.transform import scale
 from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.texture.bitmap import Bitmap
 from torch_radbp.texture.checkerboard import Checkerboard
@@ -156,7 +156,8 @@ def test_the_light_of_squares_under_a_lamp_follows_a_narrower_view():
 
 
 def test_what_does_not_move_is_not_looked_at(monkeypatch):
-    from torch_radbp.boundary import primary, texture_lines
+    from torch_radbp.boundary.curve import texture_lines
+    from torch_radbp.boundary.terms import primary
 
     def unexpected(*_):
         raise AssertionError("lines were looked for")

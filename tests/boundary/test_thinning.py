@@ -5,8 +5,8 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes.shadows import SHADOWS
-from torch_radbp.boundary.shadows import hidden_light
-from torch_radbp.boundary.shadows.thinning import chances, thinned
+from torch_radbp.boundary.eye.thinning import chances, thinned
+from torch_radbp.boundary.terms import hidden_light
 
 STARTS = torch.arange(4096, dtype=torch.float64).add(0.5).div(4096)
 

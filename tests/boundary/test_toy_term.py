@@ -14,17 +14,17 @@ from torch import Tensor
 import torch_radbp as rb
 from tests.boundary.closed_forms import DARK, SIZE, along, assert_close, derivative, parallel
 from tests.scenes import diffuse, load, overhead, rectangle
-from torch_radbp.boundary import term
-from torch_radbp.boundary.rendering import Rendering
-from torch_radbp.boundary.term import LinesTerm, boundary_term
+from torch_radbp.boundary.curve import term
+from torch_radbp.boundary.curve.rendering import Rendering
+from torch_radbp.boundary.curve.term import LinesTerm, boundary_term
 from torch_radbp.call.render_call import RenderCall
+from torch_radbp.interface.texture import TableReader, TexturePoint
 from torch_radbp.plugin import REGISTRY, Texture, register
 from torch_radbp.plugin.domain import NUMBER, Domain
 from torch_radbp.plugin.jump_lines import JumpLines
-from torch_radbp.scene.attributes import textures_of
+from torch_radbp.scene.packing.attributes import textures_of
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Vec2, Vec3
-from torch_radbp.texture.reader import TableReader, TexturePoint
 
 LEFT, RIGHT = torch.tensor([3.0, 2.0, 1.0], dtype=torch.float64), torch.tensor([0.5, 0.25, 0.75], dtype=torch.float64)
 
@@ -95,7 +95,7 @@ def paints(rendering: Rendering) -> list[list[PaintedLine]]:
 def registered(monkeypatch):
     """Term and texture are there while they are tested: other tests go over all that the package has."""
     monkeypatch.setattr(term, "TERMS", list(term.TERMS))
-    monkeypatch.setattr("torch_radbp.boundary.warning.TERMS", term.TERMS)
+    monkeypatch.setattr("torch_radbp.boundary.terms.jump_watch.TERMS", term.TERMS)
     boundary_term(PaintedLines)
     register("texture", "painted_line")(PaintedLine)
     yield

@@ -11,9 +11,9 @@ from torch.func import functional_call
 import torch_radbp as rb
 from tests.scenes import cornell, diffuse, load, look_at, rectangle, rgb, sensor, texels
 from tests.scenes.meshes import icosphere
-from torch_radbp.boundary import SilhouetteWarning
-from torch_radbp.boundary.edges import edges_of
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.boundary.curve.edges import edges_of
+from torch_radbp.boundary.terms.jump_watch import SilhouetteWarning
+from torch_radbp.io.values.transform import rotate, scale, translate
 from torch_radbp.shape.welding import cells_of, weld_size, welded
 
 SKY = {"type": "constant", "radiance": rgb(0.5, 0.6, 0.7)}

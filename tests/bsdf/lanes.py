@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from tests.scenes.materials import MATERIALS
-from torch_radbp.bsdf.kind import Kind, Values
 from torch_radbp.check.lanes import LaneNumbers, choices, direction, directions, random_numbers, sampled
+from torch_radbp.interface.bsdf import Kind, Values
 from torch_radbp.plugin import BSDF, REGISTRY
 from torch_radbp.tensors.vec import Vec3
 

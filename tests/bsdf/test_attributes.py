@@ -24,7 +24,7 @@ from torch_radbp.bsdf.roughdielectric import RoughDielectric
 from torch_radbp.bsdf.roughplastic import RoughPlastic
 from torch_radbp.bsdf.thindielectric import ThinDielectric
 from torch_radbp.bsdf.twosided import TwoSided
-from torch_radbp.scene.radiances import BankBuilder
+from torch_radbp.scene.packing.radiances import BankBuilder
 from torch_radbp.texture.bitmap import Bitmap, texture_bank
 
 BAD = {

@@ -20,7 +20,7 @@ import torch
 from tests.bsdf.lanes import KINDS, ROUGH, choices, light, material, random_numbers, values_of
 from tests.deep import deep_but_every
 from tests.scenes.materials import MATERIALS
-from torch_radbp.bsdf.kind import Kind, LobeChoice, Values
+from torch_radbp.interface.bsdf import Kind, LobeChoice, Values
 from torch_radbp.tensors.vec import Vec3, where
 
 COUNT = 60_000

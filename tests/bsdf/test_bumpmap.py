@@ -11,9 +11,9 @@ from tests.bsdf.lanes import directions, material, values_of
 from tests.scenes import load, rectangle, rgb, sensor
 from tests.scenes.materials import MATERIALS
 from torch_radbp.bsdf.bumpmap import BumpMapKind
-from torch_radbp.scene.barycentric_gradients import barycentric_gradients
 from torch_radbp.tensors.vec import ShadingFrame, Vec2, Vec3, cross, dot, normalize
 from torch_radbp.texture.slope import along_surface
+from torch_radbp.vertex.barycentric_gradients import barycentric_gradients
 
 SLOPE = (0.3, -0.2)  # dh/dx, dh/dy
 SUN = {"type": "directional", "direction": [-0.3, -0.4, -0.8], "irradiance": rgb(2, 3, 4)}

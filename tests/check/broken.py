@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from torch_radbp.bsdf.kind import Kind, LobeChoice
+from torch_radbp.interface.bsdf import Kind, LobeChoice
 from torch_radbp.plugin import BSDF, REGISTRY, Texture, register
 from torch_radbp.plugin.domain import FRACTION, REFLECTANCE
 from torch_radbp.tensors.vec import Vec3

@@ -6,7 +6,7 @@ import torch
 import torch_radbp as rb
 from tests.check.broken import BROKEN, Felt, choosing, cosine, felt, mirror, scattering
 from tests.scenes import load, rectangle, sensor
-from torch_radbp.bsdf.kind import LobeChoice
+from torch_radbp.interface.bsdf import LobeChoice
 from torch_radbp.plugin import REGISTRY, register
 
 QUICK = {"samples": 10_000}

@@ -1,6 +1,6 @@
 """The renderer with parts of the derivative of glued vertices taken out, to show what they are for.
 
-`scene/outgoing_ray.py` and light sampling let directions follow the points at both ends ("directions"), and multiply by the
+`vertex/outgoing_ray.py` and light sampling let directions follow the points at both ends ("directions"), and multiply by the
 change of the element of solid angle ("Jacobian"). Worchel et al. 2025, arXiv 2504.05750, say what is wrong without.
 """
 
@@ -14,10 +14,10 @@ from unittest.mock import patch
 import torch
 
 from torch_radbp.emitter.area import AreaKind
-from torch_radbp.scene import interaction, outgoing_ray
-from torch_radbp.scene.nearby import slides_from
 from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import Vec3
+from torch_radbp.vertex import interaction, outgoing_ray
+from torch_radbp.vertex.nearby import slides_from
 
 WITHOUT = {"nothing": (), "the area Jacobian": ("Jacobian",), "re-attached directions": ("directions",),
            "both": ("Jacobian", "directions")}

@@ -22,9 +22,9 @@ from torch.overrides import TorchFunctionMode
 import torch_radbp as rb
 from torch_radbp.adjoint.attached import trace_attached
 from torch_radbp.adjoint.images import render_images
-from torch_radbp.scene.pack import pack
-from torch_radbp.scene.pack_cache import PackCache
-from torch_radbp.scene.tensors import SceneTensors, proposal_of
+from torch_radbp.scene.cache.pack_cache import PackCache
+from torch_radbp.scene.packing.pack import pack
+from torch_radbp.scene.tables.scene_tensors import SceneTensors, proposal_of
 from torch_radbp.tensors.differentiated import detached, settled
 from torch_radbp.tensors.record import leaves_of, with_leaves
 

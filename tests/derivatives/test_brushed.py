@@ -9,10 +9,10 @@ from torch.func import functional_call
 import torch_radbp as rb
 from tests.gradients import assert_informative, image_and_gradients
 from tests.scenes import diffuse, load, rectangle, rgb, sensor, texels
-from torch_radbp.scene.geometry import growth_of_u
-from torch_radbp.scene.pack import pack
+from torch_radbp.interface.texture import LUMINANCE
+from torch_radbp.scene.packing.geometry import growth_of_u
+from torch_radbp.scene.packing.pack import pack
 from torch_radbp.tensors.vec import Frame, Vec2, Vec3, cross, dot
-from torch_radbp.texture.reader import LUMINANCE
 
 BRUSHED = {"type": "roughconductor", "distribution": "ggx", "alpha_u": 0.15, "alpha_v": 0.5, "eta": rgb(0.4, 1, 2), "k": 2.0}
 SKY = {"type": "envmap", "bitmap": texels(5, 8, 3)}

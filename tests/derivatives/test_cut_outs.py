@@ -11,7 +11,7 @@ import torch_radbp as rb
 from tests.deep import deep, deep_but
 from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
 from tests.scenes.cut_outs import CUT_OUTS, LAMP, PUSHED, TEXELS, masked, seen, sheet, sheet_with_holes
-from torch_radbp.boundary.shadows import seen_through
+from torch_radbp.boundary.terms import seen_through
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 

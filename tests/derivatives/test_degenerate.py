@@ -6,12 +6,12 @@ import torch
 from tests.scenes import load, rectangle, rgb, sensor
 from torch_radbp.bsdf.diffuse import DiffuseKind
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.interaction import corner_rows, surface_interaction
-from torch_radbp.scene.material import Material, sample
-from torch_radbp.scene.outgoing_ray import glued_direction
-from torch_radbp.scene.pack import pack
-from torch_radbp.scene.triangle_corners import at_corners
+from torch_radbp.scene.packing.pack import pack
+from torch_radbp.scene.tables.triangle_corners import at_corners
 from torch_radbp.tensors.vec import Ray, Vec3
+from torch_radbp.vertex.interaction import corner_rows, surface_interaction
+from torch_radbp.vertex.material import Material, sample
+from torch_radbp.vertex.outgoing_ray import glued_direction
 
 LAMP = {"type": "area", "radiance": rgb(1, 2, 3)}
 

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from tests.scenes import load
-from torch_radbp.boundary.shadows.drawn_directions import drawn_direction, inverted_sampling
-from torch_radbp.scene.material import Material, sample
+from torch_radbp.boundary.eye.drawn_directions import drawn_direction, inverted_sampling
 from torch_radbp.tensors.vec import Vec3, dot, normalize
+from torch_radbp.vertex.material import Material, sample
 
 COUNT, CHOICES = 1024, 6
 METAL = {"type": "roughconductor", "alpha": 0.3}

@@ -9,7 +9,7 @@ from tests.deep import deep_but
 from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
 from tests.scenes import sensor
 from tests.scenes.moving import FLOOR, SCENES, TURN, rigid, scene
-from torch_radbp.io.transform import rotate
+from torch_radbp.io.values.transform import rotate
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 

@@ -12,7 +12,7 @@ from tests.scenes.extremes import CASES
 from torch_radbp.bsdf.roughconductor import RoughConductorKind
 from torch_radbp.jit.tape import RECORDINGS
 from torch_radbp.plugin import REGISTRY
-from torch_radbp.scene.pack import pack
+from torch_radbp.scene.packing.pack import pack
 
 
 def gradients(scene: rb.Scene, dtype: torch.dtype, sampling: str, **settings) -> dict[str, torch.Tensor]:

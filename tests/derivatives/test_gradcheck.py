@@ -18,7 +18,7 @@ from torch.autograd.gradcheck import GradcheckError
 from tests.deep import deep_but_every
 from tests.derivatives.frozen import Rendering
 from tests.scenes.every_plugin import SCENES, build, subjects
-from torch_radbp.scene.pack import pack
+from torch_radbp.scene.packing.pack import pack
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 SETTINGS = {"spp": 4, "max_depth": 4, "rr_depth": 100}

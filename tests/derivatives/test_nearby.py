@@ -13,9 +13,9 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes import diffuse, load, rgb, sensor
-from torch_radbp.io.transform import rotate, scale, translate
-from torch_radbp.scene.nearby import Floor, Nearby, slide_at
+from torch_radbp.io.values.transform import rotate, scale, translate
 from torch_radbp.tensors.vec import Vec3, dot
+from torch_radbp.vertex.nearby import Floor, Nearby, slide_at
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 

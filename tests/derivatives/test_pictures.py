@@ -10,8 +10,8 @@ from tests.deep import deep_but
 from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
 from tests.scenes import diffuse, load, look_at, overhead
 from tests.scenes.projected import PICTURES, PROJECTOR, TEXELS
-from torch_radbp.boundary.shadows import pictures
-from torch_radbp.io.transform import scale
+from torch_radbp.boundary.terms import pictures
+from torch_radbp.io.values.transform import scale
 from torch_radbp.plugin.jump_lines import JumpLines
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")

@@ -12,8 +12,8 @@ from tests.deep import deep_but
 from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
 from tests.scenes import diffuse, load, overhead, rgb
 from tests.scenes.shadows import FLOOR, LAMPS, PLATE, SHADOWS, VIEWED
-from torch_radbp.boundary import terms
-from torch_radbp.io.transform import scale, translate
+from torch_radbp.boundary.terms import of_call as terms
+from torch_radbp.io.values.transform import scale, translate
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 

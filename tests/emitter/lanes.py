@@ -9,12 +9,12 @@ from torch import Tensor
 from torch.utils._pytree import tree_map_only
 
 import torch_radbp as rb
+from torch_radbp.connection.light import LightNumbers
 from torch_radbp.raycast import make_caster
-from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
-from torch_radbp.scene.light import LightNumbers
-from torch_radbp.scene.pack import pack
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.packing.pack import pack
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.vec import Ray, Vec3
+from torch_radbp.vertex.interaction import SurfaceInteraction, surface_interaction
 
 
 def detached(scene: rb.Scene) -> SceneTensors:

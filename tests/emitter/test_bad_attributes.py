@@ -7,7 +7,7 @@ import torch
 import torch_radbp as rb
 from tests.io.documents import scene_dict
 from tests.scenes import load, rectangle, sensor, texels
-from torch_radbp.io.transform import rotate
+from torch_radbp.io.values.transform import rotate
 
 pytestmark = pytest.mark.hostile
 

@@ -17,11 +17,11 @@ from tests.emitter.lanes import cast, detached, light_numbers, on_the_floor, uni
 from tests.gradients import assert_informative, image_and_gradients, relative_error
 from tests.scenes import load, look_at, rgb, sensor
 from tests.scenes.lights import EMITTERS, FLOOR, SQUARE, scene_of, slide
-from torch_radbp.scene.emission import emitted, emitted_pdf
-from torch_radbp.scene.interaction import surface_interaction
-from torch_radbp.scene.light import sample_light
-from torch_radbp.scene.pack import pack
+from torch_radbp.connection.light import sample_light
+from torch_radbp.scene.packing.pack import pack
 from torch_radbp.tensors.vec import Ray, Vec3, normalize
+from torch_radbp.vertex.emission import emitted, emitted_pdf
+from torch_radbp.vertex.interaction import surface_interaction
 
 LANES = 12
 MESH = {"lamp": SQUARE | {"emitter": {"type": "area", "radiance": slide()}}}

@@ -8,11 +8,11 @@ import torch_radbp as rb
 from tests.emitter.lanes import at, cast, detached, light_numbers, uniform
 from tests.scenes import load, rectangle, rgb, sensor
 from tests.scenes.lights import FLOOR, scene_of, slide, turned
+from torch_radbp.connection.light import LightSample, sample_light
 from torch_radbp.emitter.area import AreaKind
-from torch_radbp.io.transform import scale, translate
-from torch_radbp.scene.emission import emitted, emitted_pdf
-from torch_radbp.scene.light import LightSample, sample_light
+from torch_radbp.io.values.transform import scale, translate
 from torch_radbp.tensors.vec import Ray, Vec3
+from torch_radbp.vertex.emission import emitted, emitted_pdf
 
 POSE = translate((0.3, 1.1, -0.2)) @ turned(70, 20, -10) @ scale((0.5, 0.3, 1))
 AXIS = POSE[:3, 2]

@@ -11,9 +11,11 @@ import torch_radbp as rb
 from tests.emitter.lanes import cast, detached, light_numbers, mean_and_error, on_the_floor, uniform
 from tests.scenes import load, sensor
 from tests.scenes.lights import EMITTERS, FINDABLE, FLOOR, scene_of
+from torch_radbp.connection.light import sample_light
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
-from torch_radbp.scene.emission import (
+from torch_radbp.tensors.vec import Ray, rows
+from torch_radbp.vertex.emission import (
     emitted,
     emitted_by_surface,
     emitted_by_surround,
@@ -21,9 +23,7 @@ from torch_radbp.scene.emission import (
     pdf_of_surface,
     pdf_of_surround,
 )
-from torch_radbp.scene.interaction import surface_interaction
-from torch_radbp.scene.light import sample_light
-from torch_radbp.tensors.vec import Ray, rows
+from torch_radbp.vertex.interaction import surface_interaction
 
 COUNT = 100_000
 

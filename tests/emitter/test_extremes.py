@@ -9,15 +9,15 @@ import torch_radbp as rb
 from tests.gradients import cotangent
 from tests.scenes import load, look_at, sensor
 from tests.scenes.lights import EMITTERS, FLOOR, sky_image
+from torch_radbp.connection.light import LightNumbers, sample_light
 from torch_radbp.emitter.envmap import EnvmapKind, density
 from torch_radbp.emitter.latitude_longitude import latitude_longitude
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.emission import emitted, emitted_pdf
-from torch_radbp.scene.interaction import surface_interaction
-from torch_radbp.scene.light import LightNumbers, sample_light
-from torch_radbp.scene.pack import pack
-from torch_radbp.scene.triangle_corners import at_corners, edges
+from torch_radbp.scene.packing.pack import pack
+from torch_radbp.scene.tables.triangle_corners import at_corners, edges
 from torch_radbp.tensors.vec import Ray, Vec3
+from torch_radbp.vertex.emission import emitted, emitted_pdf
+from torch_radbp.vertex.interaction import surface_interaction
 
 DTYPES = [torch.float32, torch.float64]
 AXES = [[0, 1, 0], [0, -1, 0], [0, 0, -1], [0, 0, 1], [1, 0, 0], [1e-20, 1, 0], [1e-7, -1, 1e-7], [1e-4, 1, 0],

@@ -9,10 +9,10 @@ import torch
 from tests.emitter.lanes import at, detached, light_numbers
 from tests.scenes import load, look_at, rgb, sensor
 from tests.scenes.lights import FLOOR, scene_of, slide
+from torch_radbp.connection.light import LightSample, sample_light
 from torch_radbp.emitter.directional import facing
 from torch_radbp.emitter.spot import SpotKind
-from torch_radbp.scene.light import LightSample, sample_light
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 
 ORIGIN = (0.3, 1.0, -0.2)
 POSE = look_at(ORIGIN, (0.5, -0.4, 0.3), (0.2, 1, 0))

@@ -10,14 +10,14 @@ from tests.emitter.lanes import light_numbers, mean_and_error, on_the_floor
 from tests.gradients import relative_error
 from tests.scenes import diffuse, load, rectangle, rgb, sensor
 from tests.scenes.lights import EMITTERS, FLOOR, turned
-from torch_radbp.io.transform import scale, translate
-from torch_radbp.scene.emission import vantage
-from torch_radbp.scene.light import sample_light
-from torch_radbp.scene.light_choice import MANY, LightPick, chance_of_emitter, drawn_element
-from torch_radbp.scene.light_tree import Vantage, halved, importance
-from torch_radbp.scene.pack import pack
+from torch_radbp.connection.light import sample_light
+from torch_radbp.io.values.transform import scale, translate
+from torch_radbp.scene.packing.pack import pack
+from torch_radbp.scene.tables.light_choice import MANY, LightPick, chance_of_emitter, drawn_element
+from torch_radbp.scene.tables.light_tree import Vantage, halved, importance
 from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.vec import Vec3
+from torch_radbp.vertex.emission import vantage
 
 COUNT = 100_000
 GROUPS = {"area": ("area",), "point": ("point",),

@@ -12,7 +12,7 @@ from tests.scenes import load, rectangle, rgb, sensor
 from tests.scenes.lights import scene_of
 from torch_radbp.emitter.sun_position import PlaceAndTime, sun_position
 from torch_radbp.emitter.sunsky import Sunsky
-from torch_radbp.io.transform import rotate, scale
+from torch_radbp.io.values.transform import rotate, scale
 from torch_radbp.tensors.vec import Vec3, normalize
 
 # Radiance by Mitsuba 3.9.1, `scalar_rgb`: turbidity, albedo, direction to the sun, of the view, and the colour.

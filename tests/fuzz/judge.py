@@ -21,7 +21,7 @@ import torch_radbp as rb
 from tests.fuzz.corpus import NEXT_FILE, take_step
 from tests.fuzz.plain_reading import difference
 from tests.scenes.networks import mlp, textured
-from torch_radbp.io.transform import translate
+from torch_radbp.io.values.transform import translate
 from torch_radbp.sensor.calibrated import Calibrated
 from torch_radbp.training.recipe_file import read_recipe
 from torch_radbp.training.recovery.checkpoint import load_checkpoint

@@ -12,11 +12,11 @@ from tests.rendering.taped import singly
 from tests.scenes import CASES, cornell
 from tests.scenes.everything import EVERYTHING, build_everything
 from torch_radbp.jit import LaneFunction
-from torch_radbp.jit.elementary_double import FORMULAS
+from torch_radbp.jit.lane.elementary_double import FORMULAS
 from torch_radbp.jit.order import chosen, partition, put
+from torch_radbp.jit.recording.structure import with_other_leaves
 from torch_radbp.jit.scatter import Sums, copies, scatter_add
-from torch_radbp.jit.structure import with_other_leaves
-from torch_radbp.scene import geometry
+from torch_radbp.scene.packing import geometry
 from torch_radbp.shape import cylinder, disk, sphere
 from torch_radbp.tensors.record import leaves_of
 

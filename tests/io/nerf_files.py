@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from torch_radbp.io.transform import rotate, translate
+from torch_radbp.io.values.transform import rotate, translate
 
 POSE = (translate((1, 2, 3)) @ rotate((0.3, 1, 0.2), 50)).tolist()
 BLENDER = {"camera_angle_x": 0.7, "frames": [{"file_path": "./train/r_0", "rotation": 0.01, "transform_matrix": POSE}]}

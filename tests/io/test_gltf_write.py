@@ -17,7 +17,7 @@ from tests.scenes.everything import EVERYTHING as EVERY_PLUGIN
 from tests.scenes.everything import build_everything
 from torch_radbp.formats.image import linear_to_srgb, srgb_to_linear
 from torch_radbp.io.gltf.document import GltfWarning
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 from torch_radbp.plugin import SceneError
 
 LOOK = {"type": "perspective", "fov": 40, "to_world": rb.look_at([0.4, 0.6, 4], [0, 0, 0], [0, 1, 0]),

@@ -6,7 +6,7 @@ import torch
 import torch_radbp as rb
 from tests.io.pixel_rays import seen_by
 from tests.scenes import GLOW, load
-from torch_radbp.io.transform import rotate
+from torch_radbp.io.values.transform import rotate
 from torch_radbp.pose import se3
 from torch_radbp.tensors.vec import Vec3
 

@@ -9,7 +9,7 @@ import trimesh
 
 import torch_radbp as rb
 from tests.io.trimesh_scenes import LOOK, assert_same, ball, image, loaded, material, picture
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 POSE = translate((0.3, -0.2, 0.1)) @ rotate((1, 2, 3), 40) @ scale((0.5, 0.7, 0.6))
 

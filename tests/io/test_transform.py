@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tests.io.documents import write_scene
-from torch_radbp.io import transform
 from torch_radbp.io.load import load
+from torch_radbp.io.values import transform
 from torch_radbp.plugin import SceneWarning
 
 OPERATIONS = [

@@ -9,7 +9,7 @@ import trimesh
 
 import torch_radbp as rb
 from tests.io.trimesh_scenes import assert_same, ball, image, loaded, material, picture
-from torch_radbp.io.transform import scale, translate
+from torch_radbp.io.values.transform import scale, translate
 from torch_radbp.plugin import SceneError
 
 PAINT = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": torch.rand(4, 6, 3, generator=torch.manual_seed(1))}}

@@ -12,9 +12,9 @@ from array import array
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-from torch_radbp.jit.gpu import Gpu
-from torch_radbp.jit.machine import MachineCode, object_code
-from torch_radbp.jit.nvptx import ptx
+from torch_radbp.jit.cpu.machine import MachineCode, object_code
+from torch_radbp.jit.nvidia.gpu import Gpu
+from torch_radbp.jit.nvidia.nvptx import ptx
 
 LAUNCH = """\
 define void @launch(i64 %blocks, i64 %threads, ptr %words) {{

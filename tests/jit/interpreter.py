@@ -31,11 +31,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.addition import Addition
-from torch_radbp.jit.driver import BUFFER, END, SIZE, Driver
-from torch_radbp.jit.gpu import Gpu, KernelLoop
-from torch_radbp.jit.graph import LANES, NUMBER, TABLE, Program, Value
-from torch_radbp.jit.instructions import alignment
+from torch_radbp.jit.lane.graph import LANES, NUMBER, TABLE, Program, Value
+from torch_radbp.jit.lane.instructions import alignment
+from torch_radbp.jit.nvidia.driver import BUFFER, END, SIZE, Driver
+from torch_radbp.jit.nvidia.gpu import Gpu, KernelLoop
+from torch_radbp.jit.recording.addition import Addition
 
 BESIDE = Path(__file__).parents[3] / "shared" / "tools" / "ptx"
 MODULE = Path(os.environ.get("RADBP_PTX_INTERPRETER") or BESIDE, "ptxrun.py")

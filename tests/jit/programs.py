@@ -7,9 +7,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.graph import LANES, NUMBER, TABLE
+from torch_radbp.jit.lane.graph import LANES, NUMBER, TABLE
+from torch_radbp.jit.lane.trace import traced_program
 from torch_radbp.jit.scatter import Addition, Sums
-from torch_radbp.jit.trace import traced_program
 
 
 class Point(NamedTuple):

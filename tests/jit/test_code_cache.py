@@ -13,7 +13,8 @@ import pytest
 import torch
 
 from tests.jit.programs import arguments, mixed
-from torch_radbp.jit import LaneFunction, code_cache, run
+from torch_radbp.jit import LaneFunction, run
+from torch_radbp.jit.store import code_cache
 
 ROOT = Path(__file__).parents[2]
 RENDER = """
@@ -21,7 +22,7 @@ import warnings
 warnings.simplefilter("error")
 import torch
 import torch_radbp as rb
-from torch_radbp.jit import machine, run
+from torch_radbp.jit.cpu import machine; from torch_radbp.jit import run
 traced = []
 trace = run.traced_program
 run.traced_program = lambda function, *rest: traced.append(1) or trace(function, *rest)

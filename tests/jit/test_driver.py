@@ -12,9 +12,9 @@ import torch
 from tests.jit.programs import arguments, mixed
 from torch_radbp.install_hint import install_with
 from torch_radbp.jit import LaneFunction
-from torch_radbp.jit.driver import Driver, NoDriver, driver_of
-from torch_radbp.jit.gpu import Gpu
-from torch_radbp.jit.nvptx import BLOCK
+from torch_radbp.jit.nvidia.driver import Driver, NoDriver, driver_of
+from torch_radbp.jit.nvidia.gpu import Gpu
+from torch_radbp.jit.nvidia.nvptx import BLOCK
 
 GOOD, BAD = "success", "bad"
 DEVICE = torch.device("cuda", 1)

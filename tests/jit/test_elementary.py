@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from tests.jit.emulated import emulated
-from torch_radbp.jit import LaneFunction, elementary
-from torch_radbp.jit.cpu import Cpu
+from torch_radbp.jit import LaneFunction
+from torch_radbp.jit.cpu.cpu import Cpu
+from torch_radbp.jit.lane import elementary
 
 
 def floats(low: float, high: float) -> torch.Tensor:

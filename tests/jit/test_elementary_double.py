@@ -7,10 +7,10 @@ import torch
 
 from tests.jit.emulated import emulated
 from torch_radbp.jit import LaneFunction
-from torch_radbp.jit.elementary_double import FORMULAS
-from torch_radbp.jit.graph import LANES
-from torch_radbp.jit.lowered import without_library
-from torch_radbp.jit.trace import traced_program
+from torch_radbp.jit.lane.elementary_double import FORMULAS
+from torch_radbp.jit.lane.graph import LANES
+from torch_radbp.jit.lane.lowered import without_library
+from torch_radbp.jit.lane.trace import traced_program
 
 RANGES = {  # lowest, highest, greatest error in units in the last place; that of the C library is about 1
     "exp": (-745.0, 709.7, 2), "exp2": (-1074.0, 1023.9, 2), "expm1": (-50.0, 709.7, 2), "log": (5e-324, 1.7e308, 3),

@@ -3,7 +3,7 @@
 import torch
 
 from torch_radbp.jit import LaneFunction
-from torch_radbp.jit.emit import gathers_first
+from torch_radbp.jit.lane.emit import gathers_first
 
 
 def looked_up_twice(table, index, x):

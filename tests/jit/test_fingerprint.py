@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from torch_radbp.jit.dual import with_tangents
-from torch_radbp.jit.fingerprint import Opaque, fingerprint
+from torch_radbp.jit.store.fingerprint import Opaque, fingerprint
 
 MODULE = """
 import math
@@ -107,7 +107,7 @@ def test_what_is_exchanged_while_the_program_runs_counts(written):
 
 
 def test_it_is_the_same_in_another_process_whatever_was_run_before():
-    code = ("import torch, torch_radbp as rb; from torch_radbp.jit.fingerprint import fingerprint; "
+    code = ("import torch, torch_radbp as rb; from torch_radbp.jit.store.fingerprint import fingerprint; "
             "import torch_radbp.public; from torch_radbp.tensors.stage import DECLARED; {}; "
             "print([fingerprint(stage) for stage in DECLARED])")
     rendered = "rb.render(rb.load('assets/cornell_box/scene.xml', resolution=4), spp=1)"

@@ -11,7 +11,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from tests.jit.emulated import emulated
 from tests.jit.programs import Point, arguments, assert_close, mixed
 from torch_radbp.jit import LaneFunction, UnknownOperation
-from torch_radbp.jit.cpu import Cpu
+from torch_radbp.jit.cpu.cpu import Cpu
 
 LANES = (0, 1, 15, 16, 17, 100_003)
 

@@ -6,13 +6,13 @@ import torch
 from tests.jit.edge_values import DTYPES
 from tests.jit.emulated import Emulated
 from tests.jit.programs import addition
-from torch_radbp.jit.any_device import AnyDevice
-from torch_radbp.jit.gpu import Gpu, gpu_of
-from torch_radbp.jit.graph import LANES
-from torch_radbp.jit.nvptx import ptx
-from torch_radbp.jit.nvptx_lanes import put_text, scatter_text
+from torch_radbp.jit.lane.graph import LANES
+from torch_radbp.jit.lane.trace import traced_program
+from torch_radbp.jit.nvidia.gpu import Gpu, gpu_of
+from torch_radbp.jit.nvidia.nvptx import ptx
+from torch_radbp.jit.nvidia.nvptx_lanes import put_text, scatter_text
+from torch_radbp.jit.recording.any_device import AnyDevice
 from torch_radbp.jit.target import target_of
-from torch_radbp.jit.trace import traced_program
 
 
 @pytest.mark.parametrize("lanes", [1, 127, 1000])

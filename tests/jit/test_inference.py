@@ -5,7 +5,7 @@ import itertools
 import pytest
 import torch
 
-from torch_radbp.jit.inference import INFERRED
+from torch_radbp.jit.lane.inference import INFERRED
 
 DTYPES = (torch.float32, torch.float64, torch.int32, torch.int64, torch.bool)
 TENSORS = [torch.empty(shape, dtype=dtype, device="meta") for dtype in DTYPES for shape in ((7,), ())]

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from torch_radbp.jit.large_pages import LEAST, PAGE, block_of_bytes
+from torch_radbp.jit.cpu.large_pages import LEAST, PAGE, block_of_bytes
 
 SETTING = Path("/sys/kernel/mm/transparent_hugepage/enabled")
 

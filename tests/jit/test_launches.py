@@ -9,11 +9,11 @@ from torch import Tensor
 from tests.jit.emulated import Emulated
 from tests.jit.interpreter import interpreted, needs_interpreter
 from torch_radbp.jit import LaneFunction
-from torch_radbp.jit.addition import Addition, Sums
-from torch_radbp.jit.gpu import Gpu
-from torch_radbp.jit.lane_count import LaneCount, waited_for
+from torch_radbp.jit.nvidia.gpu import Gpu
 from torch_radbp.jit.order import chosen, inverted, nothing, partition, put
-from torch_radbp.jit.recording import outside
+from torch_radbp.jit.recording.addition import Addition, Sums
+from torch_radbp.jit.recording.lane_count import LaneCount, waited_for
+from torch_radbp.jit.recording.recording import outside
 from torch_radbp.jit.scatter import scatter_add
 from torch_radbp.jit.tape import Played, Tape
 

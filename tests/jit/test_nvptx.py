@@ -8,11 +8,11 @@ import torch
 from tests.jit.emulated import Emulated
 from tests.jit.programs import PROGRAM, arguments, mixed
 from torch_radbp.jit import LaneFunction
-from torch_radbp.jit.cpu import Cpu
-from torch_radbp.jit.gpu import Gpu
-from torch_radbp.jit.graph import LANES, NUMBER, TABLE
-from torch_radbp.jit.nvptx import BLOCK, ptx
-from torch_radbp.jit.trace import traced_program
+from torch_radbp.jit.cpu.cpu import Cpu
+from torch_radbp.jit.lane.graph import LANES, NUMBER, TABLE
+from torch_radbp.jit.lane.trace import traced_program
+from torch_radbp.jit.nvidia.gpu import Gpu
+from torch_radbp.jit.nvidia.nvptx import BLOCK, ptx
 
 
 def test_a_kernel_has_the_instructions_that_the_processor_has_for_single_lanes():

@@ -13,9 +13,9 @@ from tests.jit.edge_values import assert_same, pairs
 from tests.jit.emulated import emulated
 from tests.jit.interpreter import interpreted, needs_interpreter
 from torch_radbp.jit import LaneFunction
-from torch_radbp.jit.cpu import Cpu
-from torch_radbp.jit.graph import LANES
-from torch_radbp.jit.trace import traced_program
+from torch_radbp.jit.cpu.cpu import Cpu
+from torch_radbp.jit.lane.graph import LANES
+from torch_radbp.jit.lane.trace import traced_program
 
 TARGETS = {str(width): Cpu(width) for width in (1, 4, 8, 16)} | {
     "gpu": emulated(), "ptx": pytest.param(interpreted(), marks=[needs_interpreter, pytest.mark.deep])}

@@ -8,8 +8,9 @@ import torch
 from tests.jit.edge_values import DTYPES, assert_same, pairs
 from tests.jit.interpreter import CheckedGpu, interpreted, needs_interpreter
 from tests.jit.programs import addition
-from torch_radbp.jit import LaneFunction, driver
-from torch_radbp.jit.nvptx import ptx
+from torch_radbp.jit import LaneFunction
+from torch_radbp.jit.nvidia import driver
+from torch_radbp.jit.nvidia.nvptx import ptx
 
 pytestmark = needs_interpreter
 INT32, FLOAT32, FLOAT64 = torch.int32, torch.float32, torch.float64

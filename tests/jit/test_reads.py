@@ -8,10 +8,10 @@ import torch
 
 from tests.jit.emulated import emulated
 from torch_radbp.jit import LaneFunction
-from torch_radbp.jit.cpu import Cpu
-from torch_radbp.jit.emit import emit
-from torch_radbp.jit.machine import host_width
-from torch_radbp.jit.window import TableWindow
+from torch_radbp.jit.cpu.cpu import Cpu
+from torch_radbp.jit.cpu.machine import host_width
+from torch_radbp.jit.lane.emit import emit
+from torch_radbp.jit.lane.window import TableWindow
 from torch_radbp.tensors.interleaved import LEAST, interleaved
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import leaves_of

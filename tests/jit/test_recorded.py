@@ -7,14 +7,14 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit import LaneFunction
-from torch_radbp.jit.addition import Addition, Sums
-from torch_radbp.jit.board import board
+from torch_radbp.jit.cpu.board import board
+from torch_radbp.jit.cpu.recorded import Recorded
 from torch_radbp.jit.order import chosen, inverted, nothing, partition, put
-from torch_radbp.jit.recorded import Recorded
-from torch_radbp.jit.recording import ALL, NotRecordable, Recording, listening, outside
-from torch_radbp.jit.results import RecordedInputs
+from torch_radbp.jit.recording.addition import Addition, Sums
+from torch_radbp.jit.recording.recording import ALL, NotRecordable, Recording, listening, outside
+from torch_radbp.jit.recording.results import RecordedInputs
 from torch_radbp.jit.scatter import scatter_add
-from torch_radbp.jit.team import alone_in_torch
+from torch_radbp.threads.team import alone_in_torch
 
 QUEUES = 5
 LANES = (1, 3, 17, 1000, 10_001, 70_000)

@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from tests.jit.programs import addition
-from torch_radbp.jit.addition import side_by_side
-from torch_radbp.jit.cpu_scatter import BLOCK, SHARED
-from torch_radbp.jit.made_once import made_once
+from torch_radbp.jit.cpu.cpu_scatter import BLOCK, SHARED
+from torch_radbp.jit.recording.addition import side_by_side
 from torch_radbp.jit.scatter import Sums, scatter_add
-from torch_radbp.jit.team import alone_in_torch
+from torch_radbp.threads.made_once import made_once
+from torch_radbp.threads.team import alone_in_torch
 
 LANES = (0, 1, 17, BLOCK, BLOCK + 1, 50_000)
 

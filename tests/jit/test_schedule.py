@@ -6,10 +6,10 @@ import torch
 
 from tests.jit.emulated import Emulated
 from torch_radbp.jit import LaneFunction
-from torch_radbp.jit.gpu import Gpu
-from torch_radbp.jit.graph import LANES, Program, Value
-from torch_radbp.jit.schedule import REGISTERS, few_alive, most_alive
-from torch_radbp.jit.trace import traced_program
+from torch_radbp.jit.lane.graph import LANES, Program, Value
+from torch_radbp.jit.lane.schedule import REGISTERS, few_alive, most_alive
+from torch_radbp.jit.lane.trace import traced_program
+from torch_radbp.jit.nvidia.gpu import Gpu
 
 
 def pairs(x, count: int):

@@ -8,10 +8,10 @@ import torch
 
 from tests.jit.programs import PROGRAM
 from torch_radbp.jit import LaneFunction
-from torch_radbp.jit.cpu import Cpu
-from torch_radbp.jit.graph import LANES, NUMBER, TABLE
-from torch_radbp.jit.machine import host_width
-from torch_radbp.jit.trace import traced_program
+from torch_radbp.jit.cpu.cpu import Cpu
+from torch_radbp.jit.cpu.machine import host_width
+from torch_radbp.jit.lane.graph import LANES, NUMBER, TABLE
+from torch_radbp.jit.lane.trace import traced_program
 
 
 def test_a_program_lists_its_values():
@@ -56,7 +56,7 @@ def test_float32_takes_two_vectors_where_it_searches(dtype, searches, vectors):
 def test_the_compiler_imports_nothing_of_rendering():
     code = ("import sys, torch_radbp.jit; "
             "print({name.split('.')[1] for name in sys.modules if name.startswith('torch_radbp.')} "
-            "- {'jit', 'tensors', 'install_hint'})")
+            "- {'jit', 'tensors', 'threads', 'install_hint'})")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
 

@@ -5,12 +5,12 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit import LaneFunction
+from torch_radbp.jit.cpu.recorded import Recorded
 from torch_radbp.jit.order import chosen, put
-from torch_radbp.jit.recorded import Recorded
-from torch_radbp.jit.recording import ALL, NotRecordable, Recording, listening, outside
-from torch_radbp.jit.results import RecordedInputs
-from torch_radbp.jit.team import alone_in_torch
+from torch_radbp.jit.recording.recording import ALL, NotRecordable, Recording, listening, outside
+from torch_radbp.jit.recording.results import RecordedInputs
 from torch_radbp.jit.tiles import TILE, TileStep, handed, run_in_tiles
+from torch_radbp.threads.team import alone_in_torch
 
 STEPS = 4
 HALF, LARGE = LaneFunction(lambda x: 0.5 * x), LaneFunction(lambda x: x > 0.1)

@@ -18,7 +18,7 @@ from tests.scenes import rgb, texels
 from tests.scenes.lights import EMITTERS, LAMP_POSE
 from tests.scenes.materials import MATERIALS, as_dict
 from tests.scenes.mesh_attributes import PLY
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 COUNT = 200
 WI, WO = "wi", "wo"

@@ -14,15 +14,15 @@ from torch.func import functional_call, jvp
 from tests.emitter.lanes import cast, detached, light_numbers
 from tests.scenes import load, sensor
 from tests.scenes.lights import FLOOR
+from torch_radbp.connection.light import sample_light
+from torch_radbp.interface.texture import TexturePoint, TriangleEdges
 from torch_radbp.plugin import BSDF
-from torch_radbp.scene.barycentric_gradients import barycentric_gradients
-from torch_radbp.scene.emission import emitted, emitted_by_surround
-from torch_radbp.scene.interaction import surface_interaction
-from torch_radbp.scene.light import sample_light
-from torch_radbp.scene.pack import pack
+from torch_radbp.scene.packing.pack import pack
 from torch_radbp.tensors.vec import Ray, ShadingFrame, Vec2, Vec3
 from torch_radbp.texture.bitmap import reader_of
-from torch_radbp.texture.reader import TexturePoint, TriangleEdges
+from torch_radbp.vertex.barycentric_gradients import barycentric_gradients
+from torch_radbp.vertex.emission import emitted, emitted_by_surround
+from torch_radbp.vertex.interaction import surface_interaction
 
 from .derivative_subjects import PLACES, WI, WO, Subject, objects, tangent
 

@@ -6,16 +6,16 @@ import torch
 import torch_radbp as rb
 from tests.raycast.casters import COMPILED, DTYPES, crossing
 from tests.raycast.meshes import take
-from torch_radbp.jit.team import run_lanes
+from torch_radbp.interface.balls import RINGS, SEGMENTS, TRIANGLES, Balls
 from torch_radbp.raycast import FEW_BALLS, Hit, Ray, batches, make_caster
 from torch_radbp.raycast.brute import Brute
 from torch_radbp.raycast.direct import DirectCaster, code_of_batches, tensor_addresses
 from torch_radbp.raycast.embree import Embree
 from torch_radbp.raycast.refined import refined
-from torch_radbp.scene.pack import pack
-from torch_radbp.scene.triangle_corners import clearance
-from torch_radbp.shape.ball import RINGS, SEGMENTS, TRIANGLES, Balls
+from torch_radbp.scene.packing.pack import pack
+from torch_radbp.scene.tables.triangle_corners import clearance
 from torch_radbp.tensors.vec import Vec3, dot, normalize, unit_normal
+from torch_radbp.threads.team import run_lanes
 
 LANES = 20_000
 FLOOR = {"type": "rectangle", "to_world": torch.diag(torch.tensor([3.0, 3.0, 3.0, 1.0]))}

@@ -8,12 +8,12 @@ import torch
 
 from tests.raycast.casters import DTYPES, crossing
 from tests.raycast.meshes import mesh, random_rays, soup
-from torch_radbp.jit.team import run_lanes
 from torch_radbp.raycast import Ray, batches, make_caster
 from torch_radbp.raycast.direct import DirectCaster, code_of_batches, tensor_addresses
 from torch_radbp.raycast.faces import faces_of
 from torch_radbp.raycast.runs import CORNER, LOST, MOST, OF_RAYS, OF_SEGMENTS, PARALLELOGRAM, Costs, area, divisions
 from torch_radbp.tensors.vec import Vec3
+from torch_radbp.threads.team import run_lanes
 
 LANES = 5003
 

@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from tests.raycast.meshes import mesh, random_rays
+from torch_radbp.interface.instances import Instances, expanded
 from torch_radbp.raycast import Hit, Ray, RayCaster, make_caster
-from torch_radbp.scene.placement import boxes
-from torch_radbp.shape.placement import Instances, expanded
+from torch_radbp.scene.tables.placement import boxes
 
 DTYPES = (torch.float32, torch.float64)
 

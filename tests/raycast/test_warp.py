@@ -9,7 +9,7 @@ import torch
 import torch_radbp as rb
 from tests.raycast.meshes import mesh, random_rays
 from torch_radbp.raycast import Ray, make_caster
-from torch_radbp.scene.pack import pack
+from torch_radbp.scene.packing.pack import pack
 from torch_radbp.tensors.vec import Vec3
 
 pytest.importorskip("warp")

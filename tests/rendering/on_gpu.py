@@ -7,7 +7,7 @@ from importlib import import_module
 import pytest
 
 from tests.rendering.taped import singly
-from torch_radbp.jit.gpu import Gpu
+from torch_radbp.jit.nvidia.gpu import Gpu
 from torch_radbp.jit.run import LaneFunction
 from torch_radbp.jit.stages import CompiledStages
 from torch_radbp.raycast import expanded

@@ -15,7 +15,7 @@ from tests.gradients import cotangent
 from tests.scenes.everything import EVERYTHING, build_everything
 from tests.scenes.networks import lit_room, room
 from torch_radbp.film.gaussian import Gaussian
-from torch_radbp.jit.structure import flatten
+from torch_radbp.jit.recording.structure import flatten
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.stage import DECLARED, PlainStages
 

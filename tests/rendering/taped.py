@@ -9,8 +9,8 @@ import torch_radbp as rb
 from tests.gradients import cotangent, unwarned_renderer
 from tests.scenes import cornell, diffuse, load, parameters, rectangle, rgb, sensor, sky_and_points, textured, two_sided
 from torch_radbp.adjoint import taped_sweep
-from torch_radbp.boundary.reflections import ideal_steps
-from torch_radbp.io.transform import translate
+from torch_radbp.boundary.eye import ideal_steps
+from torch_radbp.io.values.transform import translate
 from torch_radbp.path import taped_bounces, whole_paths
 
 SETTINGS = {"spp": 4, "max_depth": 5, "rr_depth": 2, "compile": True, "terms": ("interior",)}

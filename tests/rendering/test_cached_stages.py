@@ -16,8 +16,8 @@ from tests.scenes.every_plugin import subjects
 from tests.scenes.everything import EVERYTHING, build_everything
 from torch_radbp.jit.arguments import Arguments
 from torch_radbp.jit.compiled import code_name
-from torch_radbp.jit.fingerprint import DefinitionReader
 from torch_radbp.jit.stages import CompiledStages
+from torch_radbp.jit.store.fingerprint import DefinitionReader
 from torch_radbp.jit.target import target_of
 from torch_radbp.tensors import torch_internals
 from torch_radbp.tensors.stage import DECLARED
@@ -40,7 +40,8 @@ def run_while(function) -> set[CodeType]:
     finally:
         sys.settrace(before)
     return {code for code in met if Path(code.co_filename).is_relative_to(PACKAGE)
-            and PACKAGE / "jit" not in Path(code.co_filename).parents and code.co_filename != torch_internals.__file__}
+            and not {PACKAGE / "jit", PACKAGE / "threads"} & {*Path(code.co_filename).parents}
+            and code.co_filename != torch_internals.__file__}
 
 
 def codes(code: CodeType) -> set[CodeType]:

@@ -14,7 +14,7 @@ from torch_radbp.emitter.projector import Projector
 from torch_radbp.emitter.spot import Spot
 from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.sensor.thinlens import ThinLens
 from torch_radbp.tensors.vec import Vec2

@@ -8,7 +8,7 @@ from tests.deep import deep, deep_but
 from tests.gradients import assert_informative, cotangent, image_and_gradients, relative_error
 from tests.scenes import CASES, cornell, parameters
 from tests.scenes.everything import EVERYTHING, build_everything
-from torch_radbp.boundary import terms
+from torch_radbp.boundary.terms import of_call as terms
 from torch_radbp.jit import stages
 from torch_radbp.path.camera_rays import sample_camera
 from torch_radbp.sampling.sampler import film_order, sample_key

@@ -16,7 +16,7 @@ from tests.rendering.host import place
 from tests.scenes import CASES, cornell
 from tests.scenes.everything import build_everything
 from torch_radbp.check.statistics import Cotangent, Estimates, compare
-from torch_radbp.jit.gpu import Gpu
+from torch_radbp.jit.nvidia.gpu import Gpu
 from torch_radbp.jit.stages import CompiledStages
 from torch_radbp.sampling import running_sum
 from torch_radbp.training.false_colour import error_scale, false_colour

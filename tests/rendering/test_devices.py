@@ -19,8 +19,8 @@ import torch_radbp as rb
 from benchmarks.ptx import Listing
 from tests.deep import deep_but
 from tests.rendering.recorded import SAMPLINGS, SCENES, build, calls_of, stage_named
-from torch_radbp.jit.gpu import Gpu
-from torch_radbp.jit.nvptx import ptx
+from torch_radbp.jit.nvidia.gpu import Gpu
+from torch_radbp.jit.nvidia.nvptx import ptx
 from torch_radbp.jit.stages import CompiledStage, CompiledStages
 from torch_radbp.tensors.record import leaves_of, with_leaves
 
@@ -90,7 +90,7 @@ def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling):
     without = NOT_IN.get(name, {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES}) | (OF_SHADOWS if sampling == "attached" else set())
     assert {stage for stage, cases in calls.items() if not cases} <= without | OF_CONTACTS
     scatterers = {arguments[0].layout.scatterer for arguments in calls["bounce"].values()}
-    assert scatterers == set(rb.scene.pack.pack(scene).layout.appearances)
+    assert scatterers == set(rb.scene.packing.pack.pack(scene).layout.appearances)
     for name, cases in calls.items():
         for arguments in cases.values():
             assert trace_on_cuda(stage_named(name), arguments) <= {CUDA}

@@ -13,7 +13,7 @@ from tests.jit.emulated import Emulated
 from tests.rendering.on_gpu import render_on
 from tests.scenes import CASES, cornell
 from tests.scenes.everything import EVERYTHING, build_everything
-from torch_radbp.jit.gpu import Gpu
+from torch_radbp.jit.nvidia.gpu import Gpu
 
 pytestmark = pytest.mark.filterwarnings("error:.*runs eagerly:RuntimeWarning",
                                         "ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")

@@ -22,7 +22,7 @@ from tests.scenes import CASES, cornell, load
 from tests.scenes.mirrors import BALL, CUBE, MIRROR, SKY, VIEWED
 from tests.scenes.networks import room
 from torch_radbp.adjoint.function import RenderFunction
-from torch_radbp.jit.gpu import Gpu
+from torch_radbp.jit.nvidia.gpu import Gpu
 from torch_radbp.jit.run import LaneFunction
 from torch_radbp.path.lane_room import ASKED, room_for
 

@@ -18,10 +18,10 @@ from tests.jit.interpreter import CheckedGpu, CheckedLoop, interpreted, needs_in
 from tests.rendering.on_gpu import render_on
 from tests.rendering.recorded import SCENES, build
 from tests.scenes import CASES, cornell
-from torch_radbp.jit import instructions
-from torch_radbp.jit.cpu import Cpu, CpuLoop
-from torch_radbp.jit.graph import Program
-from torch_radbp.jit.lowered import without_library
+from torch_radbp.jit.cpu.cpu import Cpu, CpuLoop
+from torch_radbp.jit.lane import instructions
+from torch_radbp.jit.lane.graph import Program
+from torch_radbp.jit.lane.lowered import without_library
 from torch_radbp.path import wavefront
 
 pytestmark = [needs_interpreter, pytest.mark.deep, pytest.mark.filterwarnings(

@@ -12,7 +12,7 @@ import torch_radbp as rb
 from tests.gradients import cotangent, relative_error
 from tests.scenes import SKY, diffuse, load, parameters, rectangle, rgb, sensor
 from tests.scenes.networks import mlp, textured
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 pytestmark = [pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning"),
               pytest.mark.filterwarnings("error:.*runs eagerly:RuntimeWarning")]

@@ -18,9 +18,9 @@ from tests.scenes import cornell, diffuse, furnace, load, rectangle, rgb, sensor
 from torch_radbp.adjoint.attached import trace_attached
 from torch_radbp.adjoint.images import render_images
 from torch_radbp.call.view import OF_NO_SENSOR, Shot
-from torch_radbp.jit.gpu import Gpu
-from torch_radbp.scene.pack import pack
-from torch_radbp.scene.pack_cache import PackCache
+from torch_radbp.jit.nvidia.gpu import Gpu
+from torch_radbp.scene.cache.pack_cache import PackCache
+from torch_radbp.scene.packing.pack import pack
 from torch_radbp.sensor.rays import given_rays
 from torch_radbp.tensors.vec import Vec2
 

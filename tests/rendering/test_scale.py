@@ -8,7 +8,7 @@ from torch import Tensor
 
 import torch_radbp as rb
 from tests.scenes import diffuse, load, rgb
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 SCALES = (1e-4, 1e-3, 3e-3, 1e-2, 1e3, 1e5)
 ORIGIN, FAR, FURTHER = (0.0, 0.0, 0.0), (100.0, -70.0, 40.0), (1000.0, -700.0, 400.0)  # in units of the scene's size

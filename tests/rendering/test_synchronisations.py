@@ -84,7 +84,7 @@ def test_a_call_with_a_scene_as_it_was_asks_little():
     scene = box({"type": "roughconductor"})
     scene.get_parameter("thing.bsdf.alpha.value").requires_grad_()
     counted = of_second_call(scene, SHALLOW)
-    of_bounces = ("jit/any_device.py", "tensors/partition.py")
+    of_bounces = ("jit/recording/any_device.py", "tensors/partition.py")
     bounces = {what: count for what, count in counted.items() if any(file in what[1] for file in of_bounces)}
     assert 0 < sum(bounces.values()) <= 2 * SHALLOW
     assert sum((counted - Counter(bounces)).values()) <= 8, counted

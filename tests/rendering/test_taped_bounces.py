@@ -10,7 +10,7 @@ from tests.scenes import cornell, sky_and_points, two_sided
 from tests.scenes.everything import build_everything
 from tests.scenes.networks import Function, lit_room, mlp, room
 from torch_radbp.adjoint import record
-from torch_radbp.jit.recorded import Recorded
+from torch_radbp.jit.cpu.recorded import Recorded
 from torch_radbp.jit.tape import RECORDINGS
 from torch_radbp.jit.tiles import TILE
 from torch_radbp.path import whole_paths

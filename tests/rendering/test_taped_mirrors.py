@@ -7,8 +7,8 @@ import torch_radbp as rb
 from tests.gradients import cotangent
 from tests.scenes import load
 from tests.scenes.mirrors import BALL, CUBE, LENS, MIRROR, SKY, VIEWED
-from torch_radbp.boundary.reflections import differences, ideal_steps
-from torch_radbp.jit.recorded import Recorded
+from torch_radbp.boundary.eye import differences, ideal_steps
+from torch_radbp.jit.cpu.recorded import Recorded
 from torch_radbp.jit.tape import Tape
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")

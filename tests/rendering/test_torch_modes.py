@@ -19,7 +19,7 @@ import torch_radbp as rb
 from tests.gradients import assert_informative, cotangent
 from tests.scenes import cornell, diffuse, load, rectangle, rgb, sensor, texels
 from tests.scenes.everything import EVERYTHING, build_everything
-from torch_radbp.io.transform import rotate, scale
+from torch_radbp.io.values.transform import rotate, scale
 
 SETTINGS = {"spp": 2, "max_depth": 4, "rr_depth": 2}
 STRATEGIES = (rb.MemoizedAdjoint(), rb.MemoizedAdjoint("log", keep_hits=False), rb.ReplayAdjoint(), rb.QuadraticAdjoint(),

@@ -13,7 +13,7 @@ from torch.nn.utils import parametrize
 
 import torch_radbp as rb
 from tests.scenes import diffuse, load, rgb, sensor, texels
-from torch_radbp.io.transform import translate
+from torch_radbp.io.values.transform import translate
 
 COLOUR = "ball.bsdf.reflectance.value"
 AHEAD, AWAY = {"target": (0, 0, 0)}, {"target": (0, 0, 9)}

@@ -10,8 +10,8 @@ from torch.nn.utils import parametrize
 import torch_radbp as rb
 from tests.scenes import cornell, diffuse, load, rectangle, rgb, sensor, texels
 from tests.scenes.everything import EVERYTHING, build_everything
-from torch_radbp.scene.bounds import range_of
-from torch_radbp.scene.parameters import held_values
+from torch_radbp.scene.modules.bounds import range_of
+from torch_radbp.scene.modules.parameters import held_values
 
 GREEN = "green.reflectance.value"
 

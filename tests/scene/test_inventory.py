@@ -7,8 +7,8 @@ from torch.nn.utils import parametrize
 
 from tests.scenes.one_of_each import Half, scene_of
 from torch_radbp.plugin import Texture
-from torch_radbp.scene.inventory import Inventory
-from torch_radbp.scene.pack_cache import PackCache
+from torch_radbp.scene.cache.inventory import Inventory
+from torch_radbp.scene.cache.pack_cache import PackCache
 
 CHANGES = {
     "plain value": lambda scene: setattr(scene.lamp, "flip_normals", True),

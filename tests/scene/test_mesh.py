@@ -5,7 +5,7 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes import load, rectangle, rgb, sensor
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 from torch_radbp.shape.normals import angle_weighted_normals
 
 FIRST = translate((0.1, -0.2, 0.3)) @ rotate((1, 2, 0.5), 40) @ scale((0.5, 0.4, 0.3))

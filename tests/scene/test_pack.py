@@ -8,8 +8,8 @@ import torch
 import torch_radbp as rb
 from tests.scenes import load, rgb, sensor
 from tests.scenes.meshes import grid
-from torch_radbp.scene import geometry
-from torch_radbp.scene.pack import pack
+from torch_radbp.scene.packing import geometry
+from torch_radbp.scene.packing.pack import pack
 from torch_radbp.shape.mesh import Mesh
 from torch_radbp.shape.normals import angle_weighted_normals
 

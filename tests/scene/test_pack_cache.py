@@ -17,10 +17,10 @@ from tests.scenes import rectangle
 from tests.scenes.one_of_each import Half, scene_of
 from torch_radbp.emitter import envmap
 from torch_radbp.plugin import Texture
-from torch_radbp.scene import geometry, light_table
-from torch_radbp.scene.pack import PLACED, pack
-from torch_radbp.scene.pack_cache import PackCache
-from torch_radbp.scene.same_bits import PART, same_bits
+from torch_radbp.scene.cache.pack_cache import PackCache
+from torch_radbp.scene.cache.same_bits import PART, same_bits
+from torch_radbp.scene.packing import geometry, light_table
+from torch_radbp.scene.packing.pack import PLACED, pack
 from torch_radbp.shape.mesh import Mesh
 from torch_radbp.shape.surface import Triangles
 

@@ -11,7 +11,7 @@ from torch.nn.utils import parametrize
 import torch_radbp as rb
 from tests.scenes import diffuse, rectangle, rgb, sensor, texels
 from torch_radbp.plugin import Texture
-from torch_radbp.scene.parameters import held_values
+from torch_radbp.scene.modules.parameters import held_values
 
 pytestmark = pytest.mark.hostile
 

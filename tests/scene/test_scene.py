@@ -9,7 +9,7 @@ from torch_radbp.bsdf.diffuse import Diffuse
 from torch_radbp.emitter.area import AreaKind
 from torch_radbp.emitter.constant import Constant, ConstantKind
 from torch_radbp.emitter.point import PointKind
-from torch_radbp.scene.pack import pack
+from torch_radbp.scene.packing.pack import pack
 from torch_radbp.sensor.perspective import Perspective
 from torch_radbp.shape.rectangle import Rectangle
 from torch_radbp.tensors.vec import rows

@@ -6,7 +6,7 @@ import torch
 
 from tests.scenes import texels
 from tests.texture.texel_by_texel import HEIGHT, WIDTH, reference
-from torch_radbp.scene.radiances import BankBuilder
+from torch_radbp.scene.packing.radiances import BankBuilder
 from torch_radbp.tensors.vec import Vec2
 from torch_radbp.texture.bank import sample_texture
 from torch_radbp.texture.bitmap import Bitmap, texture_bank

@@ -12,29 +12,8 @@ A scene that only one test has stands in that test; what two of them need is her
 * what is compared with Mitsuba, as XML: `xml`.
 """
 
-from tests.scenes.cases import (
-    CASES,
-    Case,
-    cornell,
-    furnace,
-    sky_and_points,
-    textured,
-    textured_lamp,
-    two_sided,
-)
-from tests.scenes.description import (
-    GLOW,
-    SKY,
-    diffuse,
-    load,
-    look_at,
-    overhead,
-    parameters,
-    rectangle,
-    rgb,
-    sensor,
-    texels,
-)
+from tests.scenes.cases import CASES, Case, cornell, furnace, sky_and_points, textured, textured_lamp, two_sided
+from tests.scenes.description import GLOW, SKY, diffuse, load, look_at, overhead, parameters, rectangle, rgb, sensor, texels
 
 __all__ = ["CASES", "GLOW", "SKY", "Case", "cornell", "diffuse", "furnace", "load", "look_at", "overhead", "parameters",
            "rectangle", "rgb", "sensor", "sky_and_points", "texels", "textured", "textured_lamp", "two_sided"]

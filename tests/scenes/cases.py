@@ -9,7 +9,7 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes.description import SKY, diffuse, load, rectangle, rgb, sensor, texels
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 
 def furnace(reflectance=(0.3, 0.6, 0.9), emission=(1.0, 0.5, 0.25), dtype: torch.dtype = torch.float64,

@@ -10,7 +10,7 @@ from torch import Tensor
 
 import torch_radbp as rb
 from tests.scenes import diffuse, load, look_at, rgb, sensor
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 SUBJECT = "subject"
 SIZE = 32

@@ -12,7 +12,7 @@ from torch import Tensor
 import torch_radbp as rb
 from tests.scenes import diffuse, load, look_at, rgb, sensor
 from tests.scenes.moving import TWIST, rigid
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 SIZE, WIDTH = 32, 1.4  # pixels, and what they show of the middle of the scene, world
 TOWARDS = (0.15, -0.5, 0.85)  # from there the camera, not of unit length

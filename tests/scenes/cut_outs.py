@@ -11,7 +11,7 @@ from tests.scenes import rgb, sensor
 from tests.scenes.inner_jumps import noise
 from tests.scenes.moving import TWIST, MovingScene, rigid, wave
 from tests.scenes.shadows import BALL, LAMPS, PUSH, SIZE, TWO_SIDED, WALL, lit, moved
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 VIEWED = sensor(SIZE, (0.3, -1.0, 0.7), (0.05, 0.1, 0.0), 50, rfilter="box")
 LAMP = {"type": "rectangle", "to_world": translate((0.2, 0.15, 1.6)) @ rotate((1, 0.2, 0.1), 170) @ scale((0.6, 0.5, 1)),

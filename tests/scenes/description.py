@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 
 def look_at(origin, target, up) -> np.ndarray:

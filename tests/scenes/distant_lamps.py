@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tests.scenes import look_at, rgb
-from torch_radbp.io.transform import scale
+from torch_radbp.io.values.transform import scale
 
 LAMPS: dict[str, dict[str, Any]] = {
     "directional": {"type": "directional", "to_world": look_at((3, 2, 1), (0, 0, 0), (0, 1, 0)), "irradiance": rgb(2, 2, 2)},

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from tests.scenes import diffuse, look_at, rgb, sensor
 from tests.scenes.quadrilateral import mesh_file
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 HALF = 40.0  # half the width of an endless plane
 PERIOD = 4.0  # of its texture, in units of length

@@ -38,7 +38,7 @@ from tests.scenes.parts import (
     turned,
 )
 from tests.scenes.quadrilateral import CORNERS, FACES, coloured_file, mesh_file, quadrilateral
-from torch_radbp.io.transform import rotate, scale
+from torch_radbp.io.values.transform import rotate, scale
 
 SUBJECT = "subject"
 

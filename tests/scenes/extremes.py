@@ -11,7 +11,7 @@ import torch
 import torch_radbp as rb
 from tests.scenes import GLOW, diffuse, look_at, rectangle, rgb, sensor, texels
 from tests.scenes.parts import FISHEYE, blurred, calibrated, parallel
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 SIZE = 6
 

@@ -14,7 +14,7 @@ import torch
 from tests.scenes import diffuse, look_at, rgb, sensor
 from tests.scenes.moving import TWIST, MovingScene, constant, rigid, scene, wave
 from tests.scenes.shadows import ABOVE, FINE, FLOOR, FLOOR_MIRROR, LAMPS, SIZE, WALL
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 VIEWED = sensor(SIZE, (0.3, -2.0, 2.6), (0.05, 0.1, 0.1), 40, rfilter="box")
 SKY, POINT = LAMPS["constant"], LAMPS["point"]

@@ -9,7 +9,7 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor, texels
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 FLOOR = {"floor": rectangle((0, -0.6, 0), 1.3, angle=-90, bsdf=diffuse(0.5, 0.6, 0.7))}
 

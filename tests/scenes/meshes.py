@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from tests.scenes import diffuse
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 POSE = translate((0.1, 0.05, 0)) @ rotate((1, 2, 3), 40) @ scale((0.6, 0.6, 0.6))
 

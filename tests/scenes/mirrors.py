@@ -12,7 +12,7 @@ from tests.scenes import diffuse, sensor
 from tests.scenes.inner_jumps import CHECKERBOARD
 from tests.scenes.moving import TWIST, MovingScene, constant, rigid, scene
 from tests.scenes.shadows import FLOOR, FLOOR_MIRROR, LAMPS, PLATE, bend
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 SIZE = 16
 FINE, MIDDLE = 0.005, 0.01

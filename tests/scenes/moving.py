@@ -44,7 +44,7 @@ from tests.scenes.endless import (
     window,
 )
 from tests.scenes.parts import FIELD_OF_VIEW, FISHEYE, THIN_PRISM, blurred, calibrated, parallel
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 TWIST = ((0.31, -0.43, 0.24), (0.37, -0.52, 0.29))  # a rotation vector and a translation, both generic
 SHIFT, TURN = ((0.0, 0.0, 0.0), TWIST[1]), (TWIST[0], (0.0, 0.0, 0.0))

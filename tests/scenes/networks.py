@@ -7,7 +7,7 @@ from torch import nn
 
 import torch_radbp as rb
 from tests.scenes import diffuse, load, rectangle, rgb, sensor
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 LAMP = {"type": "area", "radiance": rgb(6, 7, 8)}
 WHITE = diffuse(0.6, 0.5, 0.4)

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from tests.scenes import diffuse, look_at, rectangle, rgb, sensor, texels
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 TO_UV = translate((0.11, -0.07, 0)) @ rotate((0, 0, 1), 25) @ scale((1.4, 1.7, 1))  # of squares
 AIMED = look_at((0.9, 1.5, 2.8), (0.1, 0.05, 0), (0.1, 1, 0.2))

@@ -8,7 +8,7 @@ from tests.scenes import look_at, rgb
 from tests.scenes.inner_jumps import noise
 from tests.scenes.moving import MovingScene
 from tests.scenes.shadows import ABOVE, FINE, LAMPS, PLATE, PUSH, lit, moved
-from torch_radbp.io.transform import rotate, scale
+from torch_radbp.io.values.transform import rotate, scale
 
 PROJECTOR = {"type": "projector", "to_world": look_at(ABOVE, (0.1, 0.05, 0), (0.1, 1, 0)), "fov": 35, "scale": 6.0}
 TEXELS, SMOOTH = ({"type": "bitmap", "bitmap": 0.3 + noise(3, 4), "raw": True, "wrap_mode": "clamp", "filter_type": kind}

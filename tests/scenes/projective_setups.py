@@ -18,7 +18,7 @@ import torch_radbp as rb
 from tests.scenes import load, look_at, rgb
 from tests.scenes.endless import smooth_noise
 from tests.scenes.meshes import icosphere
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 IN_PLACE = torch.eye(4)
 FLOOR_OF_ERROR = 0.2  # of the reference, below which errors are relative to this

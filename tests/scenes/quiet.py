@@ -20,7 +20,7 @@ from tests.scenes.moving import MovingScene
 from tests.scenes.pairs import Pair, pairs_of
 from tests.scenes.parts import camera
 from torch_radbp.check.gradient import RELATIVE_STEP, checked_direction
-from torch_radbp.scene.pack import pack
+from torch_radbp.scene.packing.pack import pack
 
 MOVING = ("to_world", "to_uv", "vertex_positions", "vertex_normals", "vertex_texcoords", "position")
 FRONT = {"type": "point", "position": [0.9, 1.1, 2.3], "intensity": rgb(9, 8, 7)}

@@ -11,7 +11,7 @@ from torch import Tensor
 import torch_radbp as rb
 from tests.scenes import cornell, diffuse, load, rectangle, sensor, texels
 from tests.scenes.moving import SHIFT, TURN, rigid
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 
 class NoisyDerivative(NamedTuple):

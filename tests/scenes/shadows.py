@@ -13,7 +13,7 @@ from tests.scenes import diffuse, look_at, rgb, sensor
 from tests.scenes.endless import envmap, smooth_noise, textured
 from tests.scenes.moving import METAL, TWIST, MovingScene, constant, rigid, scene, wave
 from tests.scenes.parts import FISHEYE, blurred, calibrated, parallel
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 SIZE = 16
 FINE, MIDDLE, COARSE = 0.005, 0.01, 0.02  # steps of differences; where much moves in view, or sharply, they bend sooner

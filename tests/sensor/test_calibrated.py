@@ -9,11 +9,11 @@ import torch
 import torch_radbp as rb
 from tests.scenes import GLOW, load, look_at, rectangle, texels
 from tests.scenes.parts import FIELD_OF_VIEW, FISHEYE, THIN_PRISM, calibrated
-from torch_radbp.boundary import SilhouetteWarning
+from torch_radbp.boundary.terms.jump_watch import SilhouetteWarning
 from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
 from torch_radbp.film.tent import Tent
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 from torch_radbp.io.write import save
 from torch_radbp.jit.stages import compiled
 from torch_radbp.path.camera_rays import sample_camera

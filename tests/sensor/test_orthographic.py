@@ -8,10 +8,10 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes import GLOW, load, look_at, overhead, rectangle
-from torch_radbp.boundary import SilhouetteWarning
+from torch_radbp.boundary.terms.jump_watch import SilhouetteWarning
 from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 from torch_radbp.sensor.orthographic import Orthographic
 from torch_radbp.tensors.vec import Vec2
 

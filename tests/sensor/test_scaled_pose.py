@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 PINHOLE = {"type": "perspective", "fov": 50.0}
 LENS = {"type": "thinlens", "aperture_radius": 0.1, "fov": 50.0}

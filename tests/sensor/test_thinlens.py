@@ -8,10 +8,10 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes import GLOW, load, look_at, rectangle
-from torch_radbp.boundary import SilhouetteWarning
+from torch_radbp.boundary.terms.jump_watch import SilhouetteWarning
 from torch_radbp.film.box import Box
 from torch_radbp.film.hdrfilm import HDRFilm
-from torch_radbp.io.transform import rotate, translate
+from torch_radbp.io.values.transform import rotate, translate
 from torch_radbp.io.write import save
 from torch_radbp.jit.stages import compiled
 from torch_radbp.path.camera_rays import APERTURE_U, APERTURE_V, sample_camera

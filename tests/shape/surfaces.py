@@ -9,10 +9,10 @@ from torch import Tensor
 
 from tests.scenes import load, sensor, texels
 from torch_radbp.raycast import make_caster
-from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
-from torch_radbp.scene.pack import pack
-from torch_radbp.scene.part import part_of
+from torch_radbp.scene.packing.pack import pack
+from torch_radbp.scene.tables.part import part_of
 from torch_radbp.tensors.vec import Ray, Vec3
+from torch_radbp.vertex.interaction import SurfaceInteraction, surface_interaction
 
 TEXTURED = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels(2, 3)}}
 

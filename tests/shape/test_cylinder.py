@@ -7,7 +7,7 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes import load, sensor
-from torch_radbp.io.transform import rotate, translate
+from torch_radbp.io.values.transform import rotate, translate
 
 
 def cylinder(**attributes) -> torch.nn.Module:

@@ -11,11 +11,11 @@ import torch_radbp as rb
 from tests.scenes import diffuse, load, rectangle, rgb, sensor, texels
 from tests.scenes.quadrilateral import coloured_file
 from tests.shape.surfaces import TEXTURED, meets, of_point
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 from torch_radbp.io.write import save
 from torch_radbp.plugin.domain import Domain
-from torch_radbp.scene.pack import pack
-from torch_radbp.scene.pack_cache import PackCache
+from torch_radbp.scene.cache.pack_cache import PackCache
+from torch_radbp.scene.packing.pack import pack
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.shapegroup import ShapeGroup
 

@@ -11,7 +11,7 @@ from tests.formats.serialized_files import mesh, serialized
 from tests.shape.surfaces import TEXTURED, meets, of_point
 from torch_radbp.formats.mesh_arrays import MeshArrays
 from torch_radbp.formats.ply import write_ply
-from torch_radbp.io.transform import rotate, scale, translate
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 MIRROR = scale((-1, 1, 1))
 POSE = translate((0.1, -0.2, 0.3)) @ rotate((1, 0.3, 0.2), 40) @ scale((0.8, 0.8, 0.8))

@@ -8,9 +8,9 @@ from torch.autograd import forward_ad
 import torch_radbp as rb
 from tests.scenes import load, sensor
 from tests.shape.surfaces import meets
-from torch_radbp.io.transform import scale
-from torch_radbp.scene.pack import pack
-from torch_radbp.scene.pack_cache import PackCache
+from torch_radbp.io.values.transform import scale
+from torch_radbp.scene.cache.pack_cache import PackCache
+from torch_radbp.scene.packing.pack import pack
 from torch_radbp.shape import sdfgrid, zero_set
 from torch_radbp.shape.marching_cubes import case_table, faces, fan, loops
 from torch_radbp.shape.zero_set import vertices, zero_net

@@ -1,6 +1,6 @@
 """The slots of materials that take a texture, and what else a material needs that is to have one there."""
 
-from torch_radbp.io.attribute_values import options
+from torch_radbp.io.values.attribute_values import options
 from torch_radbp.plugin import REGISTRY, Texture, attributes
 
 WHITE = {"type": "diffuse", "reflectance": 0.8}

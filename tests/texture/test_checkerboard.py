@@ -10,11 +10,11 @@ from tests.scenes import load, rectangle, sensor, texels
 from tests.scenes.parts import TO_UV
 from torch_radbp.bsdf.number import NumberOf
 from torch_radbp.emitter.attributes import Scaled
-from torch_radbp.io.transform import scale
+from torch_radbp.interface.texture import TexturePoint
+from torch_radbp.io.values.transform import scale
 from torch_radbp.tensors.vec import Vec2
 from torch_radbp.texture.bitmap import Bitmap
 from torch_radbp.texture.checkerboard import Checkerboard
-from torch_radbp.texture.reader import TexturePoint
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 PLACES = [(0.1, 0.1), (0.3, 0.1), (0.3, 0.2), (-0.1, 0.1), (0.25, 0.1), (0.5, 0.0)]

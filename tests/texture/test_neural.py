@@ -10,18 +10,11 @@ from torch.func import functional_call
 import torch_radbp as rb
 from tests.allocated import allocated
 from tests.deep import deep_but_every
-from tests.gradients import (
-    MEMOIZED,
-    QUADRATIC,
-    assert_informative,
-    cotangent,
-    image_and_gradients,
-    relative_error,
-)
+from tests.gradients import MEMOIZED, QUADRATIC, assert_informative, cotangent, image_and_gradients, relative_error
 from tests.scenes import SKY, load, rectangle, sensor
 from tests.scenes.networks import LAMP, mlp, room, textured
 from tests.texture.slots import OTHERS, SLOTS, WHITE
-from torch_radbp.io.transform import scale
+from torch_radbp.io.values.transform import scale
 from torch_radbp.jit.stages import compiled
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")

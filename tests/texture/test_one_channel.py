@@ -7,7 +7,7 @@ from PIL import Image
 
 import torch_radbp as rb
 from torch_radbp.formats.image import read_image, save_image
-from torch_radbp.io.transform import translate
+from torch_radbp.io.values.transform import translate
 from torch_radbp.texture.bitmap import Bitmap
 
 GREY = np.random.default_rng(5).uniform(0.2, 0.8, (3, 4)).astype(np.float32)

@@ -12,9 +12,9 @@ from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor, texels
 from tests.scenes.parts import lamp, plane
 from tests.texture.texel_by_texel import reference
 from torch_radbp.call.render_call import start_paths
-from torch_radbp.io.transform import scale
-from torch_radbp.scene.pack import pack
-from torch_radbp.scene.pack_cache import PackCache
+from torch_radbp.io.values.transform import scale
+from torch_radbp.scene.cache.pack_cache import PackCache
+from torch_radbp.scene.packing.pack import pack
 from torch_radbp.tensors.vec import Vec2
 from torch_radbp.texture import bitmap as bitmap_file
 from torch_radbp.texture.bitmap import Bitmap, pyramid_bank

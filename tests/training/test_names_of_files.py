@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from torch_radbp.io.file_names import file_name
+from torch_radbp.formats.file_names import file_name
 from torch_radbp.training.commands.check import write_outcome
 
 pytestmark = pytest.mark.hostile

@@ -7,7 +7,6 @@ from torch import Tensor
 
 from torch_radbp.adjoint.local_map import Verdict, attached_vertex
 from torch_radbp.jit.dual import dual
-from torch_radbp.jit.team import loops_together
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.queues import Queue
@@ -22,6 +21,7 @@ from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined, rows_between
 from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import Ray, Vec3, rows
+from torch_radbp.threads.team import loops_together
 
 
 def trace_attached(integrand: Integrand, state: PathState, visit: Visit | None = None) -> Vec3:

@@ -16,18 +16,18 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.local_map import BothCorners, Verdict, local_map
+from torch_radbp.interface.texture import TextureValue
 from torch_radbp.path.state import Arrival, Position, Settings
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.cone import Cone
-from torch_radbp.scene.interaction import corner_rows
-from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.scene.triangle_corners import Corners, at_corners
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.scene.tables.triangle_corners import Corners, at_corners
 from torch_radbp.tensors.lookup import Tap, tapped
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.torch_internals import tree_map
 from torch_radbp.tensors.vec import Ray, Vec3, rows
 from torch_radbp.tensors.vector_jacobian import TableAdjoint, table_adjoints, vector_jacobian_product, zeros_unless
-from torch_radbp.texture.reader import TextureValue
+from torch_radbp.vertex.cone import Cone
+from torch_radbp.vertex.interaction import corner_rows
 
 
 class Memo(NamedTuple):

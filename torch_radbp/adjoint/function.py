@@ -18,15 +18,9 @@ from torch_radbp.adjoint.taped_sweep import sweep_of
 from torch_radbp.call.chunks import LaneBlock
 from torch_radbp.call.finite import FirstNonFinite, NonFiniteError, all_finite, count_of_bad, gradient_error
 from torch_radbp.call.pixels import weighted
-from torch_radbp.call.render_call import (
-    RenderCall,
-    integrand_of_wavefront,
-    start_paths,
-)
+from torch_radbp.call.render_call import RenderCall, integrand_of_wavefront, start_paths
 from torch_radbp.call.wavefronts import Wavefront
-from torch_radbp.call.workers import in_turns
 from torch_radbp.public_call import public_call
-from torch_radbp.scene.cone import Cone
 from torch_radbp.tensors.differentiated import differentiable
 from torch_radbp.tensors.lookup import summed
 from torch_radbp.tensors.record import leaves_of, mapped, rows_between, with_leaves
@@ -34,6 +28,8 @@ from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.torch_internals import batched
 from torch_radbp.tensors.vec import Ray
 from torch_radbp.tensors.vector_jacobian import vector_jacobian_product, zeros_unless
+from torch_radbp.threads.workers import in_turns
+from torch_radbp.vertex.cone import Cone
 
 SAVED = object()  # stands for a tensor that autograd keeps
 

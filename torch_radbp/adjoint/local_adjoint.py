@@ -14,21 +14,21 @@ from torch_radbp.adjoint.bounce import DifferentiatedPart, LanesOfChunk, Memo, b
 from torch_radbp.adjoint.local_map import Verdict
 from torch_radbp.adjoint.outside import values_that_move
 from torch_radbp.adjoint.scatter import Contribution
+from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.event import Ends, Event
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import Queue
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Step, cut_to_count
 from torch_radbp.path.texture_networks import Asking, values_of_queues
-from torch_radbp.scene.appearance import Appearance
-from torch_radbp.scene.interaction import corner_rows
-from torch_radbp.scene.part import leaves_of_part
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.tables.appearance import Appearance
+from torch_radbp.scene.tables.part import leaves_of_part
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.record import rows_between
 from torch_radbp.tensors.stage import Stage
 from torch_radbp.tensors.vec import Vec3, rows
 from torch_radbp.tensors.vector_jacobian import TableAdjoint
-from torch_radbp.texture.reader import Place, TextureValue
+from torch_radbp.vertex.interaction import corner_rows
 
 
 class Differentiated(NamedTuple):

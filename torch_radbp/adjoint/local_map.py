@@ -7,14 +7,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.interface.texture import TextureValue
 from torch_radbp.path.bounce import gathered
 from torch_radbp.path.state import Arrival, PathState, Position, Settings
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.scene.triangle_corners import Corners
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.scene.tables.triangle_corners import Corners
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Vec3, masked, rows
-from torch_radbp.texture.reader import TextureValue
 
 MISS = Hit(-1, 0.0, 0.0, 0.0, 0)
 

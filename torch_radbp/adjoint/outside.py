@@ -9,20 +9,12 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.scatter import Gradients
-from torch_radbp.path.texture_networks import (
-    Asking,
-    Given,
-    asked_outside,
-    banks_asked,
-    coordinates,
-    module_banks,
-    of_banks,
-)
-from torch_radbp.scene.appearance import Appearance
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.interface.texture import Place, TextureValue
+from torch_radbp.path.texture_networks import Asking, Given, asked_outside, banks_asked, coordinates, module_banks, of_banks
+from torch_radbp.scene.tables.appearance import Appearance
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.vec import Vec2, Vec3
 from torch_radbp.texture.module_bank import ModuleBank
-from torch_radbp.texture.reader import Place, TextureValue
 
 HELD = 1 << 17  # lanes that have reached a bounce, whose adjoints are held back at the most, but for one bounce
 

@@ -20,7 +20,6 @@ from torch_radbp.call.render_call import (
     started,
 )
 from torch_radbp.call.wavefronts import Wavefront
-from torch_radbp.jit.team import each, threads
 from torch_radbp.jit.tiles import TILE
 from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.path.integrand import Integrand
@@ -32,6 +31,7 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined, leaves_of, rows_between
 from torch_radbp.tensors.vec import Vec3
+from torch_radbp.threads.team import each, threads
 
 MANY = 2 * TILE  # lanes of an image from which on those of its derivative are traced apart, at the same time
 

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.call.zeroed_memory import ZeroedMemory, zeros
 from torch_radbp.jit.scatter import MOST_TABLES, PAGE_BITS, Addition, Sums, copies, scatter_add
-from torch_radbp.jit.team import threads, together, until_none_is_left
+from torch_radbp.threads.team import threads, together, until_none_is_left
+from torch_radbp.threads.zeroed_memory import ZeroedMemory, zeros
 
 PAGE = 1 << PAGE_BITS  # entries
 PIECE = 1 << 16  # totals that a thread sums at a time: half a megabyte, which its cache holds

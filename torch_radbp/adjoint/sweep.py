@@ -31,7 +31,7 @@ from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Step, survivors
 from torch_radbp.path.wavefront import take_step
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.record import with_leaves
 from torch_radbp.tensors.vec import Vec2, Vec3
 

@@ -12,9 +12,10 @@ from torch_radbp.adjoint.bounce import Memo
 from torch_radbp.adjoint.outside import ModuleAdjoint
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
-from torch_radbp.jit.board import Board, board
-from torch_radbp.jit.lane_count import LaneCount
-from torch_radbp.jit.recording import Reserve
+from torch_radbp.interface.texture import TextureValue
+from torch_radbp.jit.cpu.board import Board, board
+from torch_radbp.jit.recording.lane_count import LaneCount
+from torch_radbp.jit.recording.recording import Reserve
 from torch_radbp.jit.tape import Played, without_contents
 from torch_radbp.path.event import Event
 from torch_radbp.path.integrand import Integrand
@@ -24,10 +25,9 @@ from torch_radbp.path.step import Onward, Step, surviving
 from torch_radbp.path.taped_bounces import recordable, tape_of
 from torch_radbp.path.texture_networks import number_outside
 from torch_radbp.path.wavefront import take_step
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.vec import Vec3
-from torch_radbp.texture.reader import TextureValue
 
 TextureValues = tuple[TextureValue, ...] | None
 QueueKind = tuple[Event, bool, bool]  # what happens, and whether lanes are of the image, and of the derivative

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from torch_radbp.aov.surface import Values
+from torch_radbp.interface.texture import TextureValue
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.sorting import queued
 from torch_radbp.path.state import Arrival, PathState, Settings
 from torch_radbp.path.surface import surface_met
 from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.material import material_at, material_places
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.lookup import lookup, summed
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import rows, where
-from torch_radbp.texture.reader import TextureValue
+from torch_radbp.vertex.material import material_at, material_places
 
 
 def turns_normals(scene: SceneTensors) -> bool:

@@ -8,14 +8,20 @@ import torch
 from torch import Tensor
 
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.interaction import corner_rows, shading_normal, triangle_normal, unit_normal_shown, where_the_ray_goes
-from torch_radbp.scene.part import part_of
-from torch_radbp.scene.placement import for_lanes, points_in_world
-from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.scene.triangle_corners import at_corners, edges
+from torch_radbp.scene.tables.part import part_of
+from torch_radbp.scene.tables.placement import for_lanes, points_in_world
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.scene.tables.triangle_corners import at_corners, edges
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Frame, Ray, Vec2, Vec3, attached, dot, interpolated, where
+from torch_radbp.vertex.interaction import (
+    corner_rows,
+    shading_normal,
+    triangle_normal,
+    unit_normal_shown,
+    where_the_ray_goes,
+)
 
 Values = tuple[Tensor, ...]  # (N,) one for each channel
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, chance_of_lobe, either, on_horizon_unless
 from torch_radbp.bsdf.number import NumberOf
+from torch_radbp.interface.bsdf import Kind, LobeChoice, Values, chance_of_lobe, either, on_horizon_unless
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.plugin.domain import FRACTION, Domain
 from torch_radbp.tensors.differentiated import differentiated

@@ -14,9 +14,9 @@ from torch import Tensor
 from torch_radbp.bsdf.features import Number
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.microfacet import GGX
+from torch_radbp.interface.texture import LUMINANCE
 from torch_radbp.plugin.domain import FRACTION
 from torch_radbp.tensors.vec import Vec3, attached
-from torch_radbp.texture.reader import LUMINANCE
 
 SMALLEST_ALPHA = 1e-3  # a smoother surface counts as this rough
 SMALLEST_ROUGHNESS = SMALLEST_ALPHA**0.5

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torch_radbp.bsdf.fresnel import conductor_reflectance
 from torch_radbp.bsdf.ior import complex_index
-from torch_radbp.bsdf.kind import DeltaKind, LobeChoice, Values, reflects
+from torch_radbp.interface.bsdf import DeltaKind, LobeChoice, Values, reflects
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.plugin.domain import AMOUNT, REFLECTANCE, Domain
 from torch_radbp.tensors.vec import Vec3

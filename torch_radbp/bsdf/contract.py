@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Kind, LobeChoice, Values
+from torch_radbp.interface.bsdf import Kind, LobeChoice, Values
 from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.tensors.vec import Vec3
 

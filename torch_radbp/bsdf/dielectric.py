@@ -10,8 +10,8 @@ from torch import Tensor
 
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.ior import index_of_refraction
-from torch_radbp.bsdf.kind import DeltaKind, LobeChoice, Values, side_of
 from torch_radbp.bsdf.number import OwnNumber
+from torch_radbp.interface.bsdf import DeltaKind, LobeChoice, Values, side_of
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.plugin.domain import NUMBER, REFLECTANCE, Domain
 from torch_radbp.tensors.vec import Vec3

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Kind, LobeChoice, Values
+from torch_radbp.interface.bsdf import Kind, LobeChoice, Values
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.plugin.domain import REFLECTANCE, Domain
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere

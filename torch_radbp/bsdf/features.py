@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from torch import Tensor, nn
 
-from torch_radbp.bsdf.kind import Kind, Values
+from torch_radbp.interface.bsdf import Kind, Values
 from torch_radbp.plugin import Texture
 from torch_radbp.tensors.differentiated import differentiated
 from torch_radbp.texture.rgb import RGB

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from torch_radbp.bsdf.blendbsdf import BlendKind, is_still
-from torch_radbp.bsdf.kind import Kind, Values
 from torch_radbp.bsdf.null import NullKind
 from torch_radbp.bsdf.number import NumberOf
+from torch_radbp.interface.bsdf import Kind, Values
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.plugin.domain import FRACTION, Domain
 from torch_radbp.tensors.vec import Vec3

@@ -34,7 +34,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Kind, Values
+from torch_radbp.interface.bsdf import Kind, Values
 from torch_radbp.tensors.vec import TINY, Vec2, Vec3, dot, normalize
 
 SMALLEST_ALPHA = 1e-4  # as in Mitsuba: a smoother surface counts as this rough

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import torch
 
-from torch_radbp.bsdf.kind import Kind, Values
 from torch_radbp.bsdf.turned import TurnedKind
+from torch_radbp.interface.bsdf import Kind, Values
 from torch_radbp.plugin import BSDF, Texture, boolean, register
 from torch_radbp.plugin.domain import Domain
 from torch_radbp.tensors.vec import Vec3

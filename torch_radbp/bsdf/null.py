@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import DeltaKind, LobeChoice, Values
+from torch_radbp.interface.bsdf import DeltaKind, LobeChoice, Values
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.tensors.vec import Vec3
 

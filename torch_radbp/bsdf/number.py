@@ -6,11 +6,11 @@ from dataclasses import replace
 
 from torch import Tensor
 
+from torch_radbp.interface.texture import Reader
 from torch_radbp.plugin import BSDF, Plugin, Texture
 from torch_radbp.texture.bitmap import reader_of
 from torch_radbp.texture.colour import Colour
 from torch_radbp.texture.module_function import ModuleFunction
-from torch_radbp.texture.reader import Reader
 from torch_radbp.texture.slope import slope_reader
 
 

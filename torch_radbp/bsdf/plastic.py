@@ -16,8 +16,8 @@ from torch import Tensor
 
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.bsdf.ior import index_of_refraction
-from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, chance_of_lobe, reflects
 from torch_radbp.bsdf.number import OwnNumber
+from torch_radbp.interface.bsdf import Kind, LobeChoice, Values, chance_of_lobe, reflects
 from torch_radbp.plugin import BSDF, Texture, boolean, register
 from torch_radbp.plugin.domain import NUMBER, REFLECTANCE, Domain
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere

@@ -40,7 +40,9 @@ from torch_radbp.bsdf.clearcoat import Clearcoat, shadowing
 from torch_radbp.bsdf.dielectric import relative_index
 from torch_radbp.bsdf.features import FeaturedKind, Number
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import (
+from torch_radbp.bsdf.microfacet import GGX, half_vector
+from torch_radbp.bsdf.roughdielectric import apart_from_one
+from torch_radbp.interface.bsdf import (
     LobeChoice,
     Values,
     above,
@@ -50,8 +52,6 @@ from torch_radbp.bsdf.kind import (
     side_of,
     values_for_choice,
 )
-from torch_radbp.bsdf.microfacet import GGX, half_vector
-from torch_radbp.bsdf.roughdielectric import apart_from_one
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere
 from torch_radbp.tensors.vec import Vec3, dot, where
 

@@ -36,9 +36,9 @@ from torch_radbp.bsdf.burley import (
 )
 from torch_radbp.bsdf.features import FeaturedKind, Number, features_of
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import LobeChoice, Values, above, choice_among, on_horizon_unless, side_of, values_for_choice
 from torch_radbp.bsdf.microfacet import GGX, half_vector
 from torch_radbp.bsdf.number import NumberOf
+from torch_radbp.interface.bsdf import LobeChoice, Values, above, choice_among, on_horizon_unless, side_of, values_for_choice
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.plugin.domain import FRACTION, LARGEST_AMOUNT, REFLECTANCE, Domain
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere

@@ -40,8 +40,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.fresnel import dielectric_reflectance, unpolarised
-from torch_radbp.bsdf.kind import above
 from torch_radbp.bsdf.microfacet import GGX, Beckmann, floored, microfacets
+from torch_radbp.interface.bsdf import above
 from torch_radbp.tensors.vec import Vec3, dot
 
 TERMS = 11  # of the polynomial

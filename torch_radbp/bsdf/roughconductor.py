@@ -8,9 +8,9 @@ from torch import Tensor
 
 from torch_radbp.bsdf.fresnel import conductor_reflectance
 from torch_radbp.bsdf.ior import complex_index
-from torch_radbp.bsdf.kind import LobeChoice, Values, above, reflects
 from torch_radbp.bsdf.microfacet import MicrofacetKind, half_vector
 from torch_radbp.bsdf.roughness import ROUGHNESS, make_rough
+from torch_radbp.interface.bsdf import LobeChoice, Values, above, reflects
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.plugin.domain import AMOUNT, REFLECTANCE, Domain
 from torch_radbp.tensors.vec import Vec3, dot

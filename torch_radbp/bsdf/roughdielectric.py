@@ -10,9 +10,9 @@ from torch import Tensor
 
 from torch_radbp.bsdf.dielectric import Dielectric, blend, decide, relative_index
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import LobeChoice, Values, above, on_horizon_unless, side_of, values_for_choice
 from torch_radbp.bsdf.microfacet import MicrofacetKind, half_vector
 from torch_radbp.bsdf.roughness import ROUGHNESS, make_rough
+from torch_radbp.interface.bsdf import LobeChoice, Values, above, on_horizon_unless, side_of, values_for_choice
 from torch_radbp.plugin import Texture, register
 from torch_radbp.plugin.domain import Domain
 from torch_radbp.tensors.vec import Vec3, dot

@@ -12,12 +12,12 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, above, chance_of_lobe, reflects
 from torch_radbp.bsdf.microfacet import SMALLEST_ALPHA, MicrofacetKind, half_vector
 from torch_radbp.bsdf.number import ComputedNumbers, OwnNumber
 from torch_radbp.bsdf.plastic import Plastic, coat_or_base, coated, specular_chance
 from torch_radbp.bsdf.rough_coat import SUMS, abscissa, coat_of
 from torch_radbp.bsdf.roughness import check_distribution
+from torch_radbp.interface.bsdf import Kind, LobeChoice, Values, above, chance_of_lobe, reflects
 from torch_radbp.plugin import Texture, boolean, register
 from torch_radbp.plugin.domain import LARGEST_AMOUNT, NUMBER, Domain
 from torch_radbp.sampling.warp import cosine_hemisphere_pdf, square_to_cosine_hemisphere

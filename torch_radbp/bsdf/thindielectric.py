@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torch_radbp.bsdf.dielectric import Dielectric, blend, decide
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
-from torch_radbp.bsdf.kind import DeltaKind, LobeChoice, Values
+from torch_radbp.interface.bsdf import DeltaKind, LobeChoice, Values
 from torch_radbp.plugin import register
 from torch_radbp.tensors.vec import Vec3
 

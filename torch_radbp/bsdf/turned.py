@@ -24,7 +24,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, on_horizon_unless
+from torch_radbp.interface.bsdf import Kind, LobeChoice, Values, on_horizon_unless
 from torch_radbp.tensors.vec import Frame, Vec3, dot, where
 
 SHORTEST = 1e-8  # squared length of a normal; one that is shorter counts as not turned

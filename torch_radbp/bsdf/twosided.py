@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_radbp.bsdf.kind import Kind, LobeChoice, Values, either, side_of
+from torch_radbp.interface.bsdf import Kind, LobeChoice, Values, either, side_of
 from torch_radbp.plugin import BSDF, Texture, boolean, register
 from torch_radbp.tensors.vec import Vec3, where
 

@@ -16,8 +16,8 @@ from torch_radbp.path.bounce import bounce, ending
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import Arrival, Position
 from torch_radbp.plugin import Plugin, Texture
-from torch_radbp.scene import Scene
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.modules.scene import Scene
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.stage import PlainStages
 from torch_radbp.tensors.vec import rows
 from torch_radbp.texture.module_function import SMOOTH

@@ -12,19 +12,19 @@ from torch_radbp.call.sink import Sink
 from torch_radbp.call.source import Cameras, PathSource
 from torch_radbp.call.view import View
 from torch_radbp.call.wavefronts import Wavefront
-from torch_radbp.call.workers import in_turns
-from torch_radbp.call.zeroed_memory import ZeroedMemory
 from torch_radbp.path.camera_rays import CameraSample, sample_camera
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState, start_path
 from torch_radbp.raycast import RayCaster
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene import Scene
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.modules.scene import Scene
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.stage import Stages
 from torch_radbp.tensors.vec import Vec3
+from torch_radbp.threads.workers import in_turns
+from torch_radbp.threads.zeroed_memory import ZeroedMemory
 
 Result = TypeVar("Result")
 

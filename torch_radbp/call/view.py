@@ -8,12 +8,12 @@ import torch
 
 from torch_radbp.film.develop import Grid
 from torch_radbp.film.window import Window
+from torch_radbp.interface.instances import Instances
 from torch_radbp.plugin import Sensor
 from torch_radbp.sampling.sampler import APART, FilmOrder, SampleKey, film_order, sample_key
-from torch_radbp.scene.pack_cache import PackCache
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.cache.pack_cache import PackCache
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.shape.placement import Instances
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.vec import Vec3
 

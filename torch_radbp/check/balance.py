@@ -14,11 +14,11 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.contract import CheckedKind
-from torch_radbp.bsdf.kind import Kind, Values
 from torch_radbp.check.lanes import LaneNumbers, choices, direction, directions, random_numbers, sampled, weight_of
 from torch_radbp.check.report import Finding
 from torch_radbp.check.scattering import SIGMAS, VIEWERS, Subject
 from torch_radbp.check.sphere import AZIMUTH
+from torch_radbp.interface.bsdf import Kind, Values
 from torch_radbp.tensors.vec import Vec3, dot
 
 SAME = 1e-6  # relative, to rounding

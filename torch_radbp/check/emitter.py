@@ -20,7 +20,8 @@ from torch_radbp.check.lanes import directions, unit_length_error
 from torch_radbp.check.report import Finding, PluginCheck, worst
 from torch_radbp.check.scattering import LENGTH, QUADRATURE, SIGMAS
 from torch_radbp.check.sphere import COLUMNS, ROWS, Cells, angles
-from torch_radbp.emitter.kind import Light
+from torch_radbp.connection.light import LightSample, sample_light
+from torch_radbp.interface.emitter import Light
 from torch_radbp.io.build import build_plugin, build_scene
 from torch_radbp.plugin import integer
 from torch_radbp.public_call import public_call
@@ -28,15 +29,14 @@ from torch_radbp.raycast import make_caster
 from torch_radbp.rendering.settings import checked_seed
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF
-from torch_radbp.scene.emission import emitted_by_surface, emitted_by_surround, pdf_of_surface, pdf_of_surround
-from torch_radbp.scene.interaction import surface_interaction
-from torch_radbp.scene.light import LightSample, sample_light
-from torch_radbp.scene.light_choice import LightNumbers
-from torch_radbp.scene.pack import pack
-from torch_radbp.scene.scene import Scene
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.modules.scene import Scene
+from torch_radbp.scene.packing.pack import pack
+from torch_radbp.scene.tables.light_choice import LightNumbers
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.vec import Ray, Vec3, dot, rows
 from torch_radbp.texture.rgb import RGB
+from torch_radbp.vertex.emission import emitted_by_surface, emitted_by_surround, pdf_of_surface, pdf_of_surround
+from torch_radbp.vertex.interaction import surface_interaction
 
 FEWEST_SAMPLES = 10_000
 PLACES = {"before it": (0.2, -0.3, 1.5), "beside it": (1.8, 0.9, 0.6), "close by": (0.3, 0.1, 0.15),

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from torch_radbp.plugin import Plugin
 from torch_radbp.plugin.domain import Domain
-from torch_radbp.scene.parameters import Held, held_in
+from torch_radbp.scene.modules.parameters import Held, held_in
 
 Made = TypeVar("Made", bound=Plugin)
 

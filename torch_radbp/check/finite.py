@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.contract import CheckedKind
-from torch_radbp.bsdf.kind import Kind, Values
 from torch_radbp.check.lanes import LaneNumbers
+from torch_radbp.interface.bsdf import Kind, Values
 from torch_radbp.tensors.vec import Vec3
 
 COSINE = (1.0, 1 - 1e-7, 0.75**0.5, 0.5, 1e-3, 1e-7, 0.0, -1e-7, -1e-3, -0.5, -1.0)

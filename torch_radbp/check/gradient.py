@@ -34,7 +34,7 @@ from torch.func import functional_call
 from torch.nn.functional import interpolate
 from typing_extensions import Unpack
 
-from torch_radbp.boundary import SilhouetteWarning
+from torch_radbp.boundary.terms.jump_watch import SilhouetteWarning
 from torch_radbp.check.outcome import BIASED, TOO_LARGE, GradientCheck, Question, judge, said_of_floor, said_of_step
 from torch_radbp.check.statistics import Cotangent, Estimates, compare
 from torch_radbp.check.stencil import ParameterMove, floor_of, inside
@@ -43,7 +43,7 @@ from torch_radbp.public_call import passing_on, public_call
 from torch_radbp.rendering.jvp import rendering_with_tangent
 from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.rendering.settings import TERMS, RendererSettings, SensorChoice, checked_seed
-from torch_radbp.scene import Scene
+from torch_radbp.scene.modules.scene import Scene
 
 BATCHES = 16
 FEWEST_BATCHES = 8  # with fewer, a standard error is itself too uncertain

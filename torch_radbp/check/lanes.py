@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.contract import CheckedKind
-from torch_radbp.bsdf.kind import Kind, LobeChoice, Values
+from torch_radbp.interface.bsdf import Kind, LobeChoice, Values
+from torch_radbp.interface.texture import TexturePoint, TriangleEdges
 from torch_radbp.plugin import BSDF, Texture
 from torch_radbp.tensors.vec import Vec2, Vec3, dot, normalize
 from torch_radbp.texture.bitmap import reader_of
-from torch_radbp.texture.reader import TexturePoint, TriangleEdges
 
 ATTRIBUTE = 0.5  # what attributes of meshes are, since there is no mesh
 FINE = -30.0  # logarithm of a footprint without extent

@@ -18,11 +18,11 @@ import torch
 from torch import Tensor
 
 from torch_radbp.bsdf.contract import CheckedKind
-from torch_radbp.bsdf.kind import Kind, LobeChoice, Values
 from torch_radbp.check.chi_square import SIGNIFICANCE, p_value
 from torch_radbp.check.lanes import direction, directions, random_numbers, sampled, unit_length_error, weight_of
 from torch_radbp.check.report import Finding, worst
 from torch_radbp.check.sphere import AZIMUTH, Cells, Integral
+from torch_radbp.interface.bsdf import Kind, LobeChoice, Values
 from torch_radbp.tensors.vec import Vec3, rows
 
 VIEWERS = {"normal": 1.0, "steep": 0.9, "oblique": 0.5, "grazing": 0.08, "behind": -0.6, "grazing behind": -0.1}

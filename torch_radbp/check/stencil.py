@@ -10,10 +10,10 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 from torch_radbp.plugin.domain import LEEWAY, Domain
-from torch_radbp.scene import Scene
-from torch_radbp.scene.attributes import attributes_read, check_attributes
-from torch_radbp.scene.pack_cache import PackCache
-from torch_radbp.scene.parameters import check_parameters, held_values
+from torch_radbp.scene.cache.pack_cache import PackCache
+from torch_radbp.scene.modules.parameters import check_parameters, held_values
+from torch_radbp.scene.modules.scene import Scene
+from torch_radbp.scene.packing.attributes import attributes_read, check_attributes
 
 PARTS = (1.0, 0.25, 1 / 16)  # of a step that was not asked for, if it leaves a narrow domain
 ROUNDING = 1e-6  # how far a place may be outside of a range, as a share of its numbers: 0.9 + 0.1 in float32 is more than 1

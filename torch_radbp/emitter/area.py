@@ -10,9 +10,9 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torch_radbp.emitter.bounds import LightBounds
-from torch_radbp.emitter.kind import NEAREST, Aim, EmittingTriangles, Pick, ShadowSource, SurfaceKind
 from torch_radbp.emitter.surface import SurfaceLight
+from torch_radbp.interface.emitter import NEAREST, Aim, EmittingTriangles, Pick, ShadowSource, SurfaceKind
+from torch_radbp.interface.emitter_bounds import LightBounds
 from torch_radbp.plugin import register
 from torch_radbp.sampling.sampler import unit
 from torch_radbp.sampling.warp import square_to_uniform_triangle

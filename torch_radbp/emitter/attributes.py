@@ -7,11 +7,11 @@ import math
 import torch
 from torch import Tensor
 
+from torch_radbp.interface.texture import Reader
 from torch_radbp.plugin import Emitter, Texture
 from torch_radbp.plugin.domain import NUMBER
 from torch_radbp.texture.bitmap import reader_of
 from torch_radbp.texture.colour import Colour
-from torch_radbp.texture.reader import Reader
 from torch_radbp.texture.rgb import as_texture
 
 FACTOR = NUMBER._replace(low=0.0)

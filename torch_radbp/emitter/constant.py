@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.attributes import colour, weight
-from torch_radbp.emitter.kind import Aim, Light, Pick, SurroundKind
+from torch_radbp.interface.emitter import Aim, Light, Pick, SurroundKind
 from torch_radbp.plugin import Matrix4, Texture, register
 from torch_radbp.plugin.domain import AMOUNT, Domain
 from torch_radbp.sampling.sampler import unit

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.attributes import colour, weight
-from torch_radbp.emitter.kind import Aim, Light, LightKind, Pick, ShadowSource
+from torch_radbp.interface.emitter import Aim, Light, LightKind, Pick, ShadowSource
 from torch_radbp.plugin import Matrix4, Point3, Texture, finite, register
 from torch_radbp.plugin.domain import AMOUNT, POSE, Domain
 from torch_radbp.pose import look_at

@@ -8,8 +8,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torch_radbp.emitter.kind import Aim, EmittingTriangles, Pick, ShadowSource, SurfaceKind
 from torch_radbp.emitter.surface import SurfaceLight
+from torch_radbp.interface.emitter import Aim, EmittingTriangles, Pick, ShadowSource, SurfaceKind
 from torch_radbp.plugin import register
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Ray, Vec3, crossing, dot, interpolated

@@ -18,8 +18,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.attributes import FACTOR, factor, linear_inverse, weight
-from torch_radbp.emitter.kind import Aim, Light, Pick, SurroundKind
 from torch_radbp.emitter.latitude_longitude import latitude_longitude, local_direction, texels_around
+from torch_radbp.interface.emitter import Aim, Light, Pick, SurroundKind
+from torch_radbp.interface.texture import LUMINANCE
 from torch_radbp.plugin import Filename, Matrix4, register
 from torch_radbp.plugin.domain import AMOUNT, POSE, Domain
 from torch_radbp.sampling.grid import GridDistribution, grid_distribution
@@ -29,7 +30,6 @@ from torch_radbp.tensors.interleaved import columns_of_rows
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Frame, Vec2, Vec3, dot
 from torch_radbp.texture.bitmap import IMAGES, linear_image
-from torch_radbp.texture.reader import LUMINANCE
 from torch_radbp.transforms import transform
 
 EVEN = 4.0  # the mean square of light, over the square of its mean, up to which it is even

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.attributes import colour, weight
-from torch_radbp.emitter.bounds import LightBounds
-from torch_radbp.emitter.kind import Light, ShadowSource
 from torch_radbp.emitter.positional import PositionalKind, at
+from torch_radbp.interface.emitter import Light, ShadowSource
+from torch_radbp.interface.emitter_bounds import LightBounds
 from torch_radbp.plugin import Matrix4, Point3, Texture, finite, register
 from torch_radbp.plugin.domain import AMOUNT, POINT, Domain
 from torch_radbp.tensors.vec import Vec3

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.attributes import linear_inverse
-from torch_radbp.emitter.kind import NEAREST, Aim, LightKind, Pick, ShadowSource, Table
+from torch_radbp.interface.emitter import NEAREST, Aim, LightKind, Pick, ShadowSource, Table
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Frame, Vec2, Vec3, cross, dot
 

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.attributes import FACTOR, Scaled, factor, weight
-from torch_radbp.emitter.bounds import LightBounds
-from torch_radbp.emitter.kind import Light, ShadowSource
 from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes
+from torch_radbp.interface.emitter import Light, ShadowSource
+from torch_radbp.interface.emitter_bounds import LightBounds
 from torch_radbp.plugin import Matrix4, Texture, register
 from torch_radbp.plugin.domain import AMOUNT, POSE, Domain
 from torch_radbp.plugin.jump_lines import JumpLines

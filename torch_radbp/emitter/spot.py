@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.attributes import Scaled, colour, weight
-from torch_radbp.emitter.bounds import LightBounds
-from torch_radbp.emitter.kind import NEAREST, Light, ShadowSource
 from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes, direction_to_local
+from torch_radbp.interface.emitter import NEAREST, Light, ShadowSource
+from torch_radbp.interface.emitter_bounds import LightBounds
 from torch_radbp.plugin import Matrix4, Texture, register, warn_of_radians
 from torch_radbp.plugin.domain import AMOUNT, NUMBER, POSE, Domain
 from torch_radbp.plugin.jump_lines import JumpLines

@@ -24,14 +24,14 @@ from torch import Tensor
 
 from torch_radbp.emitter.attributes import FACTOR, colour, factor, weight
 from torch_radbp.emitter.envmap import Envmap, EnvmapKind, EnvmapTable, density, envmap_table, sample_direction
-from torch_radbp.emitter.kind import Aim, Light, Pick, SurroundKind
 from torch_radbp.emitter.sun_position import PlaceAndTime, check_place_and_time, sun_position
+from torch_radbp.interface.emitter import Aim, Light, Pick, SurroundKind
+from torch_radbp.interface.texture import LUMINANCE
 from torch_radbp.plugin import Matrix4, Point3, SceneWarning, Texture, finite, register
 from torch_radbp.plugin.domain import FRACTION, NUMBER, Domain
 from torch_radbp.sampling.sampler import fine_unit
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Frame, Vec3, dot, where
-from torch_radbp.texture.reader import LUMINANCE
 from torch_radbp.transforms import affine
 
 DATA = Path(__file__).with_name("sunsky_data.npz")  # its origin: sunsky_data.md

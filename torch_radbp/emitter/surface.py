@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from torch_radbp.emitter.attributes import weight
-from torch_radbp.emitter.kind import Light
+from torch_radbp.interface.emitter import Light
 from torch_radbp.plugin import Texture
 from torch_radbp.plugin.domain import AMOUNT, Domain
 from torch_radbp.texture.rgb import as_texture

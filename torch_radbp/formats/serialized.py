@@ -16,14 +16,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from torch_radbp.formats.mesh_arrays import (
-    MeshArrays,
-    check_finite,
-    usable_normals,
-    usable_positions,
-    usable_uv,
-    used_by,
-)
+from torch_radbp.formats.mesh_arrays import MeshArrays, check_finite, usable_normals, usable_positions, usable_uv, used_by
 
 MAGIC, VERSIONS = 0x041C, (3, 4)
 HEADER = struct.Struct("<HH")

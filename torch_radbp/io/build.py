@@ -17,14 +17,22 @@ from torch import nn
 import torch_radbp.io.absent  # noqa: F401 (registers why plugins are missing)
 from torch_radbp.formats.files import otherwise_spelled
 from torch_radbp.formats.leniency import Repairs
-from torch_radbp.io.attribute_values import convert, is_list, is_named, options, plugin_categories, value_text, with_article
-from torch_radbp.io.bitmap_object import is_bitmap_object, linear_values
-from torch_radbp.io.colour_values import colour_value, is_colour
 from torch_radbp.io.gltf.document import Losses
 from torch_radbp.io.gltf.names import Names
 from torch_radbp.io.gltf.read import said
-from torch_radbp.io.spd import read_spectrum
 from torch_radbp.io.trimesh_shape import Looks, with_arrays, with_shapes
+from torch_radbp.io.values.attribute_values import (
+    convert,
+    is_list,
+    is_named,
+    options,
+    plugin_categories,
+    value_text,
+    with_article,
+)
+from torch_radbp.io.values.bitmap_object import is_bitmap_object, linear_values
+from torch_radbp.io.values.colour_values import colour_value, is_colour
+from torch_radbp.io.values.spd import read_spectrum
 from torch_radbp.io.xml_scene import XMLObject, find_file
 from torch_radbp.plugin import (
     ABSENT,
@@ -39,7 +47,7 @@ from torch_radbp.plugin import (
     nearest,
     no_gradient,
 )
-from torch_radbp.scene.scene import Scene
+from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.shape.mesh import TensorMesh
 
 MAX_DEPTH = 100  # of objects in objects, references followed

@@ -17,7 +17,7 @@ from torch_radbp.io.gltf.read import read_gltf
 from torch_radbp.io.xml_scene import read_scene
 from torch_radbp.plugin import SceneError
 from torch_radbp.public_call import public_call
-from torch_radbp.scene.scene import Scene
+from torch_radbp.scene.modules.scene import Scene
 
 CPU = torch.device("cpu")
 WORDS = {"true": True, "false": False}  # of a command line

@@ -23,7 +23,7 @@ from torch_radbp.io.gltf.read import said
 from torch_radbp.io.gltf.write import is_upright_in_v
 from torch_radbp.io.gltf.written import Written
 from torch_radbp.plugin import Emitter, SceneError, SceneWarning, Sensor
-from torch_radbp.scene.scene import Scene
+from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface, Triangles
 

@@ -11,16 +11,16 @@ import torch
 
 from torch_radbp.formats.trimesh_arrays import is_trimesh, placed_meshes
 from torch_radbp.integrator.path import Path
-from torch_radbp.io.attribute_values import value_text
 from torch_radbp.io.gltf.document import DocumentPart, Losses
 from torch_radbp.io.gltf.lamp import sensor_of_camera as camera_of
 from torch_radbp.io.gltf.names import Names
 from torch_radbp.io.gltf.read import Options, complete, gltf_options, said
 from torch_radbp.io.load import built
 from torch_radbp.io.trimesh_shape import SOURCE, Looks, dress
+from torch_radbp.io.values.attribute_values import value_text
 from torch_radbp.plugin import Plugin, SceneError, SceneWarning
 from torch_radbp.public_call import public_call
-from torch_radbp.scene.scene import Scene
+from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.shape.mesh import TensorMesh
 
 if TYPE_CHECKING:

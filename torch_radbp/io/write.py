@@ -21,12 +21,12 @@ from torch_radbp.formats.image import save_image
 from torch_radbp.formats.mesh_arrays import MeshArrays
 from torch_radbp.formats.ply import write_ply
 from torch_radbp.formats.volume import write_volume
-from torch_radbp.io.attribute_values import is_list, is_named, options
 from torch_radbp.io.gltf.read import said
 from torch_radbp.io.gltf.write import gltf_files
+from torch_radbp.io.values.attribute_values import is_list, is_named, options
 from torch_radbp.plugin import REGISTRY, Filename, Matrix4, Plugin, Point3, SceneError, attributes
 from torch_radbp.public_call import public_call
-from torch_radbp.scene.scene import Scene
+from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.texture.rgb import RGB
 from torch_radbp.transforms import transform_normals, transform_points
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from torch_radbp.io import transform
+from torch_radbp.io.values import transform
 from torch_radbp.io.xml import Element, abridged
 from torch_radbp.plugin import SceneError, SceneWarning, nearest
 from torch_radbp.pose import look_at

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.graph import LANES, NUMBER, TABLE
-from torch_radbp.jit.structure import flatten, unpacker
+from torch_radbp.jit.lane.graph import LANES, NUMBER, TABLE
+from torch_radbp.jit.recording.structure import flatten, unpacker
 
 MOST_FORMS = 64  # that are looked through
 MOST_COLUMNS = 64  # of a table in rows; what lies farther apart is copied

@@ -15,16 +15,16 @@ import llvmlite
 import torch
 from torch import Tensor
 
-from torch_radbp.jit import code_cache
 from torch_radbp.jit.arguments import Arguments, Column
-from torch_radbp.jit.fingerprint import Opaque, fingerprint
-from torch_radbp.jit.graph import LANES, Program
-from torch_radbp.jit.later import Later
-from torch_radbp.jit.recording import NotRecordable, Recording
-from torch_radbp.jit.structure import assembler
+from torch_radbp.jit.lane.graph import LANES, Program
+from torch_radbp.jit.recording.recording import NotRecordable, Recording
+from torch_radbp.jit.recording.structure import assembler
+from torch_radbp.jit.store import code_cache
+from torch_radbp.jit.store.fingerprint import Opaque, fingerprint
 from torch_radbp.jit.target import Loop, Target
-from torch_radbp.jit.team import PART
 from torch_radbp.tensors import interleaved, torch_internals
+from torch_radbp.threads.later import Later
+from torch_radbp.threads.team import PART
 
 UNREADABLE = (pickle.UnpicklingError, AttributeError, ImportError, EOFError, IndexError, TypeError, ValueError)
 

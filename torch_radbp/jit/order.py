@@ -1,6 +1,6 @@
 """Operations that only move data: lanes into queues, entries to indices.
 
-How it is done is the target's: `cpu_order.py` for the processor, `nvptx_lanes.py` for GPUs, torch elsewhere.
+How it is done is the target's: `cpu/cpu_order.py` for the processor, `nvidia/nvptx_lanes.py` for GPUs, torch elsewhere.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.recording import Recording, recording
+from torch_radbp.jit.recording.recording import Recording, recording
 from torch_radbp.jit.target import Target, target_of
 
 

@@ -14,14 +14,14 @@ from torch import Tensor
 from torch_radbp.jit import compiled as compiled_functions
 from torch_radbp.jit.arguments import Arguments, Parameter, PreparedArgument
 from torch_radbp.jit.compiled import Compiled, Interface
-from torch_radbp.jit.graph import LANES, Program
-from torch_radbp.jit.later import Later
-from torch_radbp.jit.recording import recording, unguarded
-from torch_radbp.jit.refusal import UnknownOperation
-from torch_radbp.jit.structure import Leaf, flatten, of_lanes, structure_difference, with_other_leaves
+from torch_radbp.jit.lane.graph import LANES, Program
+from torch_radbp.jit.lane.refusal import UnknownOperation
+from torch_radbp.jit.lane.trace import traced_program
+from torch_radbp.jit.recording.recording import recording, unguarded
+from torch_radbp.jit.recording.structure import Leaf, flatten, of_lanes, structure_difference, with_other_leaves
 from torch_radbp.jit.target import Target, target_of
-from torch_radbp.jit.team import after_loops
-from torch_radbp.jit.trace import traced_program
+from torch_radbp.threads.later import Later
+from torch_radbp.threads.team import after_loops
 
 
 class LaneFunction:

@@ -4,8 +4,8 @@ Totals are float64: millions of lanes may add to one entry, and a float32 sum wo
 A few tables that are read at the same index are written together.
 
 Additions to one entry wait for each other. So totals may come in several copies, of which neighbouring lanes take different
-ones; whoever reads the totals sums the copies. How it is done is the target's: `cpu_scatter.py` for the processor,
-`nvptx_lanes.py` for GPUs, torch elsewhere.
+ones; whoever reads the totals sums the copies. How it is done is the target's: `cpu/cpu_scatter.py` for the processor,
+`nvidia/nvptx_lanes.py` for GPUs, torch elsewhere.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import torch
 
-from torch_radbp.jit.addition import MOST_TABLES, PAGE_BITS, SCALARS, Addition, Sums
+from torch_radbp.jit.recording.addition import MOST_TABLES, PAGE_BITS, SCALARS, Addition, Sums
 from torch_radbp.jit.target import target_of
 
 __all__ = ["MOST_TABLES", "PAGE_BITS", "Addition", "Sums", "copies", "scatter_add"]

@@ -8,16 +8,16 @@ from copy import copy
 
 import torch
 
-from torch_radbp.jit.allocator import keep_freed_memory
 from torch_radbp.jit.arguments import PreparedArgument
 from torch_radbp.jit.dual import DualFunction
-from torch_radbp.jit.made_once import made_once
-from torch_radbp.jit.refusal import UnknownOperation
+from torch_radbp.jit.lane.refusal import UnknownOperation
 from torch_radbp.jit.run import LaneFunction
 from torch_radbp.jit.target import Target, target_of
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.stage import DECLARED, write
 from torch_radbp.tensors.torch_internals import inside_dual_level
+from torch_radbp.threads.allocator import keep_freed_memory
+from torch_radbp.threads.made_once import made_once
 
 
 class CompiledStage:

@@ -1,5 +1,5 @@
 """A tape: what a step does with lanes is recorded once for arguments of one kind, and done again as machine code: of the
-processor, or as launches of a GPU, see `recorded.py` and `launches.py`.
+processor, or as launches of a GPU, see `cpu/recorded.py` and `nvidia/launches.py`.
 
     tape = Tape(board, tables, kind)
     played = tape.play(key, step, arguments, count)     # the first call of a kind records, later ones only play
@@ -20,14 +20,14 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.board import Board
+from torch_radbp.jit.cpu.board import Board
+from torch_radbp.jit.cpu.recorded import Recorded
 from torch_radbp.jit.dual import dual, tangents_and_tensors, values_and_tangents
-from torch_radbp.jit.lane_count import LaneCount
-from torch_radbp.jit.recorded import Recorded
-from torch_radbp.jit.recorded_launches import RecordedLaunches
-from torch_radbp.jit.recording import ALL, NotRecordable, Recording, Reserve, listening
-from torch_radbp.jit.results import RecordedInputs
-from torch_radbp.jit.structure import flatten
+from torch_radbp.jit.nvidia.recorded_launches import RecordedLaunches
+from torch_radbp.jit.recording.lane_count import LaneCount
+from torch_radbp.jit.recording.recording import ALL, NotRecordable, Recording, Reserve, listening
+from torch_radbp.jit.recording.results import RecordedInputs
+from torch_radbp.jit.recording.structure import flatten
 from torch_radbp.jit.target import Target, target_of
 from torch_radbp.jit.tiles import Handed, handed
 from torch_radbp.tensors.record import leaves_of, with_leaves

@@ -1,7 +1,7 @@
-"""The interface of targets: what lanes are compiled for, a CPU (`cpu.py`) or a GPU (`gpu.py`).
+"""The interface of targets: what lanes are compiled for, a CPU (`cpu/cpu.py`) or a GPU (`nvidia/gpu.py`).
 
 A target knows what stands around the instructions of a block of lanes, makes machine code of both and runs it; the
-instructions themselves are those of `emit.py` for all. It also moves lanes about, as `order.py` and `scatter.py` say.
+instructions themselves are those of `lane/emit.py` for all. It also moves lanes about, as `order.py` and `scatter.py` say.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.addition import Addition
-from torch_radbp.jit.any_device import AnyDevice
-from torch_radbp.jit.cpu import Cpu
-from torch_radbp.jit.gpu import gpu_of
-from torch_radbp.jit.graph import Program
-from torch_radbp.jit.recorded import Recorded
-from torch_radbp.jit.recorded_launches import RecordedLaunches
-from torch_radbp.jit.recording import Recording
+from torch_radbp.jit.cpu.cpu import Cpu
+from torch_radbp.jit.cpu.recorded import Recorded
+from torch_radbp.jit.lane.graph import Program
+from torch_radbp.jit.nvidia.gpu import gpu_of
+from torch_radbp.jit.nvidia.recorded_launches import RecordedLaunches
+from torch_radbp.jit.recording.addition import Addition
+from torch_radbp.jit.recording.any_device import AnyDevice
+from torch_radbp.jit.recording.recording import Recording
 
 COMPILED = ("cpu", "cuda")  # kinds of devices that functions are compiled for
 

@@ -13,15 +13,15 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torch_radbp.jit.board import run_loop
-from torch_radbp.jit.large_pages import block_of_bytes
-from torch_radbp.jit.loops import WRITE_JOB
-from torch_radbp.jit.machine import MachineCode, cached_code
-from torch_radbp.jit.made_once import made_once
-from torch_radbp.jit.recorded import Recorded
-from torch_radbp.jit.recording import NotRecordable
-from torch_radbp.jit.results import WHOLE, RecordedInputs
-from torch_radbp.jit.team import run_lanes, threads
+from torch_radbp.jit.cpu.board import run_loop
+from torch_radbp.jit.cpu.large_pages import block_of_bytes
+from torch_radbp.jit.cpu.machine import MachineCode, cached_code
+from torch_radbp.jit.cpu.recorded import Recorded
+from torch_radbp.jit.lane.loops import WRITE_JOB
+from torch_radbp.jit.recording.recording import NotRecordable
+from torch_radbp.jit.recording.results import WHOLE, RecordedInputs
+from torch_radbp.threads.made_once import made_once
+from torch_radbp.threads.team import run_lanes, threads
 
 TILE = 4096  # lanes
 # The words of an array that describes a recording, in order, as the code reads them.

@@ -8,9 +8,9 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.medium.kind import MediumKind
+from torch_radbp.interface.medium import MediumKind
+from torch_radbp.interface.phase import PhaseKind
 from torch_radbp.phase.isotropic import Isotropic
-from torch_radbp.phase.kind import PhaseKind
 from torch_radbp.plugin import Medium, Phase, Texture, Volume, finite, register
 from torch_radbp.plugin.domain import AMOUNT, FRACTION, NUMBER, Domain
 from torch_radbp.tensors.lookup import lookup

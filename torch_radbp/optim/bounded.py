@@ -6,8 +6,8 @@ from typing import TypeVar
 
 import torch
 
-from torch_radbp.scene import Scene
-from torch_radbp.scene.bounds import bring_inside, held_by
+from torch_radbp.scene.modules.bounds import bring_inside, held_by
+from torch_radbp.scene.modules.scene import Scene
 
 AnyOptimizer = TypeVar("AnyOptimizer", bound=torch.optim.Optimizer)
 

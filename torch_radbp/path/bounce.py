@@ -22,12 +22,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.connection.light import shadow_ray
+from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.state import Arrival, PathState, Position, Settings
-from torch_radbp.scene.light import shadow_ray
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Ray, Vec3, masked, rows
-from torch_radbp.texture.reader import Place, TextureValue
 
 
 class Vertex(NamedTuple):

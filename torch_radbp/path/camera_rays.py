@@ -17,10 +17,10 @@ from torch_radbp.sampling.sampler import (
     film_lane_key,
     uniform,
 )
-from torch_radbp.scene.cone import Cone, camera_cone
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Ray, Vec2
+from torch_radbp.vertex.cone import Cone, camera_cone
 
 FILM_U, FILM_V, APERTURE_U, APERTURE_V = range(4)  # the random numbers of a camera ray
 

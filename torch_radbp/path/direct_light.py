@@ -13,6 +13,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.connection.light import light_aims, sample_light, sample_places
+from torch_radbp.connection.media import attenuated, transmittance, transmittance_to_light
+from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.light_connection import connected_to_light
 from torch_radbp.path.sorting import queued
@@ -20,15 +23,12 @@ from torch_radbp.path.state import Arrival, PathState, Settings
 from torch_radbp.path.surface import scattered_to, shares_of, surface_met
 from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.emission import emission_places
-from torch_radbp.scene.light import light_aims, sample_light, sample_places
-from torch_radbp.scene.light_choice import LightNumbers, LightPick
-from torch_radbp.scene.material import material_at, material_places, sampling_at
-from torch_radbp.scene.media import attenuated, transmittance, transmittance_to_light
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.tables.light_choice import LightNumbers, LightPick
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Vec3, masked, rows
-from torch_radbp.texture.reader import Place, TextureValue
+from torch_radbp.vertex.emission import emission_places
+from torch_radbp.vertex.material import material_at, material_places, sampling_at
 
 
 class LightDraw(NamedTuple):

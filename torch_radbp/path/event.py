@@ -15,8 +15,8 @@ from torch_radbp.path.flight import FLIGHT
 from torch_radbp.path.path_end import END
 from torch_radbp.path.surface import SURFACE
 from torch_radbp.path.vertex import VertexKind
-from torch_radbp.scene.appearance import Appearance
-from torch_radbp.scene.tensors import Layout
+from torch_radbp.scene.tables.appearance import Appearance
+from torch_radbp.scene.tables.scene_tensors import Layout
 
 
 class Scatters(NamedTuple):

@@ -21,26 +21,26 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.medium.kind import MediumKind
+from torch_radbp.connection.light import FAR, light_aims, sample_light, sample_places
+from torch_radbp.connection.media import transmittance
+from torch_radbp.interface.medium import MediumKind
+from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.light_connection import connected_to_light, light_numbers
 from torch_radbp.path.state import BSDF_U, BSDF_V, ROULETTE, Arrival, PathState, Position, Settings
 from torch_radbp.path.surface import surface_met
 from torch_radbp.path.vertex import Terms, VertexKind
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import bounce_key, uniform
-from torch_radbp.scene.cone import Cone, cone_beyond
-from torch_radbp.scene.interaction import corner_rows
-from torch_radbp.scene.light import FAR, light_aims, sample_light, sample_places
-from torch_radbp.scene.light_tree import Vantage
-from torch_radbp.scene.media import transmittance
-from torch_radbp.scene.outgoing_ray import glued_direction
-from torch_radbp.scene.placement import points_in_world
-from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.scene.triangle_corners import Corners, at_corners
+from torch_radbp.scene.tables.light_tree import Vantage
+from torch_radbp.scene.tables.placement import points_in_world
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.scene.tables.triangle_corners import Corners, at_corners
 from torch_radbp.tensors.differentiated import detached, settled
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, max_component
-from torch_radbp.texture.reader import Place, TextureValue
+from torch_radbp.vertex.cone import Cone, cone_beyond
+from torch_radbp.vertex.interaction import corner_rows
+from torch_radbp.vertex.outgoing_ray import glued_direction
 
 SALT = 0x1B873593  # tells the random numbers of flights from those of bounces
 FLIGHT_U, FLIGHT_V = range(2)

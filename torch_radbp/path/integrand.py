@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.interface.texture import Place
 from torch_radbp.jit.target import Target
 from torch_radbp.path.bounce import places
 from torch_radbp.path.event import Ends, Event, events_of
@@ -16,12 +17,11 @@ from torch_radbp.path.queues import ImageLanes
 from torch_radbp.path.state import Arrival, PathState, Position, Settings
 from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.sampling.sampler import depth_counter
-from torch_radbp.scene.appearance import Appearance
-from torch_radbp.scene.part import part_of
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.tables.appearance import Appearance
+from torch_radbp.scene.tables.part import part_of
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.stage import Stage, Stages
-from torch_radbp.texture.reader import Place
 
 SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
 

@@ -11,17 +11,17 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from torch_radbp.connection.light import LightSample
+from torch_radbp.connection.media import attenuated, transmittance_to_light
+from torch_radbp.interface.texture import TextureValue
 from torch_radbp.path.state import LIGHT_CHOICE, LIGHT_SPLIT, LIGHT_U, LIGHT_V, Arrival, Settings
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import BounceKey, random_bits
-from torch_radbp.scene.emission import emitted, emitted_by_surface, emitted_pdf, pdf_of_surface
-from torch_radbp.scene.interaction import SurfaceInteraction
-from torch_radbp.scene.light import LightSample
-from torch_radbp.scene.light_choice import LightNumbers
-from torch_radbp.scene.media import attenuated, transmittance_to_light
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.tables.light_choice import LightNumbers
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.vec import Vec3, max_component
-from torch_radbp.texture.reader import TextureValue
+from torch_radbp.vertex.emission import emitted, emitted_by_surface, emitted_pdf, pdf_of_surface
+from torch_radbp.vertex.interaction import SurfaceInteraction
 
 ScattersTo = Callable[[Vec3], tuple[Vec3, Tensor]]  # a direction to scattering times cosine, and the density of sampling it
 

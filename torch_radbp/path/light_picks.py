@@ -15,13 +15,13 @@ from torch_radbp.path.state import Arrival, PathState, Position, Settings
 from torch_radbp.path.surface import surface_met
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import bounce_key
-from torch_radbp.scene.emission import vantage
-from torch_radbp.scene.light_choice import LightPick, TreeChoice, chance_of_emitter, drawn_element
-from torch_radbp.scene.light_tree import Vantage
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.tables.light_choice import LightPick, TreeChoice, chance_of_emitter, drawn_element
+from torch_radbp.scene.tables.light_tree import Vantage
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import rows, where
+from torch_radbp.vertex.emission import vantage
 
 
 @stage("scene", "choice")

@@ -7,17 +7,17 @@ from typing import ClassVar
 
 import torch
 
+from torch_radbp.connection.light import FAR
+from torch_radbp.connection.media import attenuated, way_through
+from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.light_connection import emission
 from torch_radbp.path.state import Arrival, Position, Settings
 from torch_radbp.path.surface import surface_met
 from torch_radbp.path.vertex import Terms, VertexKind
-from torch_radbp.scene.emission import emission_places
-from torch_radbp.scene.light import FAR
-from torch_radbp.scene.media import attenuated, way_through
-from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.scene.triangle_corners import Corners
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.scene.tables.triangle_corners import Corners
 from torch_radbp.tensors.vec import Vec3
-from torch_radbp.texture.reader import Place, TextureValue
+from torch_radbp.vertex.emission import emission_places
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.lane_count import LaneCount
 from torch_radbp.jit.order import chosen, partition
+from torch_radbp.jit.recording.lane_count import LaneCount
 from torch_radbp.path.event import Ends, Event
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.interaction import is_in_front
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Ray, rows
+from torch_radbp.vertex.interaction import is_in_front
 
 
 class Queue(NamedTuple):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from torch_radbp.jit.order import chosen, nothing
+from torch_radbp.path.camera_hit import camera_hit
 from torch_radbp.path.event import Ends, FlightEnd, events_of
 from torch_radbp.path.flight import free_flight
 from torch_radbp.path.integrand import Integrand
@@ -12,7 +13,6 @@ from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.queues import ImageLanes, Queue, appearance_met, one_queue, queues_by, shines, side_met
 from torch_radbp.path.state import PathState
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.camera_hit import camera_hit
 from torch_radbp.tensors.vec import Ray
 
 

@@ -7,15 +7,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.lane_count import LaneCount, waited_for
+from torch_radbp.jit.recording.lane_count import LaneCount, waited_for
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import LaneKey
-from torch_radbp.scene.cone import Cone
-from torch_radbp.scene.light_choice import LightPick
-from torch_radbp.scene.light_tree import Vantage
+from torch_radbp.scene.tables.light_choice import LightPick
+from torch_radbp.scene.tables.light_tree import Vantage
 from torch_radbp.tensors.differentiated import settled
 from torch_radbp.tensors.record import rows_between
 from torch_radbp.tensors.vec import Ray, Vec3
+from torch_radbp.vertex.cone import Cone
 
 # The random numbers of one bounce, four coordinates of a point at a time.
 BSDF_U, BSDF_V, BSDF_CHOICE, ROULETTE, LIGHT_U, LIGHT_V, LIGHT_CHOICE, LIGHT_SPLIT = range(8)

@@ -6,17 +6,17 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torch_radbp.jit.lane_count import LaneCount, waited_for
+from torch_radbp.interface.texture import TextureValue
 from torch_radbp.jit.order import chosen
+from torch_radbp.jit.recording.lane_count import LaneCount, waited_for
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lane_room import ASKED, power_of_2
 from torch_radbp.path.queues import EMPTY, Queue
 from torch_radbp.path.state import Arrival, PathState
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.light_choice import LightPick
+from torch_radbp.scene.tables.light_choice import LightPick
 from torch_radbp.tensors.record import rows_between
 from torch_radbp.tensors.vec import rows
-from torch_radbp.texture.reader import TextureValue
 
 
 class Step(NamedTuple):

@@ -9,23 +9,23 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.connection.light import light_aims, sample_light, sample_places
+from torch_radbp.connection.media import attenuated, way_through
+from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.light_connection import connected_to_light, emission, light_numbers
 from torch_radbp.path.state import BSDF_CHOICE, BSDF_U, BSDF_V, ROULETTE, Arrival, Position, Settings
 from torch_radbp.path.vertex import Terms, VertexKind
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import bounce_key, uniform
-from torch_radbp.scene.cone import Cone, cone_beyond
-from torch_radbp.scene.emission import emission_places, vantage
-from torch_radbp.scene.interaction import SurfaceInteraction, surface_interaction
-from torch_radbp.scene.light import light_aims, sample_light, sample_places
-from torch_radbp.scene.light_tree import Vantage
-from torch_radbp.scene.material import BSDFSample, Material, evaluate, material_at, material_places, sample, sampling_at
-from torch_radbp.scene.media import attenuated, way_through
-from torch_radbp.scene.outgoing_ray import attached_outgoing_ray, outgoing_ray
-from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.scene.triangle_corners import Corners
+from torch_radbp.scene.tables.light_tree import Vantage
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.scene.tables.triangle_corners import Corners
 from torch_radbp.tensors.vec import Ray, Vec3, max_component
-from torch_radbp.texture.reader import Place, TextureValue
+from torch_radbp.vertex.cone import Cone, cone_beyond
+from torch_radbp.vertex.emission import emission_places, vantage
+from torch_radbp.vertex.interaction import SurfaceInteraction, surface_interaction
+from torch_radbp.vertex.material import BSDFSample, Material, evaluate, material_at, material_places, sample, sampling_at
+from torch_radbp.vertex.outgoing_ray import attached_outgoing_ray, outgoing_ray
 
 
 class SurfacePlace(NamedTuple):

@@ -8,10 +8,10 @@ from functools import partial
 
 import torch
 
-from torch_radbp.jit.board import Board, board
+from torch_radbp.jit.cpu.board import Board, board
 from torch_radbp.jit.dual import tangents_and_tensors, values_and_tangents
-from torch_radbp.jit.lane_count import LaneCount
-from torch_radbp.jit.recording import ALL, Reserve
+from torch_radbp.jit.recording.lane_count import LaneCount
+from torch_radbp.jit.recording.recording import ALL, Reserve
 from torch_radbp.jit.tape import Played, Tape, without_contents
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import EMPTY

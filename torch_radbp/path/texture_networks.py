@@ -12,12 +12,12 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.recording import outside
-from torch_radbp.scene.appearance import Appearance
-from torch_radbp.scene.tensors import Layout, SceneTensors
+from torch_radbp.interface.texture import Place, TextureValue
+from torch_radbp.jit.recording.recording import outside
+from torch_radbp.scene.tables.appearance import Appearance
+from torch_radbp.scene.tables.scene_tensors import Layout, SceneTensors
 from torch_radbp.tensors.vec import Vec2, Vec3
 from torch_radbp.texture.module_bank import ModuleBank
-from torch_radbp.texture.reader import Place, TextureValue
 
 Asking = tuple[Appearance | None, tuple[Place, ...]]  # of some lanes, as for `texture_values_at`
 Given = Sequence[Sequence[Tensor]]  # the rows and the coordinates of places, see `outside`

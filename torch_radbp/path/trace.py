@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from torch_radbp.jit.lane_count import most_of
+from torch_radbp.jit.recording.lane_count import most_of
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Onward, Step

@@ -15,15 +15,15 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.connection.light import LightSample
+from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.state import Arrival, PathState, Position, Settings
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.cone import Cone
-from torch_radbp.scene.light import LightSample
-from torch_radbp.scene.light_tree import Vantage
-from torch_radbp.scene.tensors import SceneTensors
-from torch_radbp.scene.triangle_corners import Corners
+from torch_radbp.scene.tables.light_tree import Vantage
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.scene.tables.triangle_corners import Corners
 from torch_radbp.tensors.vec import Ray, Vec3
-from torch_radbp.texture.reader import Place, TextureValue
+from torch_radbp.vertex.cone import Cone
 
 
 class Terms(NamedTuple):

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from torch_radbp.interface.texture import TextureValue
 from torch_radbp.jit.dual import dual
-from torch_radbp.jit.team import loops_together
 from torch_radbp.path.bounce import Vertex
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import Queue
@@ -18,7 +18,7 @@ from torch_radbp.path.texture_networks import values_of_queues
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import Vec3
-from torch_radbp.texture.reader import TextureValue
+from torch_radbp.threads.team import loops_together
 
 # Appearances of a scene up to which the lanes of the derivative alone have functions of their own, without light: steps are
 # quicker by up to a tenth, but each is compiled twice, which a scene of many would wait for.

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.phase.kind import PhaseFunction, PhaseKind, entry
+from torch_radbp.interface.phase import PhaseFunction, PhaseKind, entry
 from torch_radbp.plugin import finite, register
 from torch_radbp.plugin.domain import NUMBER, Domain
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_radbp.phase.kind import PhaseFunction, PhaseKind
+from torch_radbp.interface.phase import PhaseFunction, PhaseKind
 from torch_radbp.plugin import register
 
 

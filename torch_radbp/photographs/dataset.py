@@ -20,18 +20,11 @@ from torch_radbp.photographs.area_average import area_average
 from torch_radbp.photographs.cameras import checked_size, named_as_in_a_scene, scaled_to_files
 from torch_radbp.photographs.folders import colmap_pictures, nerf_pictures
 from torch_radbp.photographs.image_cache import ImageCache
-from torch_radbp.photographs.picture import (
-    Picture,
-    as_source,
-    background_colour,
-    checked_curve,
-    picture_name,
-    read_picture,
-)
+from torch_radbp.photographs.picture import Picture, as_source, background_colour, checked_curve, picture_name, read_picture
 from torch_radbp.photographs.size_batches import SizeBatches
 from torch_radbp.plugin import ReconstructionFilter, integer, nearest, positive
 from torch_radbp.public_call import passing_on
-from torch_radbp.scene.scene import Scene
+from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.sensor.calibrated import Calibrated, CameraAttributes
 from torch_radbp.sensor.kind import ProjectiveCamera
 

@@ -149,7 +149,7 @@ class Medium(Plugin):
     category = "medium"
 
     def kind(self) -> Any:
-        """The functions, a `medium.kind.MediumKind`."""
+        """The functions, a `interface.medium.MediumKind`."""
         raise TypeError(f"{type(self).__name__} does not define its kind")
 
     def row(self) -> Any:

@@ -1,7 +1,7 @@
 """`Domain`: the set of valid values of a parameter.
 
 Every plugin says for each of its parameters which they are (`Plugin.domains`). Its constructor checks them, and every
-rendering does (`torch_radbp.scene.parameters`).
+rendering does (`torch_radbp.scene.modules.parameters`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ SHORTEST_AXIS = 1e-11  # of a pose; `vec.normalize` leaves vectors shorter than 
 
 
 class Domain(NamedTuple):
-    """The set of valid values of a parameter. Constructors check it, and so does every rendering (`scene.parameters`)."""
+    """The set of valid values of a parameter. Constructors check it, and so does every rendering, see
+    `scene.modules.parameters`.
+    """
 
     shapes: tuple[tuple[int | str, ...], ...] | None = None  # letters: any length of at least 1; None: any shape
     low: float = -math.inf

@@ -7,12 +7,12 @@ from functools import partial
 
 from torch import Tensor
 
+from torch_radbp.interface.balls import TRIANGLES, Balls
+from torch_radbp.interface.instances import Instances
 from torch_radbp.raycast.ball import castable
 from torch_radbp.raycast.expanded import ExpandedCaster
 from torch_radbp.raycast.protocol import Hit, Ray, RayCaster
 from torch_radbp.raycast.runs import MOST_TRIANGLES
-from torch_radbp.shape.ball import TRIANGLES, Balls
-from torch_radbp.shape.placement import Instances
 
 __all__ = ["Hit", "Ray", "RayCaster", "make_caster"]
 

@@ -1,4 +1,4 @@
-"""The tables of tessellated spheres ("balls", see `shape.ball`) that the compiled ray casting loops read."""
+"""The tables of tessellated spheres ("balls", see `interface.balls`) that the compiled ray casting loops read."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.shape.ball import RINGS, SEGMENTS, TRIANGLES, Balls
+from torch_radbp.interface.balls import RINGS, SEGMENTS, TRIANGLES, Balls
 
 LARGEST_STRETCH = 1e12  # of the map to the unit sphere, and its inverse; beyond, squares of lengths may overflow
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torch_radbp.interface.balls import Balls
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices
 from torch_radbp.raycast.protocol import Hit, Ray
-from torch_radbp.shape.ball import Balls
 from torch_radbp.tensors.vec import Vec3, cross, dot
 
 # Bytes of one (lanes, triangles) tensor; about twenty of them are alive at a time.

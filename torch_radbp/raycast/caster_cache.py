@@ -7,9 +7,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.interface.balls import Balls
+from torch_radbp.interface.instances import Instances
 from torch_radbp.raycast.protocol import RayCaster
-from torch_radbp.shape.ball import Balls
-from torch_radbp.shape.placement import Instances
 from torch_radbp.tensors.vec import Vec3
 
 

@@ -10,10 +10,9 @@ from threading import Lock
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.machine import MachineCode, cached_code, host_width
-from torch_radbp.jit.made_once import made_once
-from torch_radbp.jit.recording import recording
-from torch_radbp.jit.team import PART, run_lanes
+from torch_radbp.interface.balls import Balls
+from torch_radbp.jit.cpu.machine import MachineCode, cached_code, host_width
+from torch_radbp.jit.recording.recording import recording
 from torch_radbp.raycast import ball, batches, runs
 from torch_radbp.raycast.ball import other_triangles
 from torch_radbp.raycast.faces import faces_of
@@ -22,7 +21,8 @@ from torch_radbp.raycast.protocol import Hit, Ray
 from torch_radbp.raycast.refined import refined
 from torch_radbp.raycast.runs import MOST_TRIANGLES
 from torch_radbp.raycast.vectors import Vectors
-from torch_radbp.shape.ball import Balls
+from torch_radbp.threads.made_once import made_once
+from torch_radbp.threads.team import PART, run_lanes
 
 CPU = torch.device("cpu")
 

@@ -1,7 +1,7 @@
 """Ray casting on the CPU by Embree 4, called in packets from compiled loops on as many threads as torch has.
 
 Of the `embreex` wheel only the shared library is used (`library.py`). Lanes go to it through the loops of `queries.py`, in
-the packets of `packets.py`, on the threads of `jit/team.py`.
+the packets of `packets.py`, on the threads of `threads/team.py`.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from threading import Lock
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.machine import MachineCode, cached_code
-from torch_radbp.jit.made_once import made_once
-from torch_radbp.jit.recording import recording
-from torch_radbp.jit.team import run_lanes
+from torch_radbp.interface.balls import Balls
+from torch_radbp.interface.instances import Instances
+from torch_radbp.jit.cpu.machine import MachineCode, cached_code
+from torch_radbp.jit.recording.recording import recording
 from torch_radbp.raycast import every_ball, library, packets, queries
 from torch_radbp.raycast.ball import ball_tables, other_triangles
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices, columns_of
@@ -24,8 +24,8 @@ from torch_radbp.raycast.protocol import Hit, Ray
 from torch_radbp.raycast.refined import refined
 from torch_radbp.raycast.tree import Device, GroupTree, Tree, TreeGeometry, groups_of
 from torch_radbp.raycast.vectors import Vectors
-from torch_radbp.shape.ball import Balls
-from torch_radbp.shape.placement import Instances
+from torch_radbp.threads.made_once import made_once
+from torch_radbp.threads.team import run_lanes
 
 CPU = torch.device("cpu")
 ANSWERS = (torch.int32, torch.float32, torch.float32, torch.float32)  # what Embree writes into a `Hit`

@@ -7,10 +7,10 @@ from collections.abc import Callable, Hashable, Sequence
 import torch
 from torch import Tensor
 
+from torch_radbp.interface.instances import Instances, expanded
 from torch_radbp.jit import LaneFunction
-from torch_radbp.jit.recording import recording
+from torch_radbp.jit.recording.recording import recording
 from torch_radbp.raycast.protocol import Hit, Ray, RayCaster
-from torch_radbp.shape.placement import Instances, expanded
 
 
 class ExpandedCaster:
@@ -48,7 +48,7 @@ class ExpandedCaster:
         return [self.triangle, self.instance, *self.caster.reads(dtype)]
 
     def launch(self, *arguments) -> None:
-        """See `jit.launches.Caster`."""
+        """See `jit.nvidia.launches.Caster`."""
         self.caster.launch(*arguments)
 
     def count(self, rays: int) -> None:

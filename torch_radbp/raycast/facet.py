@@ -1,12 +1,12 @@
-"""The facets of a tessellated sphere that lines from its centre meet, as LLVM IR; see `shape.ball`."""
+"""The facets of a tessellated sphere that lines from its centre meet, as LLVM IR; see `interface.balls`."""
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
+from torch_radbp.interface.balls import RINGS, SEGMENTS, TRIANGLES
 from torch_radbp.raycast.vectors import ZERO, Vectors
-from torch_radbp.shape.ball import RINGS, SEGMENTS, TRIANGLES
 
 TINY = 1e-30
 # The arc tangent on [0, 1] within 1e-7: coefficients of odd powers, a fit of ours.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torch_radbp.interface.instances import Instances
 from torch_radbp.raycast.protocol import Hit, Ray
-from torch_radbp.shape.placement import Instances
 from torch_radbp.tensors.vec import Vec3, crossing, dot
 
 

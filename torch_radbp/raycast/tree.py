@@ -10,9 +10,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.team import threads
+from torch_radbp.interface.instances import Instances
 from torch_radbp.raycast import library
-from torch_radbp.shape.placement import Instances
+from torch_radbp.threads.team import threads
 
 LARGE = 100_000  # triangles, which take some ten milliseconds
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import struct
 
-from torch_radbp.jit.loops import FEW_LANES, TAKE_PARTS
-from torch_radbp.jit.machine import host_features
+from torch_radbp.jit.cpu.machine import host_features
+from torch_radbp.jit.lane.loops import FEW_LANES, TAKE_PARTS
 
 ZERO = "zeroinitializer"
 SIZES = {"i8": 1, "i32": 4, "float": 4, "double": 8}

@@ -16,13 +16,13 @@ from threading import Lock
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.launches import RayQuery
-from torch_radbp.jit.made_once import made_once
-from torch_radbp.jit.recording import recording
+from torch_radbp.interface.balls import Balls
+from torch_radbp.jit.nvidia.launches import RayQuery
+from torch_radbp.jit.recording.recording import recording
 from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices
 from torch_radbp.raycast.protocol import Hit, Ray
 from torch_radbp.raycast.refined import refined
-from torch_radbp.shape.ball import Balls
+from torch_radbp.threads.made_once import made_once
 
 try:
     import warp as wp
@@ -102,7 +102,7 @@ class Warp:
             self._rays += rays
 
     def launch(self, kernel: wp.Kernel, lanes: int, last: int, *addresses: int) -> None:
-        """See `jit.launches.Caster`."""
+        """See `jit.nvidia.launches.Caster`."""
         kinds = [argument.type.dtype for argument in kernel.adj.args[-len(addresses):]]
         self._start(kernel, lanes, self._memory(last, wp.int64, 1), list(map(self._memory, addresses, kinds, repeat(lanes))))
 

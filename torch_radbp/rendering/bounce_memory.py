@@ -19,16 +19,16 @@ from torch_radbp.adjoint.attached import trace_attached
 from torch_radbp.adjoint.outside import ModuleGradients, values_that_move
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep, numbered_leaves
-from torch_radbp.jit.team import alone_in_torch
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Step
 from torch_radbp.path.texture_networks import number_outside
 from torch_radbp.path.wavefront import take_step
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.torch_internals import TorchDispatchMode, tree_flatten, tree_map_only
 from torch_radbp.tensors.vec import Vec3
 from torch_radbp.texture.module_bank import ModuleBank
+from torch_radbp.threads.team import alone_in_torch
 
 LANES = (1024, 3072)  # of the two measurements
 

@@ -17,7 +17,7 @@ from torch_radbp.rendering.radiance import RadianceOf
 from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.rendering.settings import RendererSettings, SensorChoice
 from torch_radbp.rendering.shots import WindowChoice
-from torch_radbp.scene import Scene
+from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.tensors.torch_internals import tree_map
 
 

@@ -8,7 +8,7 @@ from math import inf
 
 from torch import Tensor
 
-from torch_radbp.boundary import bytes_of_edges
+from torch_radbp.boundary.terms.of_call import bytes_of_edges
 from torch_radbp.call.render_call import RenderCall, pilot_paths
 from torch_radbp.film.splat import TOGETHER
 from torch_radbp.path.integrand import Integrand

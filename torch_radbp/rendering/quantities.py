@@ -8,9 +8,9 @@ from torch import Tensor
 
 from torch_radbp.aov.images import channels_of, lane_values, render_aovs
 from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, TURNING, UNDIFFERENTIATED, plain
-from torch_radbp.boundary import EdgesOfCall
-from torch_radbp.boundary.outline import Jumps
-from torch_radbp.boundary.primary import SeenByCamera, jumps_of_views
+from torch_radbp.boundary.curve.outline import Jumps
+from torch_radbp.boundary.terms.of_call import EdgesOfCall
+from torch_radbp.boundary.terms.primary import SeenByCamera, jumps_of_views
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState

@@ -12,7 +12,7 @@ from torch_radbp.public_call import passing_on, public_call
 from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.rendering.settings import RendererSettings, SensorChoice
 from torch_radbp.rendering.shots import WindowChoice
-from torch_radbp.scene import Scene
+from torch_radbp.scene.modules.scene import Scene
 
 
 @overload

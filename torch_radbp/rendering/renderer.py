@@ -16,15 +16,15 @@ from torch_radbp.adjoint.forward_mode import inside_transforms, render_outside_t
 from torch_radbp.adjoint.rendered import rendered
 from torch_radbp.aov.images import beside_image
 from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
-from torch_radbp.boundary import EdgesOfCall, JumpWatch, edges_of_call, rendering_of
+from torch_radbp.boundary.curve.rendering import rendering_of
+from torch_radbp.boundary.terms.jump_watch import JumpWatch
+from torch_radbp.boundary.terms.of_call import EdgesOfCall, edges_of_call
 from torch_radbp.call.pixels import Films
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.source import Cameras
 from torch_radbp.call.view import OF_NO_SENSOR, Shot, view_of
-from torch_radbp.call.zeroed_memory import ZeroedMemory
 from torch_radbp.jit.stages import compiled
 from torch_radbp.jit.target import COMPILED
-from torch_radbp.jit.team import threads
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.public_call import public_call
 from torch_radbp.raycast import RayCaster
@@ -53,15 +53,17 @@ from torch_radbp.rendering.settings import (
 )
 from torch_radbp.rendering.shots import WindowChoice, shots_of
 from torch_radbp.rendering.zero_gradients import GradientWatch
-from torch_radbp.scene import Scene
-from torch_radbp.scene.pack import pack
-from torch_radbp.scene.pack_cache import PackCache
-from torch_radbp.scene.parameters import check_names
-from torch_radbp.scene.tensors import SceneTensors, proposal_of
-from torch_radbp.scene.wanted import wanted_parameters
+from torch_radbp.scene.cache.pack_cache import PackCache
+from torch_radbp.scene.modules.parameters import check_names
+from torch_radbp.scene.modules.scene import Scene
+from torch_radbp.scene.modules.wanted import wanted_parameters
+from torch_radbp.scene.packing.pack import pack
+from torch_radbp.scene.tables.scene_tensors import SceneTensors, proposal_of
 from torch_radbp.sensor.rays import given_rays
 from torch_radbp.tensors.differentiated import detached, primal
 from torch_radbp.tensors.stage import EAGER
+from torch_radbp.threads.team import threads
+from torch_radbp.threads.zeroed_memory import ZeroedMemory
 
 UNLIMITED = 1024  # bounces; roulette ends a path long before
 
@@ -354,7 +356,6 @@ class Renderer(nn.Module):
             self.cache = cache.close()
         stages = compiled() if fused else EAGER
         settings = settings_of_integrand(self, scene, [view.camera for view in views])
-
         still = detached(scene)
         integrand = Integrand(still, proposal_of(still), caster, settings, self.depth_limit, self.rr_depth, stages, {})
 

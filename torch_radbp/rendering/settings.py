@@ -15,9 +15,9 @@ from torch_radbp.integrator.settings import depths
 from torch_radbp.path.state import Settings
 from torch_radbp.plugin import REGISTRY, Sensor, boolean, integer, nearest
 from torch_radbp.rendering.memory import parse_budget
-from torch_radbp.scene import Scene
-from torch_radbp.scene.light_choice import CHOICES
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.modules.scene import Scene
+from torch_radbp.scene.tables.light_choice import CHOICES
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.differentiated import any_differentiated
 

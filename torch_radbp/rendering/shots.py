@@ -11,7 +11,7 @@ from torch_radbp.call.view import Shot
 from torch_radbp.plugin import Sensor, integer
 from torch_radbp.rendering.cost import MOST_NUMBERED
 from torch_radbp.rendering.settings import SensorChoice, sensor_indices
-from torch_radbp.scene import Scene
+from torch_radbp.scene.modules.scene import Scene
 
 Part = Sequence[int]  # x, y, width and height in the image that a call without a window gives, pixels
 WindowChoice = Part | Sequence[Part] | None  # of all sensors, or of each; None: whole images

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from torch import Tensor
 
 from torch_radbp.adjoint.rendered import rendered
-from torch_radbp.boundary.warning import SilhouetteWarning
+from torch_radbp.boundary.terms.jump_watch import SilhouetteWarning
 from torch_radbp.call.chunks import LEAST_LANES, LaneRange
 from torch_radbp.call.sink import Sink
 from torch_radbp.call.source import PathSource
@@ -16,7 +16,7 @@ from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.rendering.settings import settings_of_integrand
 from torch_radbp.sampling.sampler import SampleKey
-from torch_radbp.scene.tensors import SceneTensors
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.differentiated import any_differentiated
 
 Keys = tuple[SampleKey, SampleKey]  # of random numbers: of the image, and of its derivative

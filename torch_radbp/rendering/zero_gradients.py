@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 from torch.utils.hooks import RemovableHandle, unserializable_hook
 
-from torch_radbp.boundary.rendering import listed
+from torch_radbp.boundary.curve.rendering import listed
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.view import View
 from torch_radbp.plugin import Sensor

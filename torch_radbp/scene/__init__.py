@@ -1,5 +1,3 @@
-"""The scene: a tree of modules for the user, one record of tensors for the path tracer."""
-
-from torch_radbp.scene.scene import Scene
-
-__all__ = ["Scene"]
+"""The scene: modules for the user (`modules`), one record of tensors for the path tracer (`tables`), the way from one to the
+other (`packing`), and what is kept between renderings (`cache`).
+"""

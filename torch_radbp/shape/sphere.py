@@ -6,8 +6,8 @@ import math
 
 import torch
 
+from torch_radbp.interface.balls import RINGS, SEGMENTS, Ball
 from torch_radbp.plugin import BSDF, Emitter, Matrix4, Point3, finite, positive, register
-from torch_radbp.shape.ball import RINGS, SEGMENTS, Ball
 from torch_radbp.shape.surface import Tessellated, Triangles, grid
 from torch_radbp.transforms import affine
 
@@ -46,7 +46,7 @@ class Sphere(Tessellated):
 
 
 def unit_sphere(segments: int, rings: int) -> Triangles:
-    """Tessellates the unit sphere, facets ordered so that geometric normals point outwards; see `ball.py`."""
+    """Tessellates the unit sphere, facets ordered so that geometric normals point outwards; see `interface/balls.py`."""
     uv, faces = grid(segments, rings)
     phi, theta = 2 * math.pi * uv[:, 0], math.pi * uv[:, 1]
     normals = torch.stack([torch.sin(theta) * torch.cos(phi), torch.sin(theta) * torch.sin(phi), torch.cos(theta)], 1)

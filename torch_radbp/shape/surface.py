@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.interface.balls import Ball
 from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Shape
 from torch_radbp.plugin.domain import POSE, Domain
-from torch_radbp.shape.ball import Ball
 from torch_radbp.transforms import mirrors, transform, transform_normals, transform_points
 
 if TYPE_CHECKING:

@@ -1,8 +1,8 @@
 """Interleaved tables: all values that a lane reads of one vertex or texel lie in one row, and so in one cache line.
 
 Tables are columns (struct of arrays) everywhere. Those of many entries may be columns of the same memory, of which compiled
-loops read whole rows (`jit/row_reads.py`); what few entries have is quicker to permute (`jit/window.py`). Images lie so
-already, and are read where they are.
+loops read whole rows (`jit/lane/row_reads.py`); what few entries have is quicker to permute (`jit/lane/window.py`). Images
+lie so already, and are read where they are.
 """
 
 from __future__ import annotations

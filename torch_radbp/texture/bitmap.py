@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.formats.image import read_image, srgb_to_linear
+from torch_radbp.interface.texture import LUMINANCE, Reader, TableReader, TexturePoint, TriangleEdges
 from torch_radbp.plugin import Filename, Matrix4, Plugin, Texture, finite, nearest, register
 from torch_radbp.plugin.domain import Domain
 from torch_radbp.plugin.jump_lines import JumpLines
@@ -19,7 +20,6 @@ from torch_radbp.tensors.interleaved import columns_of_rows
 from torch_radbp.tensors.vec import Vec2, Vec3
 from torch_radbp.texture.bank import TextureBank, sample_texture, texture_slope
 from torch_radbp.texture.pyramid import PyramidBank, pyramid, pyramid_slope, sample_pyramid, starts
-from torch_radbp.texture.reader import LUMINANCE, Reader, TableReader, TexturePoint, TriangleEdges
 from torch_radbp.texture.uv_transform import jump_lines, uv_matrix, uv_rows
 
 WRAP_MODES = ("repeat", "mirror", "clamp")
@@ -168,7 +168,7 @@ class Bitmap(Texture):
             same.
         filter_type: bilinear; nearest, where `to_uv` moves nothing but edges of texels and is no parameter; or trilinear,
             which Mitsuba does not have: of materials, means over about what a pixel sees of the surface are read from a
-            pyramid of coarser images (`torch_radbp.texture.pyramid`, `torch_radbp.scene.cone`), which is quiet and, where a
+            pyramid of coarser images (`torch_radbp.texture.pyramid`, `torch_radbp.vertex.cone`), which is quiet and, where a
             texture is smaller than pixels, blurred. Emitters are read bilinear. Derivatives include that of the level.
         wrap_mode: repeat, mirror or clamp.
         raw: do not decode sRGB when reading an 8- or 16-bit file, or bytes.

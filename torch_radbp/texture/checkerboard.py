@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.interface.texture import TableReader, TexturePoint
 from torch_radbp.plugin import Matrix4, Texture, register
 from torch_radbp.plugin.domain import Domain
 from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Vec2, Vec3
 from torch_radbp.texture.mixed import reader_for
-from torch_radbp.texture.reader import TableReader, TexturePoint
 from torch_radbp.texture.rgb import as_texture
 from torch_radbp.texture.uv_transform import jump_lines, transformed, uv_matrix, uv_rows
 

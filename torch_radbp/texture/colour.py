@@ -9,10 +9,10 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from torch_radbp.interface.texture import TableReader, TexturePoint
 from torch_radbp.plugin import Texture
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Vec2, Vec3
-from torch_radbp.texture.reader import TableReader, TexturePoint
 
 
 @dataclass(frozen=True)

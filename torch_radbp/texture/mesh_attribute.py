@@ -9,11 +9,11 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from torch_radbp.interface.texture import LUMINANCE, TableReader, TexturePoint
 from torch_radbp.plugin import Texture, finite, register
 from torch_radbp.plugin.domain import NUMBER, Domain
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Vec2, Vec3
-from torch_radbp.texture.reader import LUMINANCE, TableReader, TexturePoint
 
 PREFIXES = ("vertex_", "face_")
 
@@ -81,7 +81,7 @@ class MeshAttribute(Texture):
         return {"scale": NUMBER}
 
     def check(self, name: str, domain: Domain) -> None:
-        """Does nothing: mesh attributes are checked by `torch_radbp.scene.attributes`."""
+        """Does nothing: mesh attributes are checked by `torch_radbp.scene.packing.attributes`."""
 
     def sources(self) -> tuple[Tensor, ...]:
         return (self.scale,)

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.interface.texture import TableReader, TexturePoint
 from torch_radbp.plugin import Texture
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Vec2, Vec3, where
 from torch_radbp.texture.bitmap import reader_of
-from torch_radbp.texture.reader import TableReader, TexturePoint
 
 
 class MixedBank(NamedTuple):

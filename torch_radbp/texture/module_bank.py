@@ -14,10 +14,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.team import each, threads
 from torch_radbp.tensors.partition import partition_by_torch
 from torch_radbp.tensors.vec import Vec2, Vec3, rows
 from torch_radbp.texture.module_function import ModuleFunction
+from torch_radbp.threads.team import each, threads
 
 BATCH = 1 << 12  # places, on the CPU; fewer, and calls from Python take a part of the time
 PARAMETERS = 64  # a place, of a batch that is differentiated at the most: each batch has a gradient of all of them

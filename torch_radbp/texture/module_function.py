@@ -9,8 +9,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from torch_radbp.interface.texture import LUMINANCE
 from torch_radbp.plugin.domain import LEEWAY, Domain
-from torch_radbp.texture.reader import LUMINANCE
 
 SMOOTH = "keep square roots, norms, logarithms and quotients in the module away from 0"
 OUTSIDE = "; let it end with a function onto that range, such as nn.Sigmoid()"

@@ -9,11 +9,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn.parameter import is_lazy
 
+from torch_radbp.interface.texture import OutsideReader
 from torch_radbp.plugin import Plugin, Texture, nearest
 from torch_radbp.tensors.vec import Vec2, Vec3
 from torch_radbp.texture.module_bank import ModuleBank
 from torch_radbp.texture.module_function import ModuleFunction, Use
-from torch_radbp.texture.reader import OutsideReader
 
 PLACES = {"uv": 2, "position": 3}  # with the number of coordinates
 

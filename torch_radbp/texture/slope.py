@@ -9,11 +9,11 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from torch_radbp.interface.texture import OutsideReader, Reader, TableReader, TexturePoint, TriangleEdges
 from torch_radbp.plugin import Texture
 from torch_radbp.tensors.vec import Vec2, Vec3, dot
 from torch_radbp.texture.module_bank import ModuleBank
 from torch_radbp.texture.neural import ModuleReader
-from torch_radbp.texture.reader import OutsideReader, Reader, TableReader, TexturePoint, TriangleEdges
 
 
 def along_surface(rise: Vec2, edges: TriangleEdges) -> Vec3:

@@ -21,7 +21,7 @@ def cache(
 ) -> None:
     """Show where compiled code is kept on disk, or delete it."""
     with clear_errors(debug):
-        from torch_radbp.jit import code_cache
+        from torch_radbp.jit.store import code_cache
 
         folder = code_cache.folder()
         if folder is None:

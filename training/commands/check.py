@@ -120,7 +120,7 @@ def parse_direction(text: str | None, shape: tuple[int, ...]):
 def write_outcome(folder: Path, result, sensors: list[str]) -> list[Path]:
     """Writes one picture per sensor and check.json into `folder`; returns the paths of the pictures."""
     from torch_radbp.formats.atomic import replacing
-    from torch_radbp.io.file_names import file_name
+    from torch_radbp.formats.file_names import file_name
     from torch_radbp.training.signed_picture import write_panels
 
     folder.mkdir(parents=True, exist_ok=True)

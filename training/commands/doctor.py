@@ -92,8 +92,8 @@ def processor() -> Iterator[Finding]:
     """What the processor is compiled for, threads, memory, and where compiled code is kept."""
     import torch
 
-    from torch_radbp.jit import code_cache
-    from torch_radbp.jit.machine import host, host_width
+    from torch_radbp.jit.cpu.machine import host, host_width
+    from torch_radbp.jit.store import code_cache
     from torch_radbp.rendering.cost import memory_of
     from torch_radbp.rendering.memory import bytes_text
 
@@ -123,7 +123,7 @@ def gpu() -> Iterator[Finding]:
         built = f"built for CUDA {torch.version.cuda}" if torch.version.cuda else "built for the CPU alone"
         yield Finding("GPU", f"none is seen by this torch, {built}")
         return
-    from torch_radbp.jit.driver import NoDriver, driver_of
+    from torch_radbp.jit.nvidia.driver import NoDriver, driver_of
 
     for number in range(torch.cuda.device_count()):
         device = torch.device("cuda", number)

@@ -105,7 +105,7 @@ class _Differentiable:
         self.known: dict[tuple, bool] = {}
 
     def __call__(self, name: str) -> bool:
-        from torch_radbp.scene.pack import pack
+        from torch_radbp.scene.packing.pack import pack
         from torch_radbp.tensors.differentiated import any_differentiated
 
         owner, _, attribute = name.rpartition(".")

@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from torch_radbp.aov.quantity import channel_names, checked_names, plain
+from torch_radbp.formats.file_names import file_name
 from torch_radbp.formats.image import save_image, srgb_to_linear
-from torch_radbp.io.file_names import file_name
 from torch_radbp.rendering.renderer import Renderer
-from torch_radbp.scene import Scene
+from torch_radbp.scene.modules.scene import Scene
 
 DIRECTIONS = ("geo_normal", "sh_normal")  # of unit length: -1 is black, 1 is white
 COLOURS = ("albedo", "xyz")

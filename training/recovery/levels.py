@@ -5,7 +5,7 @@ from typing import NamedTuple
 from torch import Tensor, nn
 
 from torch_radbp.photographs.area_average import area_average
-from torch_radbp.scene import Scene
+from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.sensor.kind import ProjectiveCamera
 from torch_radbp.training.recovery.recovered import RecoveredParameter
 from torch_radbp.training.recovery.targets import Targets

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from torch_radbp.plugin import nearest
 from torch_radbp.plugin.domain import Domain
-from torch_radbp.scene.parameters import held_values
+from torch_radbp.scene.modules.parameters import held_values
 from torch_radbp.training import recipe_parameter as recipe
 from torch_radbp.training.recovery.initial_values import check_values, initial_value, true_value
 from torch_radbp.training.recovery.recovered import RecoveredParameter

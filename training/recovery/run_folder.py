@@ -2,7 +2,7 @@
 
     recipe.toml              the recipe as used; can be run again from here
     metrics.csv              loss, its terms, learning rate, seconds and parameters of every step
-    images/SENSOR_*.png|exr  before, target, after, error; of names see `io.file_names`
+    images/SENSOR_*.png|exr  before, target, after, error; of names see `formats.file_names`
     textures/NAME_*.png      before, recovered, true, for parameters that are pictures
     parameters.safetensors   recovered values by parameter name
     scene/scene.xml          the scene with the recovered values
@@ -24,8 +24,8 @@ from torch import Tensor, nn
 
 import torch_radbp as rb
 from torch_radbp.formats.atomic import replacing
+from torch_radbp.formats.file_names import file_name
 from torch_radbp.formats.image import save_image
-from torch_radbp.io.file_names import file_name
 from torch_radbp.training.recipe import Recipe
 from torch_radbp.training.recipe_file import read_recipe, write_recipe
 from torch_radbp.training.recovery import checkpoint

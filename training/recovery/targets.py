@@ -8,7 +8,7 @@ from torch import Tensor
 from torch_radbp.formats.image import read_image
 from torch_radbp.photographs.picture import read_mask
 from torch_radbp.plugin import nearest
-from torch_radbp.scene import Scene
+from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.texture.bitmap import LUMINANCE
 from torch_radbp.training import recipe
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.medium.kind import MediumKind
+from torch_radbp.interface.medium import MediumKind
 from torch_radbp.plugin import Medium, Texture, register
 from torch_radbp.plugin.domain import AMOUNT, Domain
 from torch_radbp.tensors.lookup import lookup

@@ -13,7 +13,7 @@ from torch_radbp.io.gltf.names import Names
 from torch_radbp.io.gltf.surface import GltfSurface, constant_slot, surface_of
 from torch_radbp.io.gltf.written import Written
 from torch_radbp.plugin import BSDF, Plugin, SceneError, Shape, Texture
-from torch_radbp.scene.scene import name_in
+from torch_radbp.scene.modules.scene import name_in
 
 
 class Peeled(NamedTuple):

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from torch_radbp.formats.leniency import Repairs
-from torch_radbp.io.attribute_values import value_text
+from torch_radbp.io.values.attribute_values import value_text
 from torch_radbp.plugin import SceneError, nearest
 
 REQUIRED: Any = object()  # in the place of a default: there is none

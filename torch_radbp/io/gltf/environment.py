@@ -16,8 +16,8 @@ import numpy as np
 import torch
 
 from torch_radbp.emitter.envmap import Envmap
+from torch_radbp.formats.file_names import file_name
 from torch_radbp.formats.image import save_image
-from torch_radbp.io.file_names import file_name
 from torch_radbp.io.gltf.accessor import Buffers
 from torch_radbp.io.gltf.document import DocumentPart, Losses
 

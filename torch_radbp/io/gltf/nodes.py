@@ -9,7 +9,7 @@ import numpy as np
 
 from torch_radbp.io.gltf.accessor import Buffers
 from torch_radbp.io.gltf.document import Document, DocumentPart
-from torch_radbp.io.transform import scale, translate
+from torch_radbp.io.values.transform import scale, translate
 
 MAX_NODES = 100_000
 

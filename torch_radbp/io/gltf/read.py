@@ -27,7 +27,7 @@ from torch_radbp.io.gltf.picture import Pictures
 from torch_radbp.io.gltf.primitive import SETS, Primitive, Primitives
 from torch_radbp.io.gltf.texture import GltfTextures
 from torch_radbp.plugin import Integrator, Plugin, SceneError, nearest
-from torch_radbp.scene.scene import Scene
+from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.shape.mesh import Mesh, TensorMesh, has_area
 
 LISTED = 20  # losses in a message

@@ -21,7 +21,7 @@ from torch_radbp.io.gltf.lamp_out import column_major, matrix_of
 from torch_radbp.io.gltf.read import said
 from torch_radbp.io.gltf.written import Written
 from torch_radbp.plugin import Plugin, SceneError, Shape
-from torch_radbp.scene.scene import Scene
+from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.shape.instance import Instance, instanced
 from torch_radbp.shape.shapegroup import ShapeGroup
 from torch_radbp.shape.surface import Triangles

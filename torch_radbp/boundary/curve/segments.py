@@ -1,0 +1,251 @@
+"""Straight discontinuity curves inside of triangles (texture lines, intersections), and samples on them.
+
+They are lines at which textures jump, and lines along which other triangles pass through. Both lie on a triangle as a
+segment with fixed barycentric coordinates. Where a *level* changes at a fixed place by df, the line moves as `contour.py`
+derives: the level is the height above the plane of a triangle that passes through, or the number that is an integer on lines
+of a texture. So these move with their triangle, and slide over it where the surface coordinates change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.curve.faces import with_shares
+from torch_radbp.boundary.curve.film_term import CurvesInView, ExaminedView, FilmTerm, film_term, lines_in_view
+from torch_radbp.boundary.curve.geometry import Between, Corners, Geometry, largest_coordinate, positions
+from torch_radbp.boundary.curve.places import (
+    INTERSECTION,
+    TEXTURE,
+    Glued,
+    Lot,
+    Places,
+    Sight,
+    counts_somewhere,
+    depth_of,
+    length_in_view,
+    on_film,
+    picked,
+    place_numbers,
+    velocities_on_film,
+)
+from torch_radbp.sensor.kind import Camera
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.record import joined as joined_records
+from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.vec import TINY, Vec2, Vec3, cross, dot, interpolated, rows, unit_normal
+
+if TYPE_CHECKING:
+    from torch_radbp.boundary.curve.outline import Jumps
+
+IN_PLANE = 1e-6  # share of the largest coordinate up to which viewers lie in a plane
+
+
+class SeenFrom(NamedTuple):
+    """The sides from which S segments are visible, float64 but for the last."""
+
+    side: Tensor  # of the segment's triangle: 1, -1; 0: both
+    side_of_through: Tensor  # of the intersecting triangle, likewise
+    rests: Tensor  # (S,) bool: an edge lies on the surface there, without passing through
+
+
+class Segments(NamedTuple):
+    """S segments inside of triangles, as functions of lanes read them; barycentric (u, v), float64."""
+
+    triangle: Tensor  # (S,) int32
+    instance: Tensor | None  # (S,) int32 instance as in a hit; None: the scene has none
+    start: Vec2  # (S,)
+    end: Vec2  # (S,)
+    aside: Vec2  # (S,) a step across, after which a place lies surely on one side; 0: it is not known
+    rise: Vec2  # (S,) of lines of textures what their number changes by with u and v, else 0
+    line: Tensor  # (S,) int32, which line it is of, see `term.LineNumbers`; -1 of where a triangle passes through
+    through: Tensor  # (S,) int32, the triangle that passes through there; -1: none does, a texture jumps
+    shown_by: Tensor | None  # (S,) int32, the instance that shows that
+    share: Tensor | None  # (S,) float64, how often a segment is among these, in the mean; None: once
+    seen_from: SeenFrom | None = None  # None: each from everywhere
+
+    def corners(self, geometry: Geometry) -> Corners:
+        """The corners of the segments' triangles, world, float64."""
+        return positions(geometry, Between(*lookup(geometry.triangles.corners, self.triangle)), self.instance)
+
+
+def joined_segments(parts: list[Segments]) -> Segments | None:
+    """Joins several sets of segments; None: there are none."""
+    if len(parts) > 1 and any(part.seen_from is not None for part in parts):
+        parts = [part if part.seen_from is not None else part._replace(seen_from=from_everywhere(part)) for part in parts]
+    return joined_records(with_shares(parts)) if parts else None
+
+
+def from_everywhere(segments: Segments) -> SeenFrom:
+    """The `SeenFrom` of segments that are visible from all sides."""
+    none = torch.zeros_like(segments.start.x)
+    return SeenFrom(none, none, torch.zeros_like(none, dtype=torch.bool))
+
+
+@film_term
+class InnerLines(FilmTerm):
+    """Straight curves inside of triangles: lines at which textures jump, and intersections of surfaces."""
+
+    rank = 2
+    kinds = TEXTURE, INTERSECTION
+
+    def in_view(self, viewed: ExaminedView, jumps: Jumps) -> list[CurvesInView]:
+        return lines_in_view(viewed, jumps.segments, segment_weight, segment_place)
+
+    def level(self, geometry: Geometry, camera: Camera, places: Places, kind: int) -> Tensor | None:
+        if kind == INTERSECTION:
+            return height_above(place_of(geometry, places.through, places.shown_by), places.at(geometry))
+        if geometry.lines is None:
+            return None
+        return level_on_lines(geometry, places.between, places.u, places.v, places.line)
+
+
+@stage("geometry", "sight")
+def segment_weight(geometry: Geometry, sight: Sight, segments: Segments) -> Tensor:
+    """The visible lengths of segments, (S,) float64 pixels.
+
+    Args:
+        geometry: of the scene, detached.
+        sight: of the camera.
+        segments: (S,).
+    """
+    corners = segments.corners(geometry)
+    length = length_in_view(sight, *(interpolated(corners, end.x, end.y) for end in (segments.start, segments.end)))
+    if segments.seen_from is None or sight.camera.kind.has_aperture:
+        return length
+    return torch.where(faces_viewer(geometry, segments, corners, lambda p: -sight.eye.towards(p)), length, 0.0)
+
+
+@stage("geometry", "sight", "segments", "lot")
+def segment_place(geometry: Geometry, sight: Sight, segments: Segments, lot: Lot, place: Tensor) -> Places:
+    """Samples segments in proportion to their lengths on the film.
+
+    Args:
+        geometry, sight, segments: as for `segment_weight`.
+        lot: of the segments.
+        place: (N,) int32, numbers of the places.
+    """
+    camera, numbers = sight.camera, place_numbers(sight, place, TEXTURE)
+    aperture = numbers.aperture
+    segment, share, times = picked(lot, place, numbers.along)
+    own = rows(segments, segment)
+    between, corners = Between(*lookup(geometry.triangles.corners, own.triangle)), own.corners(geometry)
+    a, b = (interpolated(corners, end.x, end.y) for end in (own.start, own.end))
+    enters, leaves = sight.frustum.clipped(a, b)
+    along, run = enters + (leaves - enters) * share, own.end + own.start * -1.0
+    at = own.start + run * along
+    p = interpolated(corners, at.x, at.y)
+    film, pace = on_film(camera, p, aperture), velocities_on_film(
+        camera, p, [corner - corners[0] for corner in corners[1:]], aperture)
+    # The density over `along` is 1 / (times reach); the length of the segment on the film per `along` is in `swift`.
+    scale = times * (leaves - enters)
+    scale = scale if own.share is None else scale / own.share
+    if own.seen_from is not None:
+        seen = faces_viewer(geometry, own, corners, lambda p: camera.kind.towards(camera.lens, p, aperture))
+        scale = torch.where(seen, scale, 0.0)
+    swift = (pace[0] * run.x + pace[1] * run.y) * scale
+    normal = Vec2(-swift.y, swift.x)
+    step = pace[0] * own.aside.x + pace[1] * own.aside.y
+    ahead = torch.where(step.x * normal.x + step.y * normal.y >= 0.0, 1.0, -1.0)
+    known = torch.where((own.aside.x != 0.0) | (own.aside.y != 0.0), own.triangle, -1)
+    sides = (Glued(known, at.x + own.aside.x * way, at.y + own.aside.y * way) for way in (-ahead, ahead))
+    passing = own.through >= 0
+    passed = place_of(geometry, own.through, own.shown_by)
+    heights = heights_by(passed, corners)
+    rise = Vec2(*(torch.where(passing, height, line) for height, line in zip(heights, own.rise)))
+    drift = drift_of(rise, pace, normal)
+    kind = torch.where(passing, INTERSECTION, TEXTURE).to(torch.int32)
+    return Places(kind, between, own.instance, at.x, at.y, p, film, normal, torch.ones_like(at.x), drift,
+                  depth_of(camera, p, corners, aperture), *sides, own.through, own.shown_by, numbers.key, aperture,
+                  counts_somewhere(camera, film), own.line)
+
+
+def faces_viewer(geometry: Geometry, segments: Segments, corners: Corners, towards: Callable[[Vec3], Vec3]) -> Tensor:
+    """(N,) bool: segments on sides that face the viewer; not from within a plane, up to rounding.
+
+    Args:
+        geometry: of the scene, detached.
+        segments: (N,).
+        corners: of their triangles.
+        towards: gives the directions from (N,) points to the viewer, of any length.
+    """
+    seen = None
+    planes = corners, place_of(geometry, segments.through, segments.shown_by)
+    for plane, side in zip(planes, segments.seen_from[:2]):
+        normal, d = unit_normal(plane[1] - plane[0], plane[2] - plane[0]), towards(plane[0])
+        least = IN_PLANE * largest_coordinate(d, *plane)
+        here = (side == 0.0) | (side * dot(normal, d) > least)
+        seen = here if seen is None else seen & here
+    return seen
+
+
+def place_of(geometry: Geometry, triangle: Tensor, instance: Tensor | None) -> Corners:
+    """The corners of triangles, (N,) int32, in the world, attached; of any triangle for -1."""
+    return positions(geometry, Between(*lookup(geometry.triangles.corners, triangle.clamp_min(0))), instance)
+
+
+def height_above(corners: Corners, p: Vec3) -> Tensor:
+    """The height of points above the planes of triangles, in units of twice their areas; (N,) attached."""
+    return dot(cross(corners[1] - corners[0], corners[2] - corners[0]), p - corners[0])
+
+
+def heights_by(passed: Corners, corners: Corners) -> Vec2:
+    """The derivatives, by u and v on triangles, of the height above intersecting triangles; (N,)."""
+    upright = cross(passed[1] - passed[0], passed[2] - passed[0])
+    return Vec2(*(dot(upright, corner - corners[0]) for corner in corners[1:]))
+
+
+def level_on_lines(geometry: Geometry, between: Between, u: Tensor, v: Tensor, line: Tensor) -> Tensor:
+    """The number that is an integer on lines of textures, up to a constant, (N,) attached.
+
+    Args:
+        between: the vertices of triangles, on which (u, v), barycentric, is meant.
+        line: (N,) int32, which lines.
+    """
+    x = y = None
+    if geometry.triangles.vertices.uv is not None:
+        uv = [lookup(geometry.triangles.vertices.uv, row) for row in between]
+        x, y = (sum(getattr(corner, axis).double() * weight for corner, weight in zip(uv, (1.0 - u - v, u, v)))
+                for axis in ("x", "y"))
+    return geometry.lines.level(line.clamp_min(0), x, y)
+
+
+def drift_of(rise: Vec2, pace: list[Vec2], normal: Vec2) -> Tensor:
+    """The motion of lines along their normals on the film per unit of their level; (N,).
+
+    Args:
+        rise: what the levels change by with the coordinates u and v.
+        pace: how fast a place is seen to move with these.
+        normal: of the lines, (N,) of any length, by which the result is as long.
+    """
+    by_u, by_v = rise
+    of_u, of_v = pace
+    m = Vec2(of_v.y * by_u - of_u.y * by_v, of_u.x * by_v - of_v.x * by_u)
+    volume = of_u.x * of_v.y - of_v.x * of_u.y
+    return -volume * (normal.x * m.x + normal.y * m.y) / (m.x * m.x + m.y * m.y).clamp_min(TINY)
+
+
+def zero_crossings(f0: Tensor, f1: Tensor, f2: Tensor) -> tuple[Vec2, Vec2]:
+    """The two points on the sides of triangles where a linear function, given at the corners, vanishes; barycentric.
+
+    They are one if it is 0 in a corner alone, or nowhere.
+    """
+    at_1, at_2 = (f0 > 0.0) == (f2 > 0.0), (f0 > 0.0) == (f1 > 0.0)  # the corner that is alone on its side
+    at_2 = at_2 & ~at_1
+    ends = []
+    for other in (1, 2):
+        # From the corner that is alone to the one that comes so many places after it.
+        alone = torch.where(at_1, f1, torch.where(at_2, f2, f0))
+        beyond = torch.where(at_1, (f0, f1, f2)[(1 + other) % 3], torch.where(at_2, (f0, f1, f2)[(2 + other) % 3],
+                                                                             (f1, f2)[other - 1]))
+        share = (alone / torch.where(alone == beyond, 1.0, alone - beyond)).clamp(0.0, 1.0)
+        weight = [torch.zeros_like(share) for _ in range(3)]
+        for apex, here in ((0, ~(at_1 | at_2)), (1, at_1), (2, at_2)):
+            weight[apex] = torch.where(here, 1.0 - share, weight[apex])
+            to = (apex + other) % 3
+            weight[to] = torch.where(here, share, weight[to])
+        ends.append(Vec2(weight[1], weight[2]))
+    return ends[0], ends[1]

@@ -1,0 +1,118 @@
+"""Derivatives of images by jumps: deposits at points of the film.
+
+Each is a zero with a derivative, how far a piece of a curve moves times what the image jumps by there. So the value of the
+image stays what it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.adjoint.forward_mode import has_tangents
+from torch_radbp.adjoint.function import first_derivatives_only
+from torch_radbp.boundary.curve.geometry import Geometry, geometry_of
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.public_call import public_call
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.sensor.kind import Camera
+from torch_radbp.tensors.differentiated import detached, primal
+from torch_radbp.tensors.lookup import summed
+from torch_radbp.tensors.stage import Stages, stage
+from torch_radbp.tensors.vec import Vec2, rows
+
+
+class Deposit(NamedTuple):
+    """K jumps of an image, and the motion of the curves along which these lie."""
+
+    place: Vec2  # (K,) pixels from the upper left corner of the window, float64, detached
+    strength: Sequence[Tensor]  # (K,) float64 for each channel: gain per unit of motion, detached
+    moved: Tensor  # (K,) float64 zeros, attached: the areas that pieces of curves sweep, or what levels change by
+
+
+def image_of(call: RenderCall, number: int, deposits: Sequence[Deposit], channels: int = 3) -> Tensor:
+    """(C, H, W) zeros, attached: the sum of deposits in the pixels of view `number`."""
+    view = call.views[number]
+    camera, shape, moved = detached(view.camera), (channels, view.height, view.width), [own.moved for own in deposits]
+    if not deposits or call.adjoint.taped or has_tangents(moved):
+        return recorded(camera, deposits, shape)
+    return DepositFunction.apply(call.stages, camera, [own._replace(moved=None) for own in deposits], shape, *moved)
+
+
+def recorded(camera: Camera, deposits: Sequence[Deposit], shape: tuple[int, int, int]) -> Tensor:
+    """The image of deposits as torch records it, in either mode; args as of `DepositFunction`."""
+    image = torch.zeros(shape, dtype=torch.float64, device=camera.film.size_x.device).flatten(1)
+    for place, strength, moved in deposits:
+        for pixel, count in camera.film.around(place):
+            image = image.index_add(1, pixel, torch.stack(tuple(strength)) * (moved * count))
+    return image.to(camera.dtype).view(shape)
+
+
+class DepositFunction(torch.autograd.Function):
+    """A zero image with the derivative of deposits, as a function of their motions."""
+
+    @staticmethod
+    def forward(ctx, stages: Stages, camera: Camera, deposits: Sequence[Deposit], shape: tuple[int, int, int],
+                *moved: Tensor) -> Tensor:
+        ctx.stages, ctx.camera, ctx.deposits = stages, camera, deposits
+        return camera.film.size_x.new_zeros(shape)
+
+    @staticmethod
+    @first_derivatives_only
+    @torch.autograd.function.once_differentiable
+    @public_call
+    def backward(ctx, grad_image: Tensor):
+        pixels = tuple(channel.contiguous() for channel in grad_image.flatten(1))
+        asked = [ctx.stages(asked_of_places)(ctx.camera, pixels, *own[:2]) for own in ctx.deposits]
+        return None, None, None, None, *asked
+
+
+@stage("camera", "pixels")
+def asked_of_places(camera: Camera, pixels: tuple[Tensor, ...], place: Vec2, strength: Sequence[Tensor]) -> Tensor:
+    """The loss's derivatives by the motion at places, (K,) float64.
+
+    Args:
+        camera: detached.
+        pixels: (H * W,) of each channel of the image, the derivative of the loss by it, row-major.
+        place, strength: as of `Deposit`.
+    """
+    total = torch.zeros_like(strength[0])
+    for pixel, count in camera.film.around(place):
+        for channel, jump in zip(pixels, strength):
+            total = total + jump * count * rows(channel, pixel)
+    return total
+
+
+class MotionFunction(torch.autograd.Function):
+    """Zeros whose derivative was computed before: nothing of the scene is kept for the backward pass."""
+
+    @staticmethod
+    def forward(ctx, count: int, adjoint: Callable[[Tensor], Sequence[Tensor | None]], *leaves: Tensor) -> Tensor:
+        ctx.adjoint = adjoint
+        return torch.zeros(count, dtype=torch.float64, device=leaves[0].device)
+
+    @staticmethod
+    @first_derivatives_only
+    @torch.autograd.function.once_differentiable
+    @public_call
+    def backward(ctx, asked: Tensor):
+        return None, None, *ctx.adjoint(asked)
+
+
+def attached_geometry(scene: SceneTensors) -> Geometry:
+    """The geometry of an attached scene, prepared for sums of many gradients."""
+    geometry = geometry_of(scene)
+    return geometry if has_tangents(geometry) else summed(geometry)
+
+
+def swept_areas(seen: Vec2, normal: Vec2) -> Tensor:
+    """(K,) zeros, attached: the areas that pieces of curves sweep.
+
+    Args:
+        seen: (K,) where they are, attached.
+        normal: (K,) across them, as long as the pieces.
+    """
+    return (seen.x - primal(seen.x)) * normal.x + (seen.y - primal(seen.y)) * normal.y

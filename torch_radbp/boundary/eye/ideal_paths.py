@@ -1,0 +1,141 @@
+"""Camera paths through ideal mirrors and glass, up to the first vertex that scatters otherwise."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.eye.ideal_steps import LIT, ONWARDS, Reached, steps_taken
+from torch_radbp.boundary.eye.light_points import light_line
+from torch_radbp.boundary.eye.seen_edges import BEFORE, FAR
+from torch_radbp.boundary.eye.surfaces import Surfaces
+from torch_radbp.path.direct_light import LightDraw
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.state import PathState
+from torch_radbp.path.step import Onward
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.vec import Ray, dot, rows
+from torch_radbp.vertex.interaction import surface_interaction
+
+MOST_VERTICES = 16  # of a path that are looked at
+NO_ROULETTE = 1 << 30
+
+
+class Vertices(NamedTuple):
+    """The vertices of N paths after the same number of ideal ones."""
+
+    place: Tensor  # (N,) int32, index of the path among the M that come so far; -1: it ends before
+    met: Reached
+
+
+class LightLooks(NamedTuple):
+    """N light samples for which shadow borders are searched."""
+
+    draw: LightDraw
+    sharp: Tensor  # (N,) bool: of a light without extent; others are left out
+
+
+IdealPath = tuple[Vertices, ...]  # vertex by vertex, from what the camera sees on
+
+
+def only_ideal(integrand: Integrand) -> Integrand:
+    """The integrand that follows ideal vertices: without light sampling and Russian roulette."""
+    return integrand._replace(settings=integrand.settings._replace(nee=False), rr_depth=NO_ROULETTE,
+                              max_depth=min(integrand.max_depth, MOST_VERTICES))
+
+
+def ideal_path(integrand: Integrand, start: PathState, surfaces: Surfaces) -> IdealPath:
+    """Follows paths until they hit something that does not scatter ideally, or nothing; at most to the last bounce.
+
+    Args:
+        integrand: from `only_ideal`, of a detached scene.
+        start: (N,) of the paths, lanes in order.
+        surfaces: of the scene, prepared for the stages.
+    """
+    found, onward = [], Onward(start, None)
+    with steps_taken(integrand, surfaces, start) as step:
+        for depth in range(integrand.max_depth):
+            if onward is None or not onward.count:
+                break
+            lane, met, onward = step(onward, depth)
+            place = lane
+            if depth:
+                place = torch.full_like(start.lane, -1)
+                place[lane.long()] = torch.arange(len(lane), dtype=torch.int32, device=lane.device)
+            found.append(Vertices(place, met))
+    return tuple(found)
+
+
+def some_paths(path: IdealPath, chosen: Tensor) -> IdealPath:
+    """Selects paths, (M,) int64, in this order; trimmed to the longest of them."""
+    found = []
+    for place, met in path:
+        own = place[chosen]
+        here = own >= 0
+        left = own[here]
+        if not len(left):
+            break
+        found.append(Vertices(torch.where(here, here.cumsum(0) - 1, -1).to(own.dtype), rows(met, left)))
+    return tuple(found)
+
+
+def extended(path: IdealPath, more: IdealPath) -> IdealPath:
+    """Concatenates two sets of paths."""
+    count, others = len(path[0].place), len(more[0].place)
+    found = []
+    for number in range(max(len(path), len(more))):
+        parts = [own[number] for own in (path, more) if number < len(own)]
+        first = len(parts[0].met.what)
+        places = [path[number].place if number < len(path) else parts[0].place.new_full((count,), -1),
+                  more[number].place if number < len(more) else parts[0].place.new_full((others,), -1)]
+        if len(parts) == 2:
+            places[1] = torch.where(places[1] < 0, -1, places[1] + first)
+        found.append(Vertices(torch.cat(places), joined([part.met for part in parts])))
+    return tuple(found)
+
+
+def begins(path: IdealPath) -> Tensor:
+    """(N,) bool: the camera sees an ideal surface."""
+    return (path[0].met.what & ONWARDS) > 0
+
+
+def along(path: IdealPath, chosen: Tensor, depth: Tensor) -> Reached:
+    """The hits of selected paths, (K,), after given numbers of vertices, (K,) int64."""
+    parts, order = [], []
+    for number, (place, met) in enumerate(path):
+        own = (depth == number).nonzero().squeeze(1)
+        order.append(own)
+        parts.append(rows(met, place[chosen[own]]))
+    back = torch.empty_like(depth)
+    back[torch.cat(order)] = torch.arange(len(depth), device=depth.device)
+    return rows(joined(parts), back)
+
+
+def with_light(integrand: Integrand, path: IdealPath, looks: LightLooks) -> IdealPath:
+    """The paths with `LIT` set where they end, after an ideal vertex, at a point with a free shadow ray."""
+    found = list(path)
+    for number, (place, met) in enumerate(path[1:integrand.max_depth - 1], 1):
+        lane = (place >= 0).nonzero().squeeze(1)  # in the order of `met`
+        ends = (((met.what & ONWARDS) == 0) & (met.hit.prim >= 0) & looks.sharp[lane]).nonzero().squeeze(1)
+        if len(ends):
+            draw = rows(looks.draw, lane[ends])
+            ray, distance = to_light(integrand.proposal, *rows((met.ray, met.hit), ends), draw)
+            lit = torch.where(integrand.caster.occluded(ray, distance), 0, LIT).to(met.what.dtype)
+            found[number] = Vertices(place, met._replace(what=met.what.index_add(0, ends, lit)))
+    return tuple(found)
+
+
+def to_light(scene: SceneTensors, ray: Ray, hit: Hit, draw: LightDraw) -> tuple[Ray, Tensor]:
+    """The shadow rays from hits towards light samples, and their lengths, (N,); detached."""
+    si = surface_interaction(scene, ray, hit)
+    _, d, _ = light_line(scene, si.p.map(torch.Tensor.double), draw)
+    # It aims from where it starts, off the surface, as shadow rays do: else the two would not agree beside a border.
+    start = si.offset((-d).map(lambda c: c.to(scene.dtype)))
+    _, d, parallel = light_line(scene, start.map(torch.Tensor.double), draw)
+    length = torch.sqrt(dot(d, d))
+    towards = (d * (-1.0 / length)).map(lambda c: c.to(scene.dtype))
+    return Ray(start, towards), torch.where(parallel, FAR, length * (1.0 - BEFORE)).to(scene.dtype)

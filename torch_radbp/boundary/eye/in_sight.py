@@ -1,0 +1,177 @@
+"""Visibility of discontinuity curves, by rays to and beside their samples, and the paths that start there."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.curve.geometry import Between, Geometry, largest_coordinate, positions
+from torch_radbp.boundary.curve.intersections import TOUCHING
+from torch_radbp.boundary.curve.places import CREASE, FAR, NEAR, RIM, SILHOUETTE, TEXTURE, Glued, Places, apart_at
+from torch_radbp.path.camera_rays import CameraSample
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, rows, unit_normal
+from torch_radbp.vertex.interaction import is_in_front
+
+NEARER = 1e-3  # share of the distance to an edge from which on what is nearer hides it surely; what is less, by its plane
+SAME = 1e-5  # the same of surfaces that are one at a rim
+ALONG_EDGE = 1e-3  # barycentric coordinate below which a rim runs along an edge, and may lie on the hidden side of it
+GRAZING = 2e-2  # the same of a surface that turns away at a silhouette: its depth changes with the root of what it is off
+USUAL = 3e-5  # share of the distance to a place, by which rays miss it, up to which this is so
+MOST = 0.5  # all at most, where coordinates are large and rays lie farther off
+
+
+class Sent(NamedTuple):
+    """Rays to K samples, behind and ahead of the curve, concatenated, and their hits; (3 K,)."""
+
+    sample: CameraSample
+    hit: Hit
+
+    def of(self, way: int, count: Tensor, lane: Tensor) -> tuple[Ray, Hit]:
+        """The rays to the samples (0), behind (1) or ahead (2) of the curve; of `count` samples those in `lane`."""
+        return rows((self.sample.ray, self.hit), lane + count * way)
+
+
+@stage("geometry", "places", "sent")
+def in_sight(geometry: Geometry, places: Places, chosen: Tensor, sent: Sent, count: Tensor, lane: Tensor,
+             kinds: tuple[int, ...]) -> Tensor:
+    """(K,) float64, 1 for samples that nothing hides, 0 for hidden ones; -1 for pieces that run back.
+
+    A ray to a place on a curve meets a triangle there, or passes by. Where an outline turns back and forth within less than
+    rounding, it does not tell which of the pieces it meets, of which only one has a jump. Pieces that run back are known by
+    their surface, which lies on the other side. They count as -1, so that one remains. Where coordinates are so large that
+    rays miss places by more than `USUAL`, it does not tell triangles apart either, and what rays on either side meet counts.
+    What hides a place that lies just inside of another body is known by the plane of the triangle that a ray meets.
+
+    Args:
+        geometry: of the scene, detached.
+        places: of which some are meant.
+        chosen: (K,) int32, which.
+        sent: to these.
+        count: () int32, K.
+        lane: (K,) int32, 0, 1, ...
+        kinds: of curves, of which some may be among them.
+    """
+    places = rows(places, chosen)
+    rays, hits = zip(*(sent.of(way, count, lane) for way in range(3)))
+    distances = [dot(places.p - ray.o, ray.d) for ray in rays]
+    off = [missed(places, distance).clamp_min(1.0) for distance in distances]
+    near = [(NEARER * times).clamp_max(MOST) for times in off]
+    covered = [hides(geometry, ray, hit, places.p) for ray, hit in zip(rays, hits)]
+    shown = [past(hit, distance * (1.0 - share)) & ~hidden
+             for hit, distance, share, hidden in zip(hits, distances, near, covered)]
+    here = [clear & ~past(hit, distance * (1.0 + share))
+            for clear, hit, distance, share in zip(shown, hits, distances, near)]
+    reach = [distance * (GRAZING * torch.sqrt(times)).clamp_max(MOST) + places.depth
+             for distance, times in zip(distances, off)]
+    turning = [past(hit, distance - most) & ~past(hit, distance + most)
+               for hit, distance, most in zip(hits, distances, reach)]
+    blurred = off[0] > 1.0
+    own = [is_one_of(places, hit) & ~blurred for hit in hits]
+    kind, ahead = places.kind, places.side > 0
+    ends = ((kind == SILHOUETTE) | (kind == FAR)) & (own[0] | shown[0] | blurred)
+    jumps_ahead, jumps_behind = shown[1] & turning[2], shown[2] & turning[1]
+    seen = ends & ((ahead & jumps_ahead) | (~ahead & jumps_behind))
+    turned = ends & ~seen & ((ahead & jumps_behind) | (~ahead & jumps_ahead))
+    seen = seen | (_goes_on(kind) & ((here[1] & here[2]) | own[0])) | (kind == NEAR)
+    if RIM in kinds:
+        seen = seen | ((kind == RIM) & ~blurred & rim_in_sight(places, own, hits[0], distances[0]) & ~covered[0])
+        behind, before = (is_in_front(geometry, ray, hit) for ray, hit in zip(rays[1:], hits[1:]))
+        # Beyond a narrow band of the other side there is none: the silhouette has the whole jump.
+        jumps = blurred & (kind == RIM) & turning[1] & turning[2] & (behind ^ before)
+        seen = seen | (jumps & ~(before ^ ahead))
+        turned = turned | (jumps & (before ^ ahead))
+    runs = (places.normal.x != 0) | (places.normal.y != 0)
+    return torch.where(runs & seen, 1.0, torch.where(runs & turned, -1.0, torch.zeros_like(places.u)))
+
+
+class PathsBeside(NamedTuple):
+    """Camera paths that start beside curves: the K behind them, then the K ahead of them; (2 K,)."""
+
+    sample: CameraSample
+    hit: Hit
+
+
+@stage("places", "chosen", "sent", "times", "shown")
+def paths_beside(places: Places, chosen: Tensor, sent: Sent, times: Tensor, shown: Tensor, counts: tuple[Tensor, Tensor],
+                 lane: Tensor) -> PathsBeside:
+    """The paths that start behind and ahead of visible samples.
+
+    A ray beside a curve may meet another curve, or the surface may end there, which is counted there. So where it is known
+    what surface the curve is on, the path begins at the place itself.
+
+    Args:
+        places, chosen, sent: as for `in_sight`; (M,) chosen.
+        times: (M,) what that says of them.
+        shown: (K,) int32, which of them are in sight.
+        counts: () int32 each, M and K.
+        lane: (2 K,) int32, 0, 1, ...
+    """
+    sent_to, count = counts
+    is_ahead = lane >= count
+    number = rows(shown, torch.where(is_ahead, lane - count, lane))
+    own, times = rows(places, rows(chosen, number)), rows(times, number)
+    sample, hit = rows(sent, number + torch.where(is_ahead, 2 * sent_to, sent_to))
+    both, outline = (own.kind == RIM) | _goes_on(own.kind), own.kind == SILHOUETTE
+    lies_ahead = ~((own.side > 0) ^ (times > 0))
+    glued = Glued(*(torch.where(is_ahead, there, here) for here, there in zip(own.behind, own.ahead)))
+    straight = rows(sent.sample.ray, number)
+    distance = dot(own.p - straight.o, straight.d)
+    known = (both | (outline & ~(lies_ahead ^ is_ahead))) & (glued.prim >= 0) & (missed(own, distance) <= 1.0)
+    place = Hit(glued.prim, glued.u, glued.v, distance, own.instance)
+    return PathsBeside(sample, Hit(*(None if there is None else torch.where(known, here.to(there.dtype), there)
+                                     for here, there in zip(place, hit))))
+
+
+def _goes_on(kind: Tensor) -> Tensor:
+    """True for kinds of curves on both sides of which a surface nearby is seen."""
+    return (kind == CREASE) | (kind >= TEXTURE)
+
+
+def missed(places: Places, distance: Tensor) -> Tensor:
+    """(N,) the distance of rays from samples, in units of the usual error; `distance` (N,) of the samples."""
+    return apart_at(places.p, distance) / (USUAL * distance.clamp_min(TINY))
+
+
+def rim_in_sight(places: Places, own: list[Tensor], hit: Hit, distance: Tensor) -> Tensor:
+    """(N,) bool: rim samples that nothing hides.
+
+    Args:
+        own: of the rays to them, behind and ahead of them, whether they meet the triangle of the rim.
+        hit, distance: of the ray to them, and how far they are.
+    """
+    inside = torch.minimum(torch.minimum(places.u, places.v), 1.0 - places.u - places.v) > ALONG_EDGE
+    nearby, clear = own[1] | own[2], past(hit, distance * (1.0 - SAME))
+    return ((own[0] | (clear & ~past(hit, distance * (1.0 + SAME)))) & (inside | nearby)) | (clear & nearby)
+
+
+def is_one_of(places: Places, hit: Hit) -> Tensor:
+    """(N,) bool: rays that hit one of the triangles at the sample."""
+    found = (hit.prim >= 0) & ((hit.prim == places.behind.prim) | (hit.prim == places.ahead.prim))
+    return found if places.instance is None else found & (hit.instance == places.instance)
+
+
+def hides(geometry: Geometry, ray: Ray, hit: Hit, p: Vec3) -> Tensor:
+    """(N,) bool: a hit triangle's plane lies between the ray's origin and a point beside the ray, by more than rounding.
+
+    The lengths of rays do not tell this: right beside a point they meet steep surfaces sooner or later than at the point,
+    by the more the farther the viewer.
+
+    Args:
+        geometry: of the scene, detached.
+        ray, hit: (N,).
+        p: (N,) world, float64, right beside the rays.
+    """
+    corners = positions(geometry, Between(*lookup(geometry.triangles.corners, hit.prim.clamp_min(0))), hit.instance)
+    normal = unit_normal(corners[1] - corners[0], corners[2] - corners[0])
+    height, of_viewer = dot(normal, p - corners[0]), dot(normal, ray.o.map(torch.Tensor.double) - corners[0])
+    return (hit.prim >= 0) & (height * torch.sign(of_viewer) < -TOUCHING * largest_coordinate(p, *corners))
+
+
+def past(hit: Hit, distance: Tensor) -> Tensor:
+    """(N,) bool: rays that hit nothing up to a given distance."""
+    return (hit.prim < 0) | (hit.t > distance)

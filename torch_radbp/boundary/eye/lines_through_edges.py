@@ -1,0 +1,47 @@
+"""BSDF and solid angle along lines from viewpoints through edges.
+
+Rays that tell what lies right beside an edge pass it a little off. Close to the edge they differ much from the line through
+it, which the border of a cut follows: a plane that the line meets nearly edge-on and far away may be met nearby by the ray.
+What is multiplied with the course of the border is therefore of the line; the ray tells only what is seen beside it.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.curve.geometry import geometry_of, largest_coordinate
+from torch_radbp.boundary.curve.intersections import TOUCHING
+from torch_radbp.boundary.eye.seen_edges import corners_of
+from torch_radbp.boundary.eye.viewpoints import Viewpoints, path_of
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.path.direct_light import scattered_light
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, cross, dot, normalize
+
+
+def scattered_towards(call: RenderCall, integrand: Integrand, points: Viewpoints, reach: Vec3) -> Vec3:
+    """BSDF times cosine of viewpoints, (N,), in directions of any length, float64; detached."""
+    d = normalize(reach).map(lambda c: c.to(integrand.proposal.dtype).contiguous())
+    return scattered_light(integrand, path_of(call, points.ray, points.key), points.hit, d)
+
+
+def solid_angle(scene: SceneTensors, hit: Hit, line: Ray) -> Tensor:
+    """(N,) float64 solid angle per unit of barycentric coordinates, where lines meet triangles' planes; 1 without a hit.
+
+    From within its own plane, but for rounding, nothing of a triangle is seen. There the line meets the plane nowhere:
+    what rounding makes of the angle does not vanish as fast as the speed grows at which the place moves over the plane.
+
+    Args:
+        scene: detached.
+        hit: (N,) the triangles.
+        line: (N,) float64, with directions of any length.
+    """
+    corners, d = corners_of(geometry_of(scene), hit), normalize(line.d)
+    n = cross(corners[1] - corners[0], corners[2] - corners[0])  # twice the area of the triangle, which u and v count in
+    facing, height = dot(n, d).abs(), dot(n, corners[0] - line.o).abs()
+    per_distance = facing / height.clamp_min(TINY)
+    least = TOUCHING * largest_coordinate(line.o, *corners) * torch.sqrt(dot(n, n))
+    return torch.where(hit.prim >= 0, torch.where(height > least, facing * per_distance * per_distance, 0.0), 1.0)

@@ -1,0 +1,117 @@
+"""The rays that leave chains of ideal vertices, with their derivatives."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+from torch_radbp.adjoint.function import asks_for_gradient
+from torch_radbp.adjoint.scatter import Gradients, gradients_of
+from torch_radbp.adjoint.sweep import PathRecord, numbered_leaves
+from torch_radbp.adjoint.taped_sweep import sweep_of
+from torch_radbp.boundary.eye.deposit import MotionFunction
+from torch_radbp.boundary.eye.ideal_paths import only_ideal
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.lanes import put_rows
+from torch_radbp.path.state import PathState
+from torch_radbp.path.step import Step, survivors
+from torch_radbp.path.wavefront import take_step
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.tensors.differentiated import differentiable
+from torch_radbp.tensors.record import leaves_of
+from torch_radbp.tensors.vec import Ray, Vec3, rows
+
+
+class Chains(NamedTuple):
+    """K chains of ideal vertices; detached."""
+
+    states: dict[int, PathState]  # by index of the vertex, of paths that go on there
+    steps: dict[int, Step]
+    depth: Tensor  # (K,) int64, number of vertices
+    ray: Ray  # leaves the last vertex
+
+
+def follows_chains(integrand: Integrand) -> Integrand:
+    """The integrand with which chains of ideal vertices are differentiated."""
+    integrand = only_ideal(integrand)
+    # Whether all directions are followed or not.
+    return integrand._replace(settings=integrand.settings._replace(moving=True, sampling="hybrid"))
+
+
+def chains_of(integrand: Integrand, start: PathState, depth: Tensor) -> Chains:
+    """Traces chains of given numbers of vertices.
+
+    Args:
+        integrand: from `follows_chains`, of a detached scene.
+        start: (K,) of the paths.
+        depth: (K,) int64, less than the vertices of each.
+    """
+    state, states, steps, ends = start, {}, {}, []
+    while len(state.lane):
+        left = depth[state.lane.long()] - len(steps)
+        ends.append((state.lane[left == 0], rows(state.ray, (left == 0).nonzero().squeeze(1))))
+        state = rows(state, (left > 0).nonzero().squeeze(1))
+        if len(state.lane):
+            states[len(steps)] = state
+            vertex, _, step = take_step(integrand, state, len(steps), with_light=False)
+            steps[len(steps)] = step
+            state = survivors(integrand, vertex.next, step)
+    ray = Ray(Vec3.buffer(start.pdf), Vec3.buffer(start.pdf))
+    for lane, found in ends:
+        put_rows(ray, lane, found)
+    return Chains(states, steps, depth, ray)
+
+
+def adjoint_of_start(integrand: Integrand, chains: Chains, adj_ray: Ray, wanted: tuple[bool, ...],
+                     gradients: Gradients) -> Ray:
+    """The adjoints of the first rays of chains; adds to the scene's gradients.
+
+    Args:
+        integrand: that the chains are of.
+        chains: (K,).
+        adj_ray: of the rays that leave them.
+        wanted: of each leaf of the scene, as `leaves_of` counts them, whether `gradients` have it.
+        gradients: added to.
+    """
+    record = PathRecord(lambda: chains.states[0], None, chains.states, chains.steps, len(chains.steps))
+    numbered = numbered_leaves(integrand.scene, wanted)
+    with sweep_of(integrand, record, Vec3.buffer(adj_ray.d.x), numbered, gradients) as sweep:
+        for number in reversed(range(len(chains.steps))):
+            own = (chains.depth == number + 1).nonzero().squeeze(1).int()
+            put_rows(sweep.memo.adj_ray, own, rows(adj_ray, own))
+            sweep.adjoint(chains.states[number], number)
+    return sweep.memo.adj_ray
+
+
+class Follows(NamedTuple):
+    """The derivatives of K numbers through chains of ideal vertices."""
+
+    integrand: Integrand
+    chains: Chains
+    adj_ray: Ray  # by the rays that leave the chains
+    adj_start: Ray  # by the first rays of the chains
+
+
+def following(follows: Follows, start: Ray, scene: SceneTensors) -> Tensor:
+    """(K,) float64 zeros with derivatives through chains of mirrors and glass.
+
+    Args:
+        follows: how.
+        start: the rays with which these begin, attached.
+        scene: attached.
+    """
+    integrand, chains, adj_ray, adj_start = follows._replace(integrand=follows.integrand._replace(caster=None))
+    wanted, leaves = tuple(asks_for_gradient(scene)), differentiable(scene)
+    shapes = [leaf.detach() for leaf in leaves]
+
+    def adjoint(asked: Tensor) -> list[Tensor | None]:
+        asked = asked.to(adj_start.d.x.dtype)
+        of_start = [part * asked for part in leaves_of(adj_start)]
+        if not shapes:
+            return of_start
+        gradients = Gradients(shapes)
+        adjoint_of_start(integrand, chains, Ray(*(part * asked for part in adj_ray)), wanted, gradients)
+        return of_start + gradients_of([gradients])[0]
+
+    return MotionFunction.apply(len(chains.depth), adjoint, *leaves_of(start), *leaves)

@@ -1,0 +1,327 @@
+"""Silhouettes as seen from points in the scene, and the surfaces beyond."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.curve.edge_order import GROUP, EdgeSlots
+from torch_radbp.boundary.curve.geometry import Between, Geometry, in_world, positions
+from torch_radbp.boundary.curve.outline import Outline
+from torch_radbp.boundary.curve.places import key_of_places, picked
+from torch_radbp.boundary.curve.silhouette import is_silhouette
+from torch_radbp.boundary.eye.edge_tree import Descent, EdgeTree
+from torch_radbp.boundary.eye.eyes import Eyes, how_much_counts, how_much_lobes_count
+from torch_radbp.boundary.eye.ways_down import EdgeLot, PickedEdges, found_among, lot_of_found, ways_down
+from torch_radbp.call.view import View
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.sampling.sampler import (
+    CAMERA_COUNTER,
+    LaneKey,
+    SampleKey,
+    bounce_key,
+    fine_unit,
+    hash32,
+    random_bits,
+    uniform,
+)
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import Stages, stage
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, angle_between, cross, crossing, dot, normalize, rows
+from torch_radbp.tensors.vector_jacobian import vector_jacobian_product, zeros_unless
+
+BESIDE = 2e-5  # share of the scene's extent by which rays pass edges
+BEFORE = 1e-3  # share of its length by which a ray ends before what it aims at
+FAR = 1e10  # the distance of what is a direction
+
+
+class Casting(NamedTuple):
+    """The edges that cast shadows; detached."""
+
+    outline: Outline
+    tree: EdgeTree  # over its edges
+
+
+class Passed(NamedTuple):
+    """N samples on edges as viewpoints see them, float64 but for integers."""
+
+    edge: Tensor  # int32
+    eye: Tensor  # int32, viewpoint
+    along: Tensor  # position along the edge, from a to b
+    times: Tensor  # weight: edges that a sample stands for, divided by their selection probability
+    p: Vec3  # the sampled point
+    outwards: Vec3  # unit, across the edge and the line of sight, to the background
+    back: Ray  # from right beside the edge to the viewpoint
+    onwards: Ray  # and away from it
+    distance: Tensor  # of the viewpoint, slightly shortened
+    key: LaneKey  # of random numbers
+
+
+def angle_seen(geometry: Geometry, outline: Outline, edge: Tensor, eye: Eyes, extent: Tensor) -> Tensor:
+    """The angles that silhouette edges subtend, 0 for other edges; times their weight; (N,) float64.
+
+    From a direction lengths across it are seen instead, as shares of the extent.
+
+    Args:
+        geometry: of the scene, detached.
+        outline: its edges.
+        edge: (N,) int32; -1: none.
+        eye: (N,) looks at it.
+        extent: () of the scene.
+    """
+    edges, instance = rows((outline.edges, outline.instance), edge.clamp_min(0))
+    return angle_of_edge(geometry, EdgeSlots(edge, (edges.a, edges.b, *edges.opposite), instance), eye, extent)
+
+
+def angle_of_edge(geometry: Geometry, slot: EdgeSlots, eye: Eyes, extent: Tensor) -> Tensor:
+    """The angles that edges subtend, see `angle_seen`; `slot`: (N,) the edges."""
+    a, b, *opposite = in_world(geometry, slot.vertices, slot.instance)
+    silhouette = is_silhouette(a, b, opposite, a * eye.w - eye.place)
+    return torch.where((slot.edge >= 0) & silhouette, angle_of(a, b, eye, extent), 0.0)
+
+
+def angle_of(a: Vec3, b: Vec3, eye: Eyes, extent: Tensor) -> Tensor:
+    """The angles that segments from a to b subtend, (N,), see `angle_seen`."""
+    from_a, from_b = (end * eye.w - eye.place for end in (a, b))
+    to_a, to_b, across = normalize(from_a), normalize(from_b), cross(b - a, eye.place)
+    apart = to_a - to_b
+    # Between the ends of an edge no direction lies farther on either side than they do.
+    counts = torch.maximum(how_much_counts(eye, to_a), how_much_counts(eye, to_b))
+    if eye.lobes:
+        counts = counts * how_much_lobes_count(eye, normalize(to_a + to_b), 0.25 * dot(apart, apart))
+    return counts * torch.where(eye.w > 0.0, torch.sqrt(dot(apart, apart)), torch.sqrt(dot(across, across)) / extent)
+
+
+@stage("geometry", "slots", "eyes")
+def edge_found(geometry: Geometry, slots: EdgeSlots, eyes: Eyes, at: Descent, extent: Tensor) -> PickedEdges:
+    """Samples silhouettes below the last nodes of the tree, in proportion to their angles.
+
+    Args:
+        geometry, extent: as for `angle_seen`.
+        slots: of the tree.
+        eyes: look for them.
+        at: (N,) at the last nodes.
+    """
+    own, first = rows(eyes, at.eye), at.node * GROUP
+    angles = [angle_of_edge(geometry, rows(slots, first + place), own, extent) for place in range(GROUP)]
+    return found_among(slots.edge, at, first, angles)
+
+
+@stage("geometry", "outline", "eyes", "found")
+def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, found: EdgeLot, seed: SampleKey, extent: Tensor,
+                place: Tensor) -> Passed:
+    """Samples points on the silhouette edges that viewpoints have selected.
+
+    Args:
+        geometry, outline, extent: as for `angle_seen`.
+        eyes: look for them.
+        found: their edges.
+        seed: of the random numbers.
+        place: (N,) int32, numbers of the places.
+    """
+    key, aim, turn = numbers_of_places(seed, place)
+    number, _, times = picked(found.lot, place, aim)
+    (edge, repeated, _), eye = rows((found.found, found.eye), number)
+    times, own = times * repeated, rows(eyes, eye)
+    edges, instance, share, parts = rows((outline.edges, outline.instance, outline.share, outline.parts), edge.clamp_min(0))
+    a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), instance)
+    along, times, p = place_between(a, b, own, turn, times)
+    times = times if parts is None else times * parts.weight(along)
+    sight = normalize(p * own.w - own.place)
+    across = normalize(cross(b - a, sight))
+    inside = [dot(tip - a, across) for tip in opposite[:2]]
+    deeper = torch.where(inside[0].abs() > inside[-1].abs(), inside[0], inside[-1])
+    outwards = across * torch.where(deeper > 0.0, -1.0, 1.0)
+    times = times if share is None else times / share
+    return passed_at(own, Passed(edge, eye, along, times, p, outwards, None, None, None, key), extent,
+                     geometry.triangles.n.x.dtype)
+
+
+def numbers_of_places(seed: SampleKey, place: Tensor) -> tuple[LaneKey, Tensor, Tensor]:
+    """The random numbers of samples, (N,) int32: keys, one for selection, one for the position along the edge."""
+    key = key_of_places(seed, place)
+    numbers = bounce_key(key, CAMERA_COUNTER)
+    return key, fine_unit(random_bits(numbers, 1)), fine_unit(random_bits(numbers, 0))
+
+
+def place_between(a: Vec3, b: Vec3, eye: Eyes, turn: Tensor, times: Tensor) -> tuple[Tensor, Tensor, Vec3]:
+    """Points of segments from a to b at a fraction `turn` of the angle: position along, weight, and point; (N,) each."""
+    along, density = evenly_seen(a * eye.w - eye.place, b * eye.w - eye.place, turn)
+    along, times = torch.where(eye.w > 0.0, along, turn), torch.where(eye.w > 0.0, times / density, times)
+    return along, times, a + (b - a) * along
+
+
+def passed_at(own: Eyes, place: Passed, extent: Tensor, dtype: torch.dtype) -> Passed:
+    """Adds to samples the rays that pass there; `own`: (N,) their viewpoints, `dtype`: of rays."""
+    start = place.p + place.outwards * (BESIDE * extent)
+    away = start * own.w - own.place
+    length = torch.sqrt(dot(away, away)).clamp_min(TINY)
+    o, d = (part.map(lambda c: c.to(dtype)) for part in (start, away * (1.0 / length)))
+    distance = torch.where(own.w > 0.0, length * (1.0 - BEFORE), FAR).to(dtype)
+    return place._replace(back=Ray(o, -d), onwards=Ray(o, d), distance=distance)
+
+
+def evenly_seen(a: Vec3, b: Vec3, turn: Tensor) -> tuple[Tensor, Tensor]:
+    """Points of segments at a fraction of the angle seen from the origin: position along, and its density for uniform
+    fractions.
+
+    Args:
+        a, b: (N,) float64.
+        turn: (N,) in [0, 1), shares of the angle between them.
+    """
+    (to_a, near_a), (to_b, near_b) = ((end * torch.rsqrt(squared), torch.sqrt(squared))
+                                      for end in (a, b) for squared in [dot(end, end).clamp_min(TINY)])
+    angle, normal = angle_between(to_a, to_b), cross(a, b)
+    start, end = near_b * torch.sin((1.0 - turn) * angle), near_a * torch.sin(turn * angle)
+    known = (start + end > 0.0) & (dot(normal, normal) > 0.0)
+    along = end / torch.where(known, start + end, 1.0)
+    p = a + (b - a) * along
+    density = torch.sqrt(dot(normal, normal)) / (dot(p, p) * angle).clamp_min(TINY)
+    return torch.where(known, along, turn), torch.where(known, density, 1.0)
+
+
+def density_seen(a: Vec3, b: Vec3, along: Tensor) -> Tensor:
+    """The density of `evenly_seen` at positions along segments, (N,)."""
+    p, normal = a + (b - a) * along, cross(a, b)
+    angle, squared = angle_between(normalize(a), normalize(b)), dot(normal, normal)
+    return torch.where(squared > 0.0, torch.sqrt(squared) / (dot(p, p) * angle).clamp_min(TINY), 1.0)
+
+
+def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes, seed: SampleKey, each: int, count: int,
+                tried: Tensor | None = None) -> Passed | None:
+    """Samples silhouettes as seen from viewpoints, in proportion to their angles; None: there are none.
+
+    Args:
+        stages: of the call.
+        geometry: of the scene, detached.
+        casting: the edges.
+        eyes: look at them.
+        seed: of the random numbers.
+        each: how often each looks for an edge.
+        count: how many places there are to be on edges that were found, at most: no more than ways that found one.
+        tried: (M,) bool, eyes whose places have random numbers of their own, and do not depend on what others find; they
+            come first. None: there are none.
+    """
+    outline, tree = casting
+    extent = extent_of(geometry)
+    at = ways_down(stages, tree, eyes, seed, each, extent, tried)
+    found = stages(edge_found)(geometry, outline.slots, eyes, at, extent)
+    count = min(count, int(torch.count_nonzero(found.times)))
+    return places_on(stages, geometry, outline, eyes, seed, lot_of_found(found, at.eye, each, count, tried))
+
+
+def places_on(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey,
+              found: tuple[EdgeLot, Tensor] | None) -> Passed | None:
+    """Samples points on edges, `found` by `lot_of_found`; None: there are none. The other args as for `places_seen`."""
+    if found is None:
+        return None
+    return stages(edge_passed)(geometry, outline, eyes, found[0], seed, extent_of(geometry), found[1])
+
+
+def salted(view: View, salt: int) -> SampleKey:
+    """The key of a view's derivative random numbers with a salt."""
+    key = view.sample_keys[1]
+    return SampleKey(hash32(key.seed ^ salt), key.shared)
+
+
+def uniform_numbers(key: SampleKey, lane: Tensor, counter: Tensor | int, dtype: torch.dtype) -> Tensor:
+    """A uniform random number in [0, 1) per lane, (N,) int32."""
+    return uniform(bounce_key(LaneKey(hash32(lane + key.seed), torch.zeros_like(lane)), counter), 0, dtype)
+
+
+def extent_of(geometry: Geometry) -> Tensor:
+    """() float64, the longest side of the vertices' bounding box."""
+    ends = [part.aminmax() for part in geometry.triangles.vertices.p]
+    return torch.stack([end.max - end.min for end in ends]).amax().double()
+
+
+def onto_surfaces(integrand: Integrand, passed: Passed) -> tuple[Passed, Hit]:
+    """Selects samples with a surface right beyond the edge, with the hits; edges may be hidden from the viewpoints."""
+    hit = integrand.caster.intersect(passed.onwards)
+    return rows((passed, hit), (hit.prim >= 0).nonzero().squeeze(1))
+
+
+def unhidden(integrand: Integrand, passed: Passed) -> Tensor:
+    """The indices of samples on edges that nothing hides from the viewpoints, (K,) int64."""
+    return (~integrand.caster.occluded(passed.back, passed.distance)).nonzero().squeeze(1)
+
+
+def point_of_edge(geometry: Geometry, outline: Outline, edge: Tensor, along: Tensor) -> Vec3:
+    """Points of edges, (N,) world, attached; float64.
+
+    Args:
+        geometry: attached.
+        outline: the edges.
+        edge: (N,) int32, which.
+        along: (N,) shares of the way from one end to the other.
+    """
+    a, b = in_world(geometry, rows((outline.edges.a, outline.edges.b), edge), rows(outline.instance, edge))
+    return a + (b - a) * along
+
+
+def corners_of(geometry: Geometry, hit: Hit) -> tuple[Vec3, Vec3, Vec3]:
+    """The corners of hit triangles in the world, attached; float64. Of any triangle for a miss."""
+    return positions(geometry, Between(*lookup(geometry.triangles.corners, hit.prim.clamp_min(0))), hit.instance)
+
+
+def crossed_at(corners: tuple[Vec3, Vec3, Vec3], line: Ray) -> Vec2:
+    """Intersections of lines, (N,), with the planes of triangles, barycentric; attached."""
+    volume, of_u, of_v = crossing(line, corners[0], corners[1] - corners[0], corners[2] - corners[0])
+    volume = torch.where(volume != 0.0, volume, 1.0)
+    return Vec2(of_u / volume, of_v / volume)
+
+
+class Course(NamedTuple):
+    """The course of borders at N samples, in two coordinates; detached, float64."""
+
+    at: Vec2
+    normal: Vec2  # across the border; its length is that of the piece per sample; 0 where unknown
+    aside: Vec2  # towards points right beside it
+    sweep: Tensor  # what the border sweeps if points move there
+
+
+def course_of(seen: Callable[..., Vec2], times: Tensor, off: Vec3) -> Course:
+    """The course of borders.
+
+    Args:
+        seen: gives where they are, of `step` and `off`, as for `border.border`.
+        times: (N,) of edges for which each sample stands.
+        off: (N,) from edges to points beside them.
+    """
+    (at, along), beside = pace(seen, times), seen(off=off)
+    normal, aside = finite_normal(along, times), Vec2(beside.x - at.x, beside.y - at.y)
+    return Course(at, normal, aside, aside.x * normal.x + aside.y * normal.y)
+
+
+def finite_normal(along: Vec2, times: Tensor) -> Vec2:
+    """Normals of curves whose length is that of the piece per sample; 0 where too long to be counted; (N,) each.
+
+    Args:
+        along: (N,) how fast places move along their edges, of `pace`.
+        times: (N,) of edges for which each stands.
+    """
+    normal = Vec2(-along.y * times, along.x * times)
+    counts = torch.isfinite(normal.x) & torch.isfinite(normal.y)
+    return normal.map(lambda c: torch.where(counts, c, 0.0))
+
+
+def pace(seen: Callable[[Tensor], Vec2], like: Tensor) -> tuple[Vec2, Vec2]:
+    """The image of samples, and its derivative along the edges; (N,) each, detached.
+
+    Args:
+        seen: gives them, of (N,) steps from where they are, shares of the edges' lengths.
+        like: (N,) float64.
+    """
+    def velocity(coordinate: int) -> tuple[Tensor, Tensor]:
+        with torch.enable_grad():
+            step = (0.0 * like).requires_grad_()
+            place = seen(step)[coordinate]
+            found, = vector_jacobian_product([place], [step], [torch.ones_like(step)])
+        return place.detach(), zeros_unless(found, step).detach()
+
+    (x, across), (y, down) = velocity(0), velocity(1)
+    return Vec2(x, y), Vec2(across, down)

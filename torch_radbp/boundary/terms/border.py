@@ -1,0 +1,314 @@
+"""Boundary term of direct shadows: borders on surfaces that the camera sees.
+
+The image is the mean over random numbers of what one light sample each adds to it. For given numbers a sample is a point of
+a light, glued to it, or a direction; it lights a part of what is seen, and at the border of the shadow that an edge casts
+the image of this light jumps. There it changes as at any curve on the film (`primary.py`): by
+
+    dI = integral of h (L_behind - L_ahead) v . n dl
+
+with v the velocity of the border on the film. It follows from the points that move: the border lies where the line from the
+light's point y through the point p of the edge meets the plane of the receiver, and is seen by the camera. So it is the same
+for moving lights, blockers, receivers and cameras, and for all samplings but those whose directions towards a light of some
+extent carry derivatives.
+
+From each light sample edges that are silhouettes from there are looked for by a tree (`eye/edge_tree.py`), unless edges are
+so few that all can be tried (`eye/edges_tried.py`).
+
+References: Li, Aittala, Durand and Lehtinen 2018, "Differentiable Monte Carlo Ray Tracing through Edge Sampling", section 4;
+Zhang, Miller, Yan, Gkioulekas and Zhao 2020, "Path-Space Differentiable Rendering", section 5 (samples that start at edges).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.curve.edge_order import GROUP
+from torch_radbp.boundary.curve.geometry import Geometry, geometry_of
+from torch_radbp.boundary.curve.outline import Outline
+from torch_radbp.boundary.curve.places import FEWEST, counts_somewhere, on_film
+from torch_radbp.boundary.curve.rendering import Rendering
+from torch_radbp.boundary.curve.silhouette import crosses_view
+from torch_radbp.boundary.eye.edges_tried import edges_tried, eyes_for_each
+from torch_radbp.boundary.eye.eyes import Eyes
+from torch_radbp.boundary.eye.light_points import light_eyes, light_line, light_points
+from torch_radbp.boundary.eye.seen_edges import (
+    BESIDE,
+    Casting,
+    Course,
+    Passed,
+    corners_of,
+    course_of,
+    crossed_at,
+    extent_of,
+    onto_surfaces,
+    places_on,
+    places_seen,
+    point_of_edge,
+    salted,
+    unhidden,
+)
+from torch_radbp.boundary.eye.seen_on_film import aperture_of, camera_sample, into_shade, seen_at, sees
+from torch_radbp.boundary.eye.viewpoints import path_of
+from torch_radbp.boundary.eye.ways_down import lot_of_found
+from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, films_have_area, shadow_term
+from torch_radbp.call.render_call import RenderCall, integrand_of, started
+from torch_radbp.call.view import View
+from torch_radbp.path.direct_light import LightDraw, light_sent_back
+from torch_radbp.path.event import Ends
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.sensor.kind import Camera
+from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.stage import Stages, stage
+from torch_radbp.tensors.vec import Ray, Vec2, Vec3, interpolated, max_component, rows
+
+SALT = 0x1F83D9AB  # tells the random numbers of borders from others
+SHARE, MOST = 16, 1 << 19  # one place for so many paths of the image; and at most
+SHARP_SHARE = 4  # the same where some lights have no extent: all that shadows move by lies on their borders
+LOOKS = 4  # for edges from each light sample
+FEW = 1024  # light samples of a warning
+BYTES_OF_TRIED = 20, 240  # an edge that is tried from a light sample: in fused loops, in plain torch
+
+
+class Lights(NamedTuple):
+    """Which kinds of lights a shadow term covers."""
+
+    sharp: bool  # lights without extent
+    soft: bool  # area lights
+    around: bool  # the environment
+
+    @staticmethod
+    def covered(call: RenderCall) -> Lights:
+        """The lights whose borders `DirectShadows` samples; along single rays, which see no borders, those of none."""
+        if not films_have_area(call):
+            return Lights(False, False, False)
+        emitters, lights, layout = call.module.emitters, call.scene.lights, call.scene.layout
+        surfaces, around = (all(emitter.sampled_whole() for emitter in emitters if emitter.kind().surround == around)
+                            for around in (False, True))
+        if layout.surround is not None:
+            number, kind = layout.surround
+            around = around and not kind.even(detached(lights.tables[number]))
+        return Lights(call.integrand.settings.nee, surfaces, around or layout.surround is None)
+
+    @staticmethod
+    def uncovered(call: RenderCall) -> Lights:
+        """The lights of some extent whose borders `DirectShadows` does not sample."""
+        covered = Lights.covered(call)
+        return Lights(False, not covered.soft, not covered.around)
+
+    def of(self, scene: SceneTensors) -> Tensor:
+        """For each kind of light in a scene, whether it is covered; bool."""
+        return torch.tensor([self.sharp if kind.delta else self.around if kind.surround else self.soft
+                             for kind in scene.layout.lights], device=scene.device)
+
+
+SOFT = Lights(False, True, True)
+
+
+class Borders(NamedTuple):
+    """N samples on shadow borders; detached."""
+
+    edge: Tensor  # (N,) int32, casting edge of the outline
+    along: Tensor  # (N,) float64, position along the edge, from a to b
+    draw: LightDraw
+    receiver: Hit  # the point on which the border falls
+
+
+class LitEdges(NamedTuple):
+    """N samples on edges as seen from M light samples, before their light is traced on to a surface."""
+
+    passed: Passed  # with light samples as viewpoints
+    draw: LightDraw  # (M,)
+    eyes: Eyes  # (M,)
+    count: int  # number of all light samples, those of other lights included
+
+
+class CastShadows(NamedTuple):
+    """N samples on shadow borders, with their weights."""
+
+    borders: Borders
+    passed: Passed  # how light passes the edges
+    inwards: Vec3  # motion by which points right beside the edges come into shadow
+    times: Tensor  # weight: the number of edges that a sample stands for, per light sample
+
+
+class BordersInView(NamedTuple):
+    """K samples on borders that a view sees; detached."""
+
+    borders: Borders
+    aperture: Vec2 | None  # of the rays that see them
+
+
+@shadow_term
+class DirectShadows(ShadowTerm):
+    """Borders of shadows on surfaces that the camera sees."""
+
+    rank = 0
+
+    @classmethod
+    def size(cls, call: RenderCall) -> TermSize:
+        samples = most_samples(call)
+        return TermSize(samples * LOOKS * GROUP * BYTES_OF_TRIED[not call.stages.is_compiled], samples, samples)
+
+    def applies(self) -> bool:
+        return films_have_area(self.call)
+
+    def samples(self, number: int) -> CutOff | None:
+        call, outline = self.still, self.casting.outline
+        view, scene = call.views[number], call.scene
+        found = borders_of(call, number, self.casting, Lights.covered(call), share_of(scene))
+        if found is None:
+            return None
+        borders, passed, inwards, times = found
+        integrand = integrand_of(call, call.integrand, number)
+        geometry, camera, aperture = geometry_of(scene), view.camera, aperture_of(view, passed.key)
+        on_border, course = integrand.part(Ends.SURROUNDINGS).call(border_course, geometry, outline, camera, borders,
+                                                                   inwards, times, aperture)
+        counted = ((course.normal.x != 0.0) | (course.normal.y != 0.0)).nonzero().squeeze(1)
+        own, course, on_border, key = rows((BordersInView(borders, aperture), course, on_border, passed.key), counted)
+        sample = camera_sample(call, view, course.at, own.aperture, key)
+        shown = sees(integrand, sample.ray, own.borders.receiver, on_border).nonzero().squeeze(1)
+        own, course, on_border, key, sample = rows((own, course, on_border, key, sample), shown)
+        in_shade = camera_sample(call, view, into_shade(camera, course.at, course.aside), own.aperture, key)
+        shown = sees(integrand, in_shade.ray, own.borders.receiver, on_border).nonzero().squeeze(1)
+        if not len(shown):
+            return None
+        own, course, on_border, sample = rows((own, course, on_border, sample), shown)
+        hit = seen_at(own.borders.receiver, sample.ray, on_border)
+        light = light_sent_back(integrand, started(call, sample), hit, own.borders.draw)
+        light = light if sample.weight is None else light * sample.weight
+        return cut_off(course.at, course, torch.stack(tuple(light)).double(), own)
+
+    def left_out(self, rendering: Rendering) -> set[str]:
+        if rendering.shadows and rendering.has_area:
+            return set()
+        call, outline, view = self.still, self.casting.outline, self.still.views[0]
+        lights = Lights.covered(call)._replace(sharp=call.integrand.settings.nee)
+        found = borders_of(call, 0, self.casting, lights, max(1, call.spp * view.width * view.height // FEW))
+        if found is None:
+            return set()
+        borders, passed = found.borders, found.passed
+        light = light_sent_back(call.integrand, path_of(call, passed.onwards, passed.key), borders.receiver, borders.draw)
+        p = border(call.scene, geometry_of(call.scene), outline, borders)
+        seen = torch.stack([crosses_view(p, p, sight) for sight in rendering.sights]) & (max_component(light) > 0.0)
+        borders = rows(borders, seen.any(0).nonzero().squeeze(1))
+        lamps = [rendering.light_movers[element] for element in borders.draw.picked.element.unique().tolist()]
+        cameras = [names for names, own in zip(rendering.camera_movers, seen) if own.any()]
+        return rendering.movers_at(outline.triangle(borders.edge), borders.receiver.prim).union(*lamps, *cameras)
+
+    def seen(self, number: int, geometry: Geometry, found: CutOff) -> Vec2:
+        borders, aperture = found.samples
+        on_border = border(self.call.scene, geometry, self.casting.outline, borders)
+        return on_film(self.call.views[number].camera, on_border, aperture)
+
+
+def border(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,
+           off: Vec3 | None = None) -> Vec3:
+    """The points at which shadows end on their receivers' planes, (N,) world, attached.
+
+    Args:
+        scene: attached.
+        geometry: its.
+        outline: the edges.
+        borders: the places.
+        step: by which share of the edges' lengths others lie that are meant.
+        off: (N,) by which others lie off the edges; None: by nothing.
+    """
+    corners = corners_of(geometry, borders.receiver)
+    return interpolated(corners, *crossed_at(corners, light_through(scene, geometry, outline, borders, step, off)))
+
+
+def light_through(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float,
+                  off: Vec3 | None) -> Ray:
+    """The rays of light that pass edges on their way to the borders; args as for `border`."""
+    p = point_of_edge(geometry, outline, borders.edge, borders.along + step)
+    start, d, _ = light_line(scene, p if off is None else p + off, borders.draw)
+    return Ray(start, d)
+
+
+def share_of(scene: SceneTensors) -> int:
+    """The number of image paths per border sample."""
+    return SHARP_SHARE if any(kind.delta for kind in scene.layout.lights) else SHARE
+
+
+def samples_of(call: RenderCall, view: View, share: int) -> int:
+    """The number of samples on borders for a view, one for `share` paths of its image."""
+    return max(FEWEST, min(MOST, view.width * view.height * call.spp // share))
+
+
+def most_samples(call: RenderCall) -> int:
+    """The greatest number of samples on borders of direct shadows for a view."""
+    return max(samples_of(call, view, share_of(call.scene)) for view in call.views)
+
+
+def lit_edges(call: RenderCall, number: int, casting: Casting, lights: Lights, share: int) -> LitEdges | None:
+    """Samples silhouette edges as seen from light samples; None: they see none.
+
+    Args:
+        call: detached.
+        number: of the view whose samples these are.
+        casting: the edges.
+        lights: whose shadows are meant.
+        share: one place for so many paths of the image.
+    """
+    view, scene = call.views[number], call.scene
+    points = light_points(call.stages, scene, view, samples_of(call, view, share))
+    count, meant = len(points.kind), lights.of(scene)[points.kind].nonzero().squeeze(1)
+    points = rows(points, meant)
+    if not len(meant):
+        return None
+    eyes = call.integrand.part(Ends.SURROUNDINGS).call(light_eyes, points.draw)
+    passed = places_lit(call.stages, geometry_of(scene), casting, eyes, salted(view, SALT), count)
+    if passed is not None and casting.outline.parts is not None:  # what rests on its receiver is counted in `under_edges.py`
+        passed = rows(passed, (rows(casting.outline.parts.counts, passed.edge) == 1.0).nonzero().squeeze(1))
+    return None if passed is None or not len(passed.edge) else LitEdges(passed, points.draw, eyes, count)
+
+
+def shadows_cast(geometry: Geometry, lit: LitEdges, passed: Passed, receiver: Hit) -> CastShadows:
+    """The shadow borders of samples on edges; `receiver`: the surfaces beyond these."""
+    borders = Borders(passed.edge, passed.along, rows(lit.draw, passed.eye), receiver)
+    return CastShadows(borders, passed, passed.outwards * (-BESIDE * extent_of(geometry)), passed.times / lit.count)
+
+
+def borders_of(call: RenderCall, number: int, casting: Casting, lights: Lights, share: int) -> CastShadows | None:
+    """Samples shadow borders, visible to view `number` or not; None: there are none. Args as for `lit_edges`."""
+    lit = lit_edges(call, number, casting, lights, share)
+    if lit is None:
+        return None
+    found = onto_surfaces(call.integrand, lit.passed)
+    passed, receiver = rows(found, unhidden(call.integrand, found[0]))
+    return shadows_cast(geometry_of(call.scene), lit, passed, receiver) if len(passed.edge) else None
+
+
+def places_lit(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes, seed: SampleKey,
+               count: int) -> Passed | None:
+    """Samples on edges as light samples see them; args and result as for `places_seen`."""
+    each, outline = eyes_for_each(casting.outline, eyes, LOOKS), casting.outline
+    if not each:
+        return places_seen(stages, geometry, casting, eyes, seed, LOOKS, count)
+    found, eye = edges_tried(stages, geometry, outline, eyes, seed, each, extent_of(geometry))
+    return places_on(stages, geometry, outline, eyes, seed, lot_of_found(found, eye, 1, count))
+
+
+@stage("scene", "geometry", "outline", "camera")
+def border_course(scene: SceneTensors, geometry: Geometry, outline: Outline, camera: Camera, borders: Borders,
+                  inwards: Vec3, times: Tensor, aperture: Vec2 | None) -> tuple[Vec3, Course]:
+    """The points of shadow borders, world, and the borders' course on the film, 0 outside of all pixels.
+
+    Args:
+        scene, geometry, outline, borders: as for `border`, detached.
+        camera: that sees them.
+        inwards, times: (N,) as of `CastShadows`.
+        aperture: (N,) of the rays that see them.
+    """
+    def seen(step: Tensor | float = 0.0, off: Vec3 | None = None) -> Vec2:
+        return on_film(camera, border(scene, geometry, outline, borders, step, off), aperture)
+
+    course = course_of(seen, times, inwards)
+    counts = counts_somewhere(camera, course.at)
+    return border(scene, geometry, outline, borders), course._replace(
+        normal=course.normal.map(lambda c: torch.where(counts, c, 0.0)))

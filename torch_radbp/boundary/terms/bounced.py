@@ -1,0 +1,160 @@
+"""Boundary term of sharp shadows at later path vertices: borders of lights without extent.
+
+Light from points and single directions reaches a surface through next-event estimation alone, so that its shadows have hard
+borders on every surface that a path meets. Those on the first are counted in `border.py`. On the next, x_{k+1}, glued
+to its surface, what vertex x_k receives from there is
+
+    integral of f |cos x_k| |cos x_{k+1}| / r^2  L(x_{k+1}) dA
+
+and L jumps at the border, which moves over the surface as it does over the film there; the points of a surface close to x_k
+slide (`eye/slid.py`). Each place on a border is connected to one vertex of a path, which says where along the edge it
+lies (`spread_borders.py`).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.curve.geometry import Geometry, geometry_of
+from torch_radbp.boundary.curve.outline import Outline
+from torch_radbp.boundary.eye.lines_through_edges import solid_angle
+from torch_radbp.boundary.eye.seen_edges import BEFORE, Casting, corners_of, course_of, crossed_at, unhidden, uniform_numbers
+from torch_radbp.boundary.eye.slid import less_what_slides
+from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, path_of, vertex_at, viewpoints
+from torch_radbp.boundary.terms.border import Borders, Lights, light_through, lit_edges, shadows_cast
+from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, cut_off, glues, shadow_term, sharp_lights_later
+from torch_radbp.boundary.terms.spread_borders import spread_borders
+from torch_radbp.call.render_call import RenderCall, integrand_of
+from torch_radbp.path.direct_light import light_sent_back, scattered_light
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.sampling.sampler import LaneKey
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows
+
+SHARE = 16  # one place for so many paths of the image
+SALT = 0x2B3E6C1F  # tells the random numbers that connect borders with paths from others
+
+
+class ConnectedBorders(NamedTuple):
+    """K samples on borders, each connected to a path vertex; detached."""
+
+    points: Viewpoints  # the path vertices
+    start: Vec3  # their world positions
+    borders: Borders
+
+
+@shadow_term
+class BouncedShadows(ShadowTerm):
+    """Borders of lights without extent on surfaces that paths meet after the first, glued to them."""
+
+    rank = 5
+
+    def applies(self) -> bool:
+        return glues(self.call) and sharp_lights_later(self.call)
+
+    def samples(self, number: int) -> CutOff | None:
+        call, casting = self.still, self.casting
+        pairs = pairs_of(call, number, casting, False)
+        if pairs is None:
+            return None
+        points, start, borders, inwards, times, key = pairs
+        scene, geometry, integrand = call.scene, geometry_of(call.scene), integrand_of(call, call.integrand, number)
+        course = course_of(partial(on_receiver, scene, geometry, casting.outline, borders), times, inwards)
+        here = course.at
+        way = way_to(start, interpolated(corners_of(geometry, borders.receiver), here.x, here.y), scene.dtype)
+        light = light_sent_on(call, integrand, borders, way, key)
+        beta = points.beta * scattered_light(integrand, path_of(call, points.ray, points.key), points.hit, way.ray.d)
+        light = light * torch.stack(tuple(beta)).double() * solid_angle(scene, borders.receiver, Ray(start, way.reach))
+        return cut_off(points.place, course, light, ConnectedBorders(points, start, borders))
+
+    def seen(self, number: int, geometry: Geometry, found: CutOff) -> Vec2:
+        points, start, borders = found.samples
+        seen = on_receiver(self.call.scene, geometry, self.casting.outline, borders)
+        return less_what_slides(self.call, number, geometry, points, start, borders.receiver, seen)
+
+
+def on_receiver(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,
+                off: Vec3 | None = None) -> Vec2:
+    """The barycentric coordinates on receivers at which shadows end, (N,), attached; args as for `border`."""
+    return crossed_at(corners_of(geometry, borders.receiver), light_through(scene, geometry, outline, borders, step, off))
+
+
+class ConnectedPlaces(NamedTuple):
+    """N samples on borders, each paired with a path vertex; detached."""
+
+    points: Viewpoints  # the path vertices
+    start: Vec3  # their world positions
+    borders: Borders
+    inwards: Vec3  # as of `CastShadows`
+    times: Tensor  # weight: edges per light sample times paths that a pair stands for
+    key: LaneKey  # of random numbers
+
+
+def pairs_of(call: RenderCall, number: int, casting: Casting, following: bool) -> ConnectedPlaces | None:
+    """Samples borders, each paired with a path vertex of view `number`; None: there are none.
+
+    Args:
+        call, number, casting: as for `border.lit_edges`.
+        following: as for `viewpoints`.
+    """
+    lit = lit_edges(call, number, casting, Lights(sharp=True, soft=False, around=False), SHARE)
+    if lit is None:
+        return None
+    integrand, geometry, count = integrand_of(call, call.integrand, number), geometry_of(call.scene), len(lit.passed.edge)
+    points = viewpoints(call, number, integrand._replace(max_depth=integrand.max_depth - 1), PathBatch(count), following)
+    if not len(points.depth):
+        return None
+    place = torch.arange(count, dtype=torch.int32, device=call.scene.device)
+    pick, choice, turn = (uniform_numbers(call.views[number].sample_keys[1], place, SALT + which, torch.float64)
+                          for which in range(3))
+    connected = (pick * len(points.depth)).long()
+    start = rows(vertex_at(call, geometry, number, points), connected)
+    passed = spread_borders(call, casting.outline, lit, start, choice, turn)
+    receiver = call.integrand.caster.intersect(passed.onwards)
+    kept = (receiver.prim >= 0).nonzero().squeeze(1)
+    kept = kept[unhidden(call.integrand, rows(passed, kept))]
+    if not len(kept):
+        return None
+    borders, passed, inwards, times = shadows_cast(geometry, lit, *rows((passed, receiver), kept))
+    return ConnectedPlaces(rows(points, connected[kept]), rows(start, kept), borders, inwards, times * len(points.depth),
+                           passed.key)
+
+
+class Way(NamedTuple):
+    """Connections from path vertices to borders, (N,)."""
+
+    ray: Ray  # in the rays' dtype
+    reach: Vec3  # vector, float64
+    distance: Tensor  # float64
+
+    def meets(self, borders: Borders) -> Hit:
+        """The receivers of shadow borders, as hits of these rays."""
+        return borders.receiver._replace(t=self.distance.to(self.ray.d.x.dtype))
+
+
+def way_to(start: Vec3, x: Vec3, dtype: torch.dtype) -> Way:
+    """The connection from `start` to `x`, (N,) world each; `dtype`: of rays."""
+    reach = x - start
+    distance = torch.sqrt(dot(reach, reach).clamp_min(TINY))
+    ray = Ray(*(part.map(lambda c: c.to(dtype).contiguous()) for part in (start, reach / distance)))
+    return Way(ray, reach, distance)
+
+
+def light_sent_on(call: RenderCall, integrand: Integrand, borders: Borders, way: Way, key: LaneKey) -> Tensor:
+    """(3, N) float64 radiance that path vertices receive from unshadowed points at borders.
+
+    Args:
+        borders: that they are connected to.
+        way: to these.
+        key: (N,) of random numbers.
+    """
+    dtype = integrand.proposal.dtype
+    o = (way.ray.o.map(torch.Tensor.double) + way.reach * BEFORE).map(lambda c: c.to(dtype).contiguous())
+    free = ~integrand.caster.occluded(Ray(o, way.ray.d), (way.distance * (1.0 - 2.0 * BEFORE)).to(dtype))
+    light = light_sent_back(integrand, path_of(call, way.ray, key), way.meets(borders), borders.draw)
+    return torch.stack(tuple(light)).double() * free

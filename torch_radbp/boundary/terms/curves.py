@@ -1,0 +1,224 @@
+"""The curves that scans cross, as level functions: edges, rims, intersections of surfaces, shadow borders.
+
+The level is 0 on the curve. At a fixed point of the film it changes with what the path follows there, mirrors, glass and the
+camera, and with the surfaces that are seen.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.curve.geometry import Between, Corners, Geometry, geometry_of, positions, vertex_normals
+from torch_radbp.boundary.eye import differences
+from torch_radbp.boundary.eye.deposit import attached_geometry
+from torch_radbp.boundary.eye.ideal_paths import to_light
+from torch_radbp.boundary.eye.ideal_steps import LIT
+from torch_radbp.boundary.eye.light_points import light_line
+from torch_radbp.boundary.eye.seen_edges import crossed_at
+from torch_radbp.boundary.eye.surfaces import LineTable, level_of_line
+from torch_radbp.boundary.terms.crossings import Crossings
+from torch_radbp.boundary.terms.scans import Searched
+from torch_radbp.path.direct_light import LightDraw
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, cross, dot, interpolated, rows, where
+
+EDGE, RIM, MEETING, LINE, HORIZON, SHADOW = range(6)
+OFF = 4.0  # times the distance of the two rays, by which an edge may lie off them
+ROUNDED = 2e-5  # the same as a share of the distance, for the rounding of what rays meet
+
+
+class TriangleSide(NamedTuple):
+    """One side of a triangle for each lane, (K,)."""
+
+    prim: Tensor  # int32, the triangle
+    instance: Tensor | None  # int32
+    corner: Tensor  # int64, the opposite corner
+
+
+class Curves(NamedTuple):
+    """K discontinuity curves that scans of the film have crossed."""
+
+    kind: Tensor  # (K,) int64
+    edge: TriangleSide  # of an edge; of a shadow border the casting edge; or the triangle of a rim, horizon or texture line
+    other: Tensor  # (K,) int32, intersecting triangle, or receiver of the shadow
+    shown_by: Tensor | None  # (K,) int32, its instance
+    line: Tensor  # (K,) int64, texture line: row of the table of lines
+    number: Tensor  # (K,) float64, integer of that line
+
+
+def curves_crossed(searched: Searched, crossed: Crossings) -> tuple[Curves, Tensor]:
+    """Identifies the curves at crossings, and (K,) bool which are known; of edges the nearest to the rays."""
+    scene, lines = searched.call.scene, searched.surfaces.lines
+    geometry, hit, beyond = geometry_of(scene), crossed.below.hit, crossed.above.hit
+    rays = [_in_double(met.ray) for met in (crossed.below, crossed.above)]
+    side, is_edge = nearest_side(geometry, rays, [hit, beyond])
+    meets = (hit.prim >= 0) & (beyond.prim >= 0) & _inside(_corners_of(geometry, beyond.prim, beyond.instance), rays[0]) & (
+        _inside(_corners_of(geometry, hit.prim, hit.instance), rays[1]))
+    kind = torch.where(meets, MEETING, EDGE)
+    for how, curve in ((differences.RIM, RIM), (differences.TEXTURE, LINE), (differences.HORIZON, HORIZON),
+                       (differences.SHADOW, SHADOW)):
+        kind = torch.where(crossed.kind == how, curve, kind)
+    known = ((kind != EDGE) | is_edge) & ((kind != RIM) | (geometry.triangles.vertices.n is not None))
+    own = kind != EDGE
+    side = TriangleSide(torch.where(own, hit.prim, side.prim),
+                        None if hit.instance is None else torch.where(own, hit.instance, side.instance), side.corner)
+    other, shown_by = torch.where(kind == SHADOW, hit.prim, beyond.prim), beyond.instance
+    if shown_by is not None:
+        shown_by = torch.where(kind == SHADOW, hit.instance, shown_by)
+    line, number = torch.zeros_like(kind), torch.zeros_like(crossed.times)
+    for slot, (one, another) in enumerate(zip(crossed.below.cells, crossed.above.cells)):
+        passed = one != another
+        line = torch.where(passed, lines.row(hit.prim, slot), line)
+        number = torch.where(passed, torch.maximum(one, another), number)
+    shadows = (kind == SHADOW).nonzero().squeeze(1)
+    if len(shadows):
+        casting, is_casting = side_that_casts(searched, rows(crossed, shadows))
+        side = TriangleSide(*(None if part is None else part.index_copy(0, shadows, found)
+                              for part, found in zip(side, casting)))
+        known = known.index_copy(0, shadows, is_casting)
+    return Curves(kind, side, other, shown_by, line, number), known
+
+
+def nearest_side(geometry: Geometry, rays: list[Ray], hits: list[Hit]) -> tuple[TriangleSide, Tensor]:
+    """The side nearest to two neighbouring rays among those of a hit triangle; and (K,) bool: it may pass between them."""
+    sides = []
+    for hit in hits:
+        own = _corners_of(geometry, hit.prim, hit.instance)
+        for number in range(3):
+            off, reach = distance_to_side(rays[0], own[(number + 1) % 3], own[(number + 2) % 3])
+            sides.append((torch.where(hit.prim >= 0, off, torch.inf), reach, hit, number))
+    nearest, far, hit, number = sides[0]
+    prim, instance, corner = hit.prim, hit.instance, torch.full_like(hit.prim, number, dtype=torch.int64)
+    for off, reach, hit, number in sides[1:]:
+        nearer = off < nearest
+        nearest, far, prim = (torch.where(nearer, *pair) for pair in ((off, nearest), (reach, far), (hit.prim, prim)))
+        corner = torch.where(nearer, number, corner)
+        instance = None if instance is None else torch.where(nearer, hit.instance, instance)
+    apart = rays[1].o + rays[1].d * far - rays[0].o - rays[0].d * far
+    return TriangleSide(prim, instance, corner), nearest <= OFF * torch.sqrt(dot(apart, apart)) + ROUNDED * far
+
+
+def side_that_casts(searched: Searched, crossed: Crossings) -> tuple[TriangleSide, Tensor]:
+    """The edges that cast the shadows whose borders are crossed, and (K,) bool: such an edge was located."""
+    scene, rays, hits = searched.call.scene, [], []
+    for met in (crossed.below, crossed.above):
+        ray, distance = to_light(scene, met.ray, met.hit, crossed.looks.draw)
+        hit = searched.integrand.caster.intersect(ray)
+        rays.append(_in_double(ray))
+        hits.append(hit._replace(prim=torch.where((hit.t < distance) & ((met.what & LIT) == 0), hit.prim, -1)))
+    return nearest_side(geometry_of(scene), rays, hits)
+
+
+def _in_double(ray: Ray) -> Ray:
+    """Converts rays to float64."""
+    return Ray(*(part.map(torch.Tensor.double) for part in ray))
+
+
+def _corners_of(geometry: Geometry, prim: Tensor, instance: Tensor | None) -> Corners:
+    """The corners of triangles, (N,) int32, in the world, attached; float64. Of any triangle for -1."""
+    return positions(geometry, _between(geometry, prim), instance)
+
+
+def _between(geometry: Geometry, prim: Tensor) -> Between:
+    """The vertices of triangles, as rows of the vertex table."""
+    return Between(*lookup(geometry.triangles.corners, prim.clamp_min(0)))
+
+
+def distance_to_side(ray: Ray, a: Vec3, b: Vec3) -> tuple[Tensor, Tensor]:
+    """The distance of segments from a to b from rays, (N,), and the distance along these."""
+    w, e = a - ray.o, b - a
+    w_along, e_along = dot(w, ray.d), dot(e, ray.d)
+    w, e = w - ray.d * w_along, e - ray.d * e_along
+    at = (-dot(w, e) / dot(e, e).clamp_min(TINY)).clamp(0.0, 1.0)
+    off = w + e * at
+    reach = w_along + e_along * at
+    return torch.where(reach > 0, torch.sqrt(dot(off, off)), torch.inf), reach
+
+
+def _inside(corners: Corners, ray: Ray) -> Tensor:
+    """(N,) bool: rays that cross their triangle inside of its edges."""
+    u, v = crossed_at(corners, ray)
+    return (u > 0) & (v > 0) & (u + v < 1)
+
+
+def level(scene: SceneTensors, lines: LineTable | None, curves: Curves, ray: Ray, draw: LightDraw | None) -> Tensor:
+    """The level functions of curves, (K,) float64, attached: 0 on the curves.
+
+    Args:
+        scene: attached.
+        lines: of textures.
+        curves: (K,).
+        ray: by which they are seen, attached; on a horizon, that leaves the surface.
+        draw: the light samples whose shadows are meant.
+    """
+    geometry, ray = attached_geometry(scene), _in_double(ray)
+    found = torch.zeros_like(ray.d.x)
+    for kind in (EDGE, RIM, MEETING, LINE, HORIZON, SHADOW):
+        own = (curves.kind == kind).nonzero().squeeze(1)
+        if not len(own):
+            continue
+        some, seen_by = rows((curves, ray), own)
+        if kind == LINE:
+            value = across_line(scene, geometry, lines, some, seen_by)
+        elif kind == SHADOW:
+            value = across_shadow(scene, geometry, some, seen_by, rows(draw, own))
+        else:
+            value = {EDGE: beside_edge, RIM: _facing, MEETING: nearer, HORIZON: _above}[kind](geometry, some, seen_by)
+        found = found.index_add(0, own, value)
+    return found
+
+
+def _ends_of(geometry: Geometry, side: TriangleSide) -> tuple[Vec3, Vec3]:
+    """The end points of sides, attached."""
+    first, second, third = _corners_of(geometry, side.prim, side.instance)
+    return (where(side.corner == 0, second, where(side.corner == 1, third, first)),
+            where(side.corner == 0, third, where(side.corner == 1, first, second)))
+
+
+def beside_edge(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
+    """The level function of edges: the signed distance at which rays pass them."""
+    a, b = _ends_of(geometry, curves.edge)
+    return dot(cross(b - a, ray.d), a - ray.o)
+
+
+def _facing(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
+    """The level function of rims: how far shading normals are turned away from the viewer."""
+    corners = _corners_of(geometry, curves.edge.prim, curves.edge.instance)
+    normals = vertex_normals(geometry, _between(geometry, curves.edge.prim), curves.edge.instance)
+    return dot(interpolated(normals, *crossed_at(corners, ray)), ray.d)
+
+
+def _above(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
+    """The level function of horizons: how far scattered rays leave on the side of the geometric normal."""
+    corners = _corners_of(geometry, curves.edge.prim, curves.edge.instance)
+    return dot(cross(corners[1] - corners[0], corners[2] - corners[0]), ray.d)
+
+
+def nearer(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
+    """The level function of intersections: how much farther one of two triangles is than the other."""
+    distances = []
+    for prim, instance in ((curves.edge.prim, curves.edge.instance), (curves.other, curves.shown_by)):
+        corners = _corners_of(geometry, prim, instance)
+        n = cross(corners[1] - corners[0], corners[2] - corners[0])
+        along = dot(ray.d, n)
+        distances.append(dot(corners[0] - ray.o, n) / torch.where(along != 0, along, 1.0))
+    return distances[0] - distances[1]
+
+
+def across_line(scene: SceneTensors, geometry: Geometry, lines: LineTable, curves: Curves, ray: Ray) -> Tensor:
+    """The level function of texture lines: how far beyond a line rays hit triangles."""
+    u, v = crossed_at(_corners_of(geometry, curves.edge.prim, curves.edge.instance), ray)
+    return level_of_line(scene, lines, curves.edge.prim, curves.line, u, v) - curves.number
+
+
+def across_shadow(scene: SceneTensors, geometry: Geometry, curves: Curves, ray: Ray, draw: LightDraw) -> Tensor:
+    """The level function of shadow borders: the signed distance at which light passes edges."""
+    corners = _corners_of(geometry, curves.other, curves.shown_by)
+    start, d, _ = light_line(scene, interpolated(corners, *crossed_at(corners, ray)), draw)
+    a, b = _ends_of(geometry, curves.edge)
+    return dot(cross(b - a, d), a - start)

@@ -1,0 +1,256 @@
+"""Boundary term of light that edges occlude from path vertices (soft shadows and indirect light).
+
+At a vertex x of a path, surfaces around it end at edges, and what lies behind appears. Paths that are scattered there go on
+to points z that are glued to surfaces; as an integral over the surfaces of z,
+
+    L(x) = integral of f |cos x| |cos z| / r^2  L(z, x) dA
+
+is cut off where an edge hides z from x. The border of the cut lies where the line from x through the point p of the edge
+meets the surface of z. It moves over the points that are glued there, and changes L by
+
+    dL = - integral of f |cos x| |cos z| / r^2  L(z, x)  v . n dl
+
+with n into what is hidden no longer and v its velocity over these points; close to x they slide (`eye/slid.py`). What hides
+z has no part in this: its own points move with its edge.
+Where nothing lies behind, directions take the place of the points.
+
+Light that the first surface receives straight from lamps is counted in `border.py`; but what no light sample finds, and
+what comes evenly from all around, is better found here.
+
+References: Li, Aittala, Durand and Lehtinen 2018, "Differentiable Monte Carlo Ray Tracing through Edge Sampling", section 4;
+Zhang, Miller, Yan, Gkioulekas and Zhao 2020, "Path-Space Differentiable Rendering", section 5.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.curve.geometry import geometry_of
+from torch_radbp.boundary.curve.rendering import Rendering
+from torch_radbp.boundary.eye import film_density
+from torch_radbp.boundary.eye.deposit import Deposit
+from torch_radbp.boundary.eye.eyes import Eyes
+from torch_radbp.boundary.eye.light_points import light_lobes, light_points
+from torch_radbp.boundary.eye.lines_through_edges import scattered_towards, solid_angle
+from torch_radbp.boundary.eye.seen_edges import Casting, Passed, places_seen, salted, unhidden, uniform_numbers
+from torch_radbp.boundary.eye.thinning import chances, thinned
+from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, eyes_at, path_of, vertex_at, viewpoints
+from torch_radbp.boundary.terms import split
+from torch_radbp.boundary.terms.border import SOFT, Lights, most_samples
+from torch_radbp.boundary.terms.cuts import (
+    CutsOfView,
+    cuts_that_matter,
+    joined_cuts,
+    jumps_of_cuts,
+    rise_of,
+    some_cuts,
+    with_used_viewpoints,
+)
+from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, glues, shadow_term
+from torch_radbp.boundary.terms.split import ALL, Amount
+from torch_radbp.call.render_call import RenderCall, integrand_of
+from torch_radbp.call.view import View
+from torch_radbp.path.event import Ends
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.trace import trace
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.tensors.vec import Ray, Vec3, dot, masked, rows
+
+SALT = 0x3C6EF372  # tells the random numbers of these places from others
+SHARE, MOST = 16, 1 << 16  # one path for so many of the image; and at most at once
+ROUNDS = 16  # of `MOST` paths, at most
+LOOKS, PLACES = 8, 4  # for edges from each, and places on edges that were found
+FEWEST_PATHS = 16
+FEW = 1024  # paths of a warning
+GRAZING = 0.1  # cosine with the normal below which a warning leaves edges out: all such give 1% of a uniform sky's light
+BYTES_OF_WAY = 120  # down the tree of edges: where it is, and what it has found
+
+
+@shadow_term
+class HiddenLight(ShadowTerm):
+    """Light that edges occlude from vertices of paths, which see points that are glued to surfaces."""
+
+    rank = 3
+    is_split = True
+
+    @classmethod
+    def size(cls, call: RenderCall) -> TermSize:
+        paths = most_paths(call)
+        places = glues(call) * paths * PLACES
+        # Those of a round beside those that others have kept. Where they are few, they are where places on borders were.
+        more = places if any(view.width * view.height * call.spp > SHARE * MOST for view in call.views) else 0
+        found = max(0, places - most_samples(call)) + more
+        return TermSize(paths * LOOKS * BYTES_OF_WAY, found, found)
+
+    def applies(self) -> bool:
+        return glues(self.call) and (self.call.integrand.max_depth > 2 or any(Lights.uncovered(self.call)))
+
+    def samples(self, number: int, amount: Amount = ALL) -> CutsOfView | None:
+        return cuts_of_view(self.still, number, self.casting, amount, first=Lights.uncovered(self.still))
+
+    def left_out(self, rendering: Rendering) -> set[str]:
+        first, outline, names = Lights.uncovered(self.still), self.casting.outline, set()
+        if rendering.shadows or not any(first):
+            return names
+        call = self.still._replace(integrand=self.still.integrand._replace(max_depth=2))  # light straight from lamps
+        for number, view in enumerate(call.views):
+            share = min(1.0, FEW / number_of_paths(call, view))
+            found = cuts_of_view(call, number, self.casting, Amount(share), first=first)
+            if found is None:
+                continue
+            cuts = rows(found.cuts, (rise_of(call, number, outline, found) > GRAZING).nonzero().squeeze(1))
+            if len(cuts.edge):
+                standing = rows(found.points.hit.prim, cuts.viewpoint)
+                names |= rendering.movers_at(outline.triangle(cuts.edge), standing, cuts.hit.prim)
+                names |= {*rendering.moving(view.sensor)}
+        return names
+
+    def jumps(self, number: int, found: CutsOfView) -> list[Deposit]:
+        return [jumps_of_cuts(self.call, number, self.casting.outline, found)]
+
+
+def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount = ALL, *,
+                 first: Lights) -> CutsOfView | None:
+    """Samples edges that occlude light from paths of view `number`; None: there are none.
+
+    Args:
+        call: detached.
+        casting: the edges of all that casts shadows.
+        amount: how many paths are looked at; cuts of those that are only tried are among the others.
+        first: what the first vertices of paths receive straight from lights.
+    """
+    view, integrand = call.views[number], integrand_of(call, call.integrand, number)
+    paths, more, before = (number_of_paths(call, view, share, ROUNDS * MOST) for share in (
+        amount.counted, amount.tried, amount.before))
+    density, some = None, paths // film_density.SHARE
+    if some >= film_density.FEWEST:
+        trial = looks_at_edges(split.trying(call), number, integrand, casting, PathBatch(some), first)
+        density = None if trial is None else film_density.film_density(view, trial.points, trial.passed)
+    rounds = -(-(paths + more) // MOST)
+    count, found = paths // rounds, []
+    for begun in range(before, before + rounds * count, count):
+        batch = PathBatch(count, density, begun, more // rounds)
+        looks = looks_at_edges(call, number, integrand, casting, batch, first)
+        cuts = None if looks is None else cuts_of_looks(call, integrand, casting, looks, first)
+        if cuts is not None:
+            found.append(cuts if rounds == 1 else fewer(cuts, salted(view, SALT), begun, MOST * PLACES // rounds))
+    return joined_cuts([(own, 1.0 / rounds) for own in found])
+
+
+def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, looks: EdgeSightings,
+                  first: Lights) -> CutsOfView | None:
+    """Selects the edge samples at which light is occluded; None: there are none. Args as for `looks_at_edges`."""
+    geometry, (points, at, passed) = geometry_of(call.scene), looks
+    hit = call.integrand.caster.intersect(passed.onwards)
+    counts = hit.prim >= 0
+    if call.scene.layout.surround is not None:
+        counts = counts | first.around | (rows(points.depth, passed.eye) > 0)
+    passed, hit = rows((passed, hit), counts.nonzero().squeeze(1))
+    passed, hit = rows((passed, hit), unhidden(call.integrand, passed))
+    if not len(passed.edge):
+        return None
+    return cuts_that_matter(call.stages, geometry, casting, points, at, passed, hit,
+                            lambda cuts: light_beyond(call, integrand, points, cuts.hit, passed, at, first))
+
+
+def fewer(found: CutsOfView, key: SampleKey, begun: int, most: int) -> CutsOfView:
+    """Thins a round's samples to about `most`, which stand for all of them; see `eye/thinning.py`.
+
+    Args:
+        key: of random numbers.
+        begun: the number of the round's first path.
+    """
+    chance = chances((found.strength * found.sweep).abs().amax(0), most)
+    kept = thinned(chance, uniform_numbers(key, begun + found.cuts.edge.new_zeros(1), SALT, torch.float64))
+    return with_used_viewpoints(some_cuts(found, kept)._replace(strength=found.strength[:, kept] / chance[kept]))
+
+
+class EdgeSightings(NamedTuple):
+    """Edge samples as path vertices see them."""
+
+    points: Viewpoints  # (M,)
+    at: Vec3  # (M,) where they are
+    passed: Passed  # (N,) samples, each with an equal share of angle
+
+
+def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting: Casting, batch: PathBatch,
+                   first: Lights) -> EdgeSightings | None:
+    """Samples edges as seen from vertices of some paths; None: they see none.
+
+    Args:
+        call, number, casting: as for `cuts_of_view`.
+        integrand: the view's.
+        batch: the paths.
+        first: as for `cuts_of_view`.
+    """
+    geometry = geometry_of(call.scene)
+    points = viewpoints(call, number, integrand, batch)
+    if not len(points.depth):
+        return None
+    if batch.begun:
+        call = split.with_numbers(call, SALT + batch.begun)
+    at = vertex_at(call, geometry, number, points)
+    eyes = eyes_of(call, number, integrand, points, at, first)
+    passed = places_seen(call.stages, geometry, casting, eyes, salted(call.views[number], SALT), LOOKS,
+                         PLACES * len(points.depth), points.tried)
+    return None if passed is None else EdgeSightings(points, at, passed)
+
+
+def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoints, at: Vec3, first: Lights) -> Eyes:
+    """The viewpoints, with weights of directions, from which edges are sampled.
+
+    Args:
+        call, number: of the view.
+        integrand: the view's.
+        points, at: the viewpoints, and where they are.
+        first: what counts of the light that the first vertices of paths receive straight.
+    """
+    lobes = ()
+    if call.scene.layout.lights:
+        lights = light_points(call.stages, call.scene, call.views[number], len(points.depth))
+        meant = torch.where(points.depth > 0, *(some.of(call.scene)[lights.kind] for some in (SOFT, first)))
+        lobe = integrand.part(Ends.SURROUNDINGS).call(light_lobes, at, lights.draw)
+        lobes = lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),
+    return eyes_at(geometry_of(call.scene), points, at, lobes)
+
+
+def number_of_paths(call: RenderCall, view: View, share: float = 1.0, most: int = MOST) -> int:
+    """The number of paths whose vertices sample edges, for a share of the samples; 0: none."""
+    return max(FEWEST_PATHS, int(share * min(most, view.width * view.height * call.spp // SHARE))) if share else 0
+
+
+def most_paths(call: RenderCall) -> int:
+    """The greatest number of paths whose vertices sample edges for a view."""
+    return max(number_of_paths(call, view) for view in call.views)
+
+
+def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, beyond: Hit, passed: Passed, at: Vec3,
+                 first: Lights) -> Tensor:
+    """(3, N) float64 light past the edges that reaches the view, per unit of `cut_at`'s coordinates.
+
+    Args:
+        points, at: the viewpoints, and where they are.
+        beyond: (N,) what the light comes from, seen from the edges.
+        passed: (N,) these, as the viewpoints `passed.eye` see them.
+        first: what counts of the light that the first vertices of paths receive straight.
+    """
+    scene = integrand.proposal
+    own, start = rows((points, at), passed.eye)
+    reach, key = passed.p - start, passed.key
+    beta = scattered_towards(call, integrand, own, reach)
+    ray = Ray(start.map(lambda c: c.to(scene.dtype)), passed.onwards.d)
+    hit = beyond._replace(t=beyond.t + torch.sqrt(dot(reach, reach)).to(scene.dtype))
+    L = torch.zeros(3, len(passed.edge), dtype=torch.float64, device=scene.device)
+    for depth in own.depth.unique().tolist():
+        lanes = (own.depth == depth).nonzero().squeeze(1)
+        state, met = path_of(call, *rows((ray, key), lanes)), rows(hit, lanes)
+        found = trace(integrand, state, hit=met, depth=depth + 1)
+        if depth == 0 and first != SOFT:
+            straight = trace(integrand._replace(max_depth=2), state, hit=met, depth=1)
+            found = found - masked(torch.where(met.prim >= 0, not first.soft, not first.around), straight)
+        L[:, lanes] = torch.stack(tuple(found)).double()
+    return torch.stack(tuple(own.beta * beta)).double() * L * solid_angle(scene, beyond, Ray(start, reach))

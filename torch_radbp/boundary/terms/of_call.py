@@ -1,0 +1,84 @@
+"""The boundary terms of a rendering: their edges, and their derivatives."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+from torch_radbp.boundary.curve.outline import Jumps, Outline, Outlines, outlines_of
+from torch_radbp.boundary.curve.rendering import Rendering
+from torch_radbp.boundary.curve.segments import Segments, joined_segments
+from torch_radbp.boundary.curve.term import LineNumbers, lines_on_shapes, lines_slide
+from torch_radbp.boundary.eye.surfaces import line_table
+from torch_radbp.boundary.terms.primary import bytes_of_jumps, image_jumps, moves
+from torch_radbp.boundary.terms.reflections import (
+    Reflected,
+    bytes_of_reflections,
+    follows_mirrors,
+    reflected_jumps,
+    reflections_move,
+    sharp_lights,
+)
+from torch_radbp.boundary.terms.shadows import bytes_of_shadows, shadow_jumps, shadows_move, slides_over_edges
+from torch_radbp.call.render_call import RenderCall
+
+
+class EdgesOfCall(NamedTuple):
+    """The edges and curves of all boundary terms; None for terms that are off, or if nothing moves."""
+
+    in_view: list[Jumps] | None  # of each view
+    casting: Outline | None  # the edges of all that casts shadows
+    crossing: Segments | None  # where surfaces pass through each other, and lines that slide, as surfaces see them
+    reflected: Reflected | None  # what is seen by way of mirrors and glass
+    lines: LineNumbers | None = None  # of those among `crossing`
+
+    def added_to(self, images: Tensor, call: RenderCall) -> Tensor:
+        """The images, (B, 3, H, W), with the boundary terms of their derivatives."""
+        if self.in_view is not None:
+            images = images + image_jumps(call, self.in_view)
+        if self.casting is not None or self.crossing is not None:
+            images = images + shadow_jumps(call, self.casting, self.crossing, self.lines)
+        if self.reflected is not None:
+            images = images + reflected_jumps(call, self.reflected)
+        return images
+
+
+def bytes_of_edges(call: RenderCall, primary: bool, shadows: bool) -> int:
+    """The greatest memory for edges in view, and for shadow-casting edges, as far as these terms are on."""
+    in_view = bytes_of_jumps(call) if primary and moves(call) else 0
+    reflected = bytes_of_reflections(call) if any(asked_by_way_of_others(call, primary, shadows)) else 0
+    casts = shadows and (slides_over_edges(call) or lines_slide(call))
+    return max(in_view, bytes_of_shadows(call) if casts else 0) + reflected
+
+
+def asked_by_way_of_others(call: RenderCall, primary: bool, shadows: bool) -> tuple[bool, bool]:
+    """Whether jumps and shadow borders by way of mirrors and glass are on; args as for `bytes_of_edges`."""
+    if not follows_mirrors(call):
+        return False, False
+    moving = reflections_move(call) or lines_slide(call)
+    return primary and moving, shadows and sharp_lights(call) and (moving or shadows_move(call))
+
+
+def edges_of_call(rendering: Rendering, seed: int) -> EdgesOfCall:
+    """Finds the edges that the boundary terms of a rendering need; `seed`: of the choice of instances."""
+    outlines, call = outlines_of(rendering.scene), rendering.call
+    casts = rendering.shadows and rendering.max_depth > 1 and slides_over_edges(call)
+    casting = outlines.of_everything(rendering, seed) if casts else None
+    # What casts rays comes last: the tree of a large mesh may still be built.
+    in_view = outlines.of_views(rendering, seed) if rendering.primary and moves(call) else None
+    crossing = outlines.crossing(rendering, seed) if casts else None
+    lines = None
+    if rendering.shadows and rendering.max_depth > 1 and lines_slide(call):
+        sliding, lines = outlines.sliding(rendering, seed)
+        crossing = joined_segments([part for part in (crossing, sliding) if part is not None])
+    return EdgesOfCall(in_view, casting, crossing, reflected_of(rendering, outlines), lines)
+
+
+def reflected_of(rendering: Rendering, outlines: Outlines) -> Reflected | None:
+    """What the terms by way of mirrors and glass need; None: they are off, or nothing moves."""
+    surfaces, shadows = asked_by_way_of_others(rendering.call, rendering.primary, rendering.shadows)
+    if rendering.sampling == "detached" or not (surfaces or shadows):
+        return None
+    lines = line_table(lines_on_shapes(rendering), rendering.sizes, rendering.call.scene.device)
+    return Reflected(outlines.of_meshes(rendering), lines, surfaces, shadows)

@@ -1,0 +1,206 @@
+"""The boundary term of primary visibility: derivatives from discontinuities that the camera sees directly.
+
+Where the radiance L jumps along a curve of the film, and the curve moves by v, a pixel that counts points of the film by h
+changes by
+
+    dI = integral of h (L_behind - L_ahead) v . n dl
+
+along the curve, whose normal n points ahead. Each kind of curve is a term, one class in one file (`curve/film_term.py`),
+that samples places on it. L is estimated on either side by a path through a point close by, and v follows the attached
+vertices and the attached camera. The place on an edge stays where it is on the edge: sliding along it changes nothing.
+
+The result is an image of zeros with that derivative, backward and forward.
+
+Reference: Li, Aittala, Durand and Lehtinen 2018, "Differentiable Monte Carlo Ray Tracing through Edge Sampling", section 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.curve.edge_places import edge_weight
+from torch_radbp.boundary.curve.film_term import FILM_TERMS, ExaminedView, lanes
+from torch_radbp.boundary.curve.geometry import geometry_of
+from torch_radbp.boundary.curve.moving import MOST_SHOWN
+from torch_radbp.boundary.curve.outline import Jumps
+from torch_radbp.boundary.curve.places import (
+    FEWEST,
+    LARGEST_SHARE,
+    RIM,
+    Places,
+    place_counts,
+    rays_beside,
+    sight_of,
+    taken_by,
+)
+from torch_radbp.boundary.curve.silhouette import Eye
+from torch_radbp.boundary.curve.term import lines_slide
+from torch_radbp.boundary.curve.terminators import lamps_of
+from torch_radbp.boundary.eye.deposit import Deposit, image_of
+from torch_radbp.boundary.eye.in_sight import PathsBeside, Sent, in_sight, paths_beside
+from torch_radbp.boundary.eye.motion import JumpPlaces, moved_places
+from torch_radbp.call.render_call import RenderCall, integrand_of, started
+from torch_radbp.jit.order import chosen
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.sorting import first_hit
+from torch_radbp.path.state import PathState
+from torch_radbp.path.trace import trace
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.vec import rows
+from torch_radbp.threads.workers import in_turns
+
+BYTES_OF_TRIANGLE = 48  # weights of its edges and their sums
+BYTES_OF_PLACE = 640  # what is known of it, three rays and what they meet, two paths, and how it moves
+LONG = 16  # times as long as the image is wide and high: curves of a cluttered view
+
+Evaluate = Callable[[Integrand, PathState, Hit], tuple[Tensor, ...]]
+
+
+class SeenByCamera(NamedTuple):
+    """The quantities along camera paths that may be discontinuous."""
+
+    turns: tuple[bool, ...]  # for each channel, whether the two sides of a surface differ
+    evaluate: Evaluate  # computes the channels, detached
+
+
+def moves(call: RenderCall) -> bool:
+    """True if a vertex, a shading normal, an instance or a camera has derivatives, or a line slides over its surface."""
+    vertices, instances = call.scene.triangles.vertices, call.scene.triangles.instances
+    poses = instances and (instances.linear, instances.origin), [view.camera.lens for view in call.views]
+    return lines_slide(call) or any_differentiated((vertices.p, vertices.n, poses))
+
+
+def bytes_of_jumps(call: RenderCall) -> int:
+    """The bytes for discontinuity curves and samples on them, if curves are long."""
+    triangles, paths = len(call.scene.triangles.material), call.spp * max(view.width * view.height for view in call.views)
+    instances = call.scene.triangles.instances
+    triangles += 0 if instances is None else min(MOST_SHOWN, triangles * len(instances.number))
+    long = LONG * max(view.width + view.height for view in call.views)
+    kinds = sum(term.most(call) for term in FILM_TERMS)
+    places = min(paths // LARGEST_SHARE, long * call.spp) + kinds * FEWEST
+    return triangles * BYTES_OF_TRIANGLE + taken_by(call.stages, places * BYTES_OF_PLACE * (1 + len(call.views)))
+
+
+def image_jumps(call: RenderCall, jumps: list[Jumps | None]) -> Tensor:
+    """(B, 3, H, W) zeros whose derivative is that of the image's discontinuities; `jumps`: of each view."""
+    def radiance(integrand: Integrand, start: PathState, hit: Hit) -> tuple[Tensor, ...]:
+        return tuple(trace(integrand, start, hit=hit))
+
+    return jumps_of_views(call, jumps, SeenByCamera((True,) * 3, radiance))
+
+
+def jumps_of_views(call: RenderCall, jumps: list[Jumps | None], seen: SeenByCamera) -> Tensor:
+    """(B, C, H, W) zeros with the derivative of discontinuities in C channels."""
+    still = call.still()
+    lamps = lamps_of(still)
+    return torch.stack([jumps_of_view(call, still, number, own, seen, lamps) for number, own in enumerate(jumps)])
+
+
+def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps | None, seen: SeenByCamera,
+                  lamps: tuple[Eye, ...]) -> Tensor:
+    """(C, H, W) zeros with the derivative of discontinuities, for view `number`.
+
+    Args:
+        call, seen: as for `jumps_of_views`.
+        still: the call without derivatives.
+        jumps: of the view.
+        lamps: of the scene.
+    """
+    view, found = call.views[number], None
+    with torch.no_grad():
+        stages, sight = still.stages, sight_of(still.views[number], lamps)
+        prepared = stages(edge_weight).taken(geometry=geometry_of(still.scene), sight=sight)
+        rims = any(seen.turns) and still.scene.triangles.vertices.n is not None
+        viewed = ExaminedView(stages, *prepared, sight.camera, rims, view.clips)
+        places = [] if jumps is None else _places_of(still, number, viewed, jumps)
+        if places:
+            integrand = integrand_of(still, still.integrand, number)
+            found = strengths(still, integrand, viewed, joined(places), seen)
+    deposits = []
+    if found is not None:
+        geometry = geometry_of(call.scene)._replace(lines=jumps.lines)
+        moved = moved_places(call.stages, geometry, view.camera, found, call.adjoint.taped)
+        deposits = [Deposit(rows(found.places.film, found.shown), found.strength, moved)]
+    return image_of(call, number, deposits, len(seen.turns))
+
+
+def _places_of(call: RenderCall, number: int, viewed: ExaminedView, jumps: Jumps) -> list[Places]:
+    """Samples all discontinuity curves of view `number`."""
+    found = [curves for term in FILM_TERMS for curves in term.in_view(viewed, jumps)]
+    counts = place_counts([curves.length for curves in found], call, call.views[number])
+    return [curves.places(count) for curves, count in zip(found, counts)]
+
+
+class InView(NamedTuple):
+    """Samples on a view's discontinuity curves, prepared for compiled functions."""
+
+    places: Places
+    table: Places | Any  # the same, prepared for the stages
+    kinds: tuple[int, ...]  # kinds of moving curves inside of triangles among them
+
+
+def strengths(call: RenderCall, integrand: Integrand, viewed: ExaminedView, places: Places,
+              seen: SeenByCamera) -> JumpPlaces | None:
+    """The visible samples, and the discontinuity of what is seen there; None: there are none.
+
+    Args:
+        call: without derivatives.
+        integrand: of the view.
+        viewed: the view.
+        places: in the view.
+        seen: what is seen.
+    """
+    counted = chosen(places.counts)
+    if not len(counted):
+        return None
+    # Two paths each, and as few blocks as may be: all threads share the loops of one, and wait for each other's Python else.
+    most = max(FEWEST, max(wavefront.lanes for wavefront in call.wavefronts) // 2)
+    blocks = counted.split(max(FEWEST, -(-len(counted) // -(-len(counted) // most))))
+
+    found = InView(places, *viewed.stages(in_sight).taken(places=places), _kinds_of(places))
+
+    def work(share: Iterable[int]) -> list[tuple[Tensor, Tensor]]:
+        return [differences(call, integrand, viewed, found, blocks[block], seen) for block in share]
+
+    shares = in_turns(len(blocks), call.workers, work)
+    parts = [shares[block % len(shares)][block // len(shares)] for block in range(len(blocks))]
+    shown = torch.cat([own for own, _ in parts])
+    if not len(shown):
+        return None
+    return JumpPlaces(places, shown, tuple(torch.cat([jump for _, jump in parts], 1)), found.kinds)
+
+
+def _kinds_of(places: Places) -> tuple[int, ...]:
+    """The kinds of moving curves inside of triangles among some samples."""
+    counts = dict(enumerate(torch.bincount(places.kind).tolist()))
+    return tuple(kind for term in FILM_TERMS for kind in term.kinds if counts.get(kind))
+
+
+def differences(call: RenderCall, integrand: Integrand, viewed: ExaminedView, found: InView, asked: Tensor,
+                seen: SeenByCamera) -> tuple[Tensor, Tensor]:
+    """Of samples `asked` (M,) int32: the visible ones, (K,) int32, and values behind less values ahead, (C, K) float64."""
+    stages, geometry, sight = viewed[:3]
+    places, table, kinds = found
+    sent = torch.full((), len(asked), dtype=torch.int32, device=asked.device)
+    lane = lanes(3 * len(asked), asked)
+    sample = stages(rays_beside)(sight, table, asked, sent, lane, call.scene.layout.traces_cones)
+    rays = Sent(sample, first_hit(integrand, sample.ray, 0))
+    times = stages(in_sight)(geometry, table, asked, rays, sent, lane[:len(asked)], kinds)
+    clear = chosen(times != 0)
+    counts = sent, torch.full_like(sent, len(clear))
+    start: PathsBeside = stages(paths_beside)(table, asked, rays, times, clear, counts, lanes(2 * len(clear), asked))
+    values = seen.evaluate(integrand, started(call, start.sample), start.hit)
+    weight = start.sample.weight
+    values = torch.stack([value if weight is None else value * weight for value in values]).double()
+    behind, ahead = values.view(len(values), 2, -1).unbind(1)
+    shown, jump = rows(asked, clear), (behind - ahead) * rows(times, clear)
+    if all(seen.turns):
+        return shown, jump
+    turns = torch.tensor(seen.turns, device=jump.device)
+    return shown, jump * (turns[:, None] | (rows(places.kind, shown) != RIM))

@@ -1,0 +1,239 @@
+"""Boundary terms of discontinuities that the camera sees by way of ideal mirrors and glass.
+
+After reflection and refraction into single directions, a point of the film sees something else, a ray of which the path is
+attached to the camera, to all mirrors and to all glass on its way. Where what it meets changes, at an edge, the radiance L
+jumps along a curve of the film. No edge is projected there: a curve has as many images as there are ways, and they are bent.
+Instead the film is scanned, along short horizontal and vertical lines; steps between points on these that see different
+things are divided, again and again. With g a level that is 0 on the curve, and n its normal, the curve moves by
+-g' / |grad g|, and N horizontal lines of unit length for each square pixel, with as many vertical ones, cross a piece dl of
+it N (|n_x| + |n_y|) dl times. So each crossing stands for
+
+    dI = h (L_low - L_high) (-g') sign / (N (|g_x| + |g_y|))
+
+with the sign by which g grows from the low to the high side of the curve.
+
+References: Loubet, Holzschuch and Jakob 2019, "Reparameterizing Discontinuous Integrands for Differentiable Rendering"
+(discontinuities seen by way of ideal surfaces); Santalo 1976, "Integral Geometry and Geometric Probability", chapter 3
+(lengths of curves by the lines that cross them).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.adjoint.attached import rays_reaching
+from torch_radbp.adjoint.forward_mode import has_tangents
+from torch_radbp.adjoint.scatter import Gradients
+from torch_radbp.boundary.curve.outline import Outline
+from torch_radbp.boundary.curve.places import FEWEST
+from torch_radbp.boundary.eye.deposit import Deposit, image_of
+from torch_radbp.boundary.eye.differences import SHADOW, parted
+from torch_radbp.boundary.eye.ideal_paths import only_ideal
+from torch_radbp.boundary.eye.rays import Follows, adjoint_of_start, chains_of, following, follows_chains
+from torch_radbp.boundary.eye.seen_on_film import camera_sample
+from torch_radbp.boundary.eye.surfaces import LineTable, surfaces_of
+from torch_radbp.boundary.terms.crossings import Crossings, curve_crossings
+from torch_radbp.boundary.terms.curves import Curves, curves_crossed, level
+from torch_radbp.boundary.terms.scans import MOST, SHARE, Searched, scans_of
+from torch_radbp.call.render_call import RenderCall, integrand_of, started
+from torch_radbp.path.direct_light import LightDraw
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.trace import trace
+from torch_radbp.tensors.differentiated import any_differentiated, detached, primal
+from torch_radbp.tensors.record import joined, leaves_of
+from torch_radbp.tensors.vec import Ray, Vec2, Vec3, rows
+from torch_radbp.tensors.vector_jacobian import vector_jacobian_product, zeros_unless
+from torch_radbp.threads.workers import in_turns
+
+BLOCK = 1 << 12  # places that are scanned together
+BYTES_OF_CORNER = 700  # what is known of the path from there
+BYTES_OF_PLACE = 12000  # and of those from points of the scans, while they are looked at
+BYTES_OF_CROSSING = 2000  # where it lies, and what it crosses
+BYTES_OF_BOUNCE, USUAL_VERTICES = 2500, 4  # what torch keeps of it for the backward pass where it records; of how many
+CROSSINGS = 1  # of a place
+
+
+class Reflected(NamedTuple):
+    """What the boundary terms by way of mirrors and glass need."""
+
+    meshes: list[Outline]  # edges of all meshes, in the frames of their vertices
+    lines: LineTable | None  # of textures
+    surfaces: bool  # discontinuities of reflected radiance are computed
+    shadows: bool  # and shadow borders of lights without extent
+
+
+def follows_mirrors(call: RenderCall) -> bool:
+    """True if the scene has ideal mirrors or glass, in which cameras may see something."""
+    return (call.integrand.max_depth > 1 and any(look.kind.delta for look in call.scene.layout.appearances)
+            and all(view.camera.kind.has_area for view in call.views))
+
+
+def reflections_move(call: RenderCall) -> bool:
+    """True if a vertex, a normal, an instance, a camera, or an index of ideal refraction is differentiated."""
+    vertices = call.scene.triangles.vertices
+    return call.scene.layout.bends_ideally or any_differentiated((
+        vertices.p, vertices.n, call.scene.triangles.instances, [view.camera.lens for view in call.views]))
+
+
+def sharp_lights(call: RenderCall) -> bool:
+    """True if surfaces seen in mirrors or glass may have sharp shadows."""
+    return (call.integrand.settings.nee and call.integrand.max_depth > 2
+            and any(kind.delta for kind in call.scene.layout.lights))
+
+
+def bytes_of_reflections(call: RenderCall) -> int:
+    """The usual greatest memory of scans and the crossings that they find."""
+    paths = call.spp * max(view.width * view.height for view in call.views)
+    corners = max((view.grid.columns + 1) * (view.grid.rows + 1) for view in call.views)
+    places = max(FEWEST, min(MOST, paths // SHARE))
+    together = places if places <= BLOCK else min(places, BLOCK * call.workers)
+    looked_at = max(corners * BYTES_OF_CORNER, together * BYTES_OF_PLACE)
+    kept = BYTES_OF_BOUNCE * min(call.integrand.max_depth, USUAL_VERTICES) if call.adjoint.taped else 0
+    return looked_at + places * CROSSINGS * (BYTES_OF_CROSSING + len(call.views) * kept)
+
+
+def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
+    """(B, 3, H, W) zeros with the derivatives of discontinuities seen by way of ideal mirrors and glass.
+
+    Args:
+        call: of which something moves.
+        reflected: what is looked for.
+    """
+    images = []
+    with torch.no_grad():
+        still = call.still()
+        surfaces = surfaces_of(still, reflected.meshes, detached(reflected.lines))
+        tables, = call.stages(parted).taken(surfaces=surfaces)
+    for number in range(len(call.views)):
+        integrand = integrand_of(still, still.integrand, number)
+        searched = Searched(still, number, only_ideal(integrand), surfaces, tables, reflected.shadows)
+        found = _jumps_in_view(call, searched, integrand, reflected)
+        images.append(image_of(call, number, [] if found is None else [found]))
+    return torch.stack(images)
+
+
+class CurveCrossings(NamedTuple):
+    """K points where scans of the film cross discontinuity curves; detached."""
+
+    crossed: Crossings
+    curves: Curves
+    follows: Follows  # how the curves' levels depend on the paths
+    strength: Tensor  # (3, K) float64, gain of light in the image per unit of the level
+
+
+def _jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, reflected: Reflected) -> Deposit | None:
+    """What jumps in a view add to its derivative; None: it has none.
+
+    Args:
+        call: attached.
+        searched: the view.
+        integrand: of the view, detached.
+        reflected: what is looked for.
+    """
+    with torch.no_grad():
+        found = jumping(searched, integrand, reflected.surfaces)
+    if found is None:
+        return None
+    middle = Vec2(*(0.5 * (low + high) for low, high in zip(found.crossed.low, found.crossed.high)))
+    return Deposit(middle, found.strength.unbind(), moved(call, searched, found, reflected.lines))
+
+
+def moved(call: RenderCall, searched: Searched, found: CurveCrossings, lines: LineTable | None) -> Tensor:
+    """(K,) float64 zeros, attached: how the levels of curves change at points of the film; args as of `_jumps_in_view`;
+    `lines`: of surfaces, attached."""
+    crossed, curves, follows, _ = found
+    view, draw = call.views[searched.number], draw_of(crossed)
+    sample = camera_sample(call, view, crossed.low, crossed.aperture, crossed.key)
+    if call.adjoint.taped or has_tangents((call.scene, view.camera, lines)):
+        integrand = integrand_of(call, call.make_integrand(call.scene), searched.number)
+        ray = rays_reaching(follows_chains(integrand), started(call, sample), crossed.depth)
+        seen = level(call.scene, lines, curves, ray, draw)
+        return seen - primal(seen)
+    change = following(follows, sample.ray, call.scene)
+    if any_differentiated((call.scene, lines)):
+        seen = level(call.scene, lines, curves, follows.chains.ray, draw)
+        change = change + (seen - primal(seen))
+    return change
+
+
+def draw_of(crossed: Crossings) -> LightDraw | None:
+    """The light samples whose shadow borders were crossed."""
+    return None if crossed.looks is None else crossed.looks.draw
+
+
+def jumping(searched: Searched, integrand: Integrand, surfaces: bool) -> CurveCrossings | None:
+    """The discontinuity curves of a view, with the jumps across them; None: there are none. Args as for `_jumps_in_view`."""
+    crossed = crossings_in_view(searched)
+    if crossed is None:
+        return None
+    curves, known = curves_crossed(searched, crossed)
+    own = (known if surfaces else known & (crossed.kind == SHADOW)).nonzero().squeeze(1)
+    crossed, curves = rows((crossed, curves), own)
+    jump = jumps_at(searched, integrand, crossed)
+    own = (jump != 0).any(0).nonzero().squeeze(1)
+    if not len(own):
+        return None
+    crossed, curves = rows((crossed, curves), own)
+    follows = how_levels_follow(searched, integrand, crossed, curves)
+    slope = slope_on_film(searched, crossed, follows.adj_start)
+    step = Vec2(*(high - low for low, high in zip(crossed.low, crossed.high)))
+    steepness = slope.x.abs() + slope.y.abs()
+    known = (steepness > 0) & torch.isfinite(steepness)
+    weight = -torch.sign(slope.x * step.x + slope.y * step.y) * crossed.times / torch.where(known, steepness, 1.0)
+    return CurveCrossings(crossed, curves, follows, jump[:, own] * torch.where(known, weight, 0.0))
+
+
+def crossings_in_view(searched: Searched) -> Crossings | None:
+    """The crossings of curves by scans of a view; None: there are none."""
+    scans = scans_of(searched)
+    if scans is None:
+        return None
+    lots = torch.arange(len(scans.times), device=scans.times.device).split(BLOCK)
+
+    def work(share: Iterable[int]) -> list[Crossings | None]:
+        return [curve_crossings(searched, rows(scans, lots[lot]), lot) for lot in share]
+
+    shares = in_turns(len(lots), searched.call.workers, work)
+    parts = [shares[lot % len(shares)][lot // len(shares)] for lot in range(len(lots))]
+    parts = [part for part in parts if part is not None]
+    return joined(parts) if parts else None
+
+
+def jumps_at(searched: Searched, integrand: Integrand, crossed: Crossings) -> Tensor:
+    """(3, K) float64 jump at crossed curves: radiance on the scan's low side less that on its high side."""
+    call = searched.call
+    film = joined([crossed.low, crossed.high])
+    aperture, key = (joined([part] * 2) for part in (crossed.aperture, crossed.key))
+    sample = camera_sample(call, call.views[searched.number], film, aperture, key)
+    found = torch.stack(tuple(trace(integrand, started(call, sample)))).double()
+    low, high = (found if sample.weight is None else found * sample.weight).chunk(2, 1)
+    return low - high
+
+
+def how_levels_follow(searched: Searched, integrand: Integrand, crossed: Crossings, curves: Curves) -> Follows:
+    """The derivatives of the crossed curves' level functions by the camera paths that see them."""
+    call, integrand = searched.call, follows_chains(integrand)
+    sample = camera_sample(call, call.views[searched.number], crossed.low, crossed.aperture, crossed.key)
+    chains = chains_of(integrand, started(call, sample), crossed.depth)
+    with torch.enable_grad():
+        leaves = [part.clone().requires_grad_() for part in leaves_of(chains.ray)]
+        ray = Ray(Vec3(*leaves[:3]), Vec3(*leaves[3:]))
+        found = level(call.scene, searched.surfaces.lines, curves, ray, draw_of(crossed))
+        slopes = vector_jacobian_product([found], leaves, [torch.ones_like(found)])
+    slopes = [zeros_unless(*parts) for parts in zip(slopes, leaves)]
+    adj_ray, nothing = Ray(Vec3(*slopes[:3]), Vec3(*slopes[3:])), (False,) * len(leaves_of(call.scene))
+    return Follows(integrand, chains, adj_ray, adjoint_of_start(integrand, chains, adj_ray, nothing, Gradients([])))
+
+
+def slope_on_film(searched: Searched, crossed: Crossings, adj_start: Ray) -> Vec2:
+    """The derivative of level functions by the point of the film, (K,) float64; `adj_start`: by the paths' first rays."""
+    call = searched.call
+    with torch.enable_grad():
+        film = Vec2(*(part.clone().requires_grad_() for part in crossed.low))
+        sample = camera_sample(call, call.views[searched.number], film, crossed.aperture, crossed.key)
+        slopes = vector_jacobian_product(leaves_of(sample.ray), list(film), leaves_of(adj_start))
+    return Vec2(*(zeros_unless(*parts) for parts in zip(slopes, film)))

@@ -1,0 +1,170 @@
+"""Scans: short lines across pixels on which discontinuities are searched, mostly where corners see different things.
+
+First a path is followed from every corner of the pixels. A pixel is then scanned in proportion to how likely its corners see
+different things by way of mirrors and glass, and a little more, for what is smaller.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.curve.places import FEWEST, key_of_places, lot_of, picked
+from torch_radbp.boundary.eye.differences import CHANCE, SURFACE, Difference, Pairing, path_difference
+from torch_radbp.boundary.eye.ideal_paths import IdealPath, LightLooks, begins, ideal_path, with_light
+from torch_radbp.boundary.eye.light_points import light_points
+from torch_radbp.boundary.eye.seen_edges import salted
+from torch_radbp.boundary.eye.seen_on_film import aperture_of, camera_sample
+from torch_radbp.boundary.eye.surfaces import Surfaces
+from torch_radbp.boundary.terms.border import Lights
+from torch_radbp.call.render_call import RenderCall, started
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.sampling.running_sum import running_sum
+from torch_radbp.sampling.sampler import CAMERA_COUNTER, LaneKey, bounce_key, fine_unit, lane_key, random_bits
+from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.vec import Vec2, rows
+
+STEPS = 8  # of a scan; what is narrower than one is likely missed
+SHARE, MOST = 64, 1 << 15  # one place for so many paths of the image; and at most
+FLOOR = 0.25  # of the mean likelihood, by which each pixel with a mirror or glass in view is scanned
+OUTLINE = 0.5  # likelihood of a jump right beside the outline of a curved mirror
+PASSES, SAMPLES_OF_PASS = 4, 16  # paths from each corner, at most; and one for so many samples of a pixel
+SALT = 0x3C6EF372  # tells the random numbers of these paths from others
+ACROSS, DOWN = 0, 1  # the random numbers of a place
+
+
+class FilmPoints(NamedTuple):
+    """N points of the film, with the random numbers of their paths."""
+
+    film: Vec2  # pixels from the upper left corner of the window; float64
+    aperture: Vec2 | None  # on the lens
+    key: LaneKey
+    looks: LightLooks | None  # light samples whose shadow borders are searched; None: none are
+
+
+class Searched(NamedTuple):
+    """A view that is searched for discontinuities, without derivatives."""
+
+    call: RenderCall
+    number: int  # of the view
+    integrand: Integrand  # from `only_ideal`
+    surfaces: Surfaces
+    tables: Any  # the same, prepared for the stages
+    shadows: bool  # shadow borders of lights without extent are searched
+
+
+class Scans(NamedTuple):
+    """M centres, each of a horizontal and a vertical scan across its pixel."""
+
+    column: Tensor  # (M,) float64, left edge of the pixel, from the window's left edge
+    row: Tensor  # (M,) float64, upper edge, likewise
+    at: Vec2  # position of the scans in the pixel
+    times: Tensor  # (M,) float64, square pixels per scan
+    aperture: Vec2 | None
+    key: LaneKey
+    looks: LightLooks | None
+
+
+def paths_from(searched: Searched, points: FilmPoints) -> IdealPath:
+    """Traces ideal paths from points of the film."""
+    call = searched.call
+    sample = camera_sample(call, call.views[searched.number], points.film, points.aperture, points.key)
+    path = ideal_path(searched.integrand, started(call, sample), searched.tables)
+    return path if points.looks is None else with_light(searched.integrand, path, points.looks)
+
+
+def parting(searched: Searched, path: IdealPath, pairs: Pairing) -> Difference:
+    """Compares the camera paths of pairs: how they differ first."""
+    return path_difference(searched.call.stages, searched.tables, path, pairs)
+
+
+def looks_of(searched: Searched, count: int) -> LightLooks | None:
+    """Light samples whose shadow borders are searched; None: none are."""
+    if not searched.shadows:
+        return None
+    scene = searched.call.scene
+    points = light_points(searched.call.stages, scene, searched.call.views[searched.number], count)
+    return LightLooks(points.draw, Lights(sharp=True, soft=False, around=False).of(scene)[points.kind])
+
+
+def scans_of(searched: Searched) -> Scans | None:
+    """The scans of a view; None: it sees neither mirrors nor glass."""
+    call = searched.call
+    view = call.views[searched.number]
+    columns, weight = view.grid.columns, pixel_weights(searched)
+    total = running_sum(weight)
+    if not float(total[-1]) > 0.0:
+        return None
+    paths = view.width * view.height * call.spp
+    count = max(FEWEST, min(MOST, paths // SHARE, int(float(total[-1]) * call.spp)))
+    place = torch.arange(count, dtype=torch.int32, device=weight.device)
+    key = key_of_places(salted(view, SALT), place)
+    numbers = bounce_key(key, CAMERA_COUNTER)
+    across, down = (fine_unit(random_bits(numbers, dimension)) for dimension in (ACROSS, DOWN))
+    pixel, left, times = picked(lot_of(weight, count, total), place, across)
+    row = torch.div(pixel, columns, rounding_mode="floor")
+    before = view.window.columns.before, view.window.rows.before
+    return Scans((pixel - row * columns - before[0]).double(), (row - before[1]).double(), Vec2(left, down), times,
+                 aperture_of(view, key), key, looks_of(searched, count))
+
+
+def pixel_weights(searched: Searched) -> Tensor:
+    """The expected number of scans per pixel, (P,) float64, row by row; 0 where no mirror or glass is in view."""
+    call, most, shows = searched.call, None, None
+    turns = max(1, min(PASSES, call.spp // SAMPLES_OF_PASS))
+    looks = looks_of(searched, turns)
+    for turn in range(turns):
+        found, seen = corner_pass(searched, turn, looks)
+        most = found if most is None else torch.maximum(most, found)
+        shows = seen if shows is None else shows | seen
+    shows = shows.double()[None, None]
+    near = torch.nn.functional.max_pool2d(shows, 2, stride=1)[0, 0] > 0
+    near = torch.nn.functional.max_pool2d(near.double()[None, None], 3, stride=1, padding=1)[0, 0] > 0
+    count = near.sum().clamp_min(1)
+    return torch.where(near, most + FLOOR * most.sum() / count + 1e-3, 0.0).flatten()
+
+
+def corner_pass(searched: Searched, turn: int, looks: LightLooks | None) -> tuple[Tensor, Tensor]:
+    """One path per pixel corner: (R, C) float64 likelihood of a jump in each pixel, (R + 1, C + 1) bool: ideal surfaces."""
+    call = searched.call
+    view = call.views[searched.number]
+    width, height = view.grid.columns + 1, view.grid.rows + 1
+    corner = torch.arange(width * height, dtype=torch.int32, device=call.scene.device)
+    row = torch.div(corner, width, rounding_mode="floor")
+    film = Vec2((corner - row * width - view.window.columns.before).double(), (row - view.window.rows.before).double())
+    salt = salted(view, SALT + 1)
+    shared = lane_key(salt, torch.full_like(corner, -1), torch.full_like(corner, turn))
+    aperture = aperture_of(view, lane_key(salt, corner, torch.full_like(corner, turn)))
+    path = paths_from(searched, FilmPoints(film, aperture, shared, rows(looks, torch.full_like(corner, turn))))
+    corner, begin = corner.view(height, width).long(), begins(path)
+    likely = torch.zeros(height - 1, width - 1, dtype=torch.float64, device=call.scene.device)
+    for one, other, pixels in ((corner[:, :-1], corner[:, 1:], ((slice(0, -1), slice(None)), (slice(1, None), slice(None)))),
+                               (corner[:-1], corner[1:], ((slice(None), slice(0, -1)), (slice(None), slice(1, None))))):
+        pairs = Pairing(one.flatten(), other.flatten())
+        found = parting(searched, path, pairs)
+        likelihood = torch.where((found.depth > 0) & (found.kind != CHANCE), found.likelihood, 0.0)
+        if call.scene.layout.shading_normals:  # by which rays leave outlines of curved mirrors on the wrong side
+            outline = (found.kind == SURFACE) & (found.depth == 0) & (begin[pairs.first] | begin[pairs.second])
+            likelihood = torch.where(outline, OUTLINE, likelihood)
+        found = likelihood.view(one.shape)
+        for part in pixels:
+            likely = torch.maximum(likely, found[part])
+    return likely, begin.view(height, width)
+
+
+def points_of(scans: Scans) -> FilmPoints:
+    """The points of scans: all horizontal scans from left to right, M each, then the vertical ones."""
+    shares = [step / STEPS for step in range(STEPS + 1)]
+    x = [scans.column + share for share in shares] + [scans.column + scans.at.x] * len(shares)
+    y = [scans.row + scans.at.y] * len(shares) + [scans.row + share for share in shares]
+    times = 2 * len(shares)
+    return FilmPoints(Vec2(torch.cat(x), torch.cat(y)), *(joined([part] * times) for part in (
+        scans.aperture, scans.key, scans.looks)))
+
+
+def neighbours(count: int, device: torch.device) -> Pairing:
+    """The indices of both end points of all steps of `count` scans, (2 STEPS M,) int64 each."""
+    first = torch.arange(2 * (STEPS + 1) * count, device=device).view(2, STEPS + 1, count)
+    return Pairing(first[:, :-1].flatten(), first[:, 1:].flatten())

@@ -1,0 +1,165 @@
+"""What a boundary term of shadows is: one class in one file of this folder, registered by one line.
+
+    @shadow_term
+    class Caustics(ShadowTerm):
+        ...
+
+A term samples the places of each view at which light is cut off, and says how these move. `shadows.py` is the loop
+over all terms.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar, NamedTuple, TypeVar
+
+import torch
+from torch import Tensor
+
+from torch_radbp.boundary.curve.geometry import Geometry
+from torch_radbp.boundary.curve.rendering import Rendering
+from torch_radbp.boundary.curve.segments import Segments
+from torch_radbp.boundary.curve.term import LineNumbers
+from torch_radbp.boundary.eye.deposit import Deposit, attached_geometry, swept_areas
+from torch_radbp.boundary.eye.seen_edges import Casting, Course
+from torch_radbp.call.render_call import RenderCall
+from torch_radbp.tensors.vec import Vec2, rows
+
+
+class ShadowSearch(NamedTuple):
+    """A call of which something moves, and what hides light in its scene."""
+
+    call: RenderCall  # attached
+    still: RenderCall  # without derivatives
+    casting: Casting | None  # edges; None: nothing moves shadows
+    crossing: Segments | None  # where surfaces pass through each other, and lines that slide; None: nowhere
+    lines: LineNumbers | None  # what those lines follow, attached
+
+
+class TermSize(NamedTuple):
+    """The greatest memory of a term's samples in a view."""
+
+    search: int = 0  # bytes, while edges are looked for
+    found: int = 0  # samples, while it is computed how they move
+    kept: int = 0  # samples, for the backward pass
+
+
+class CutOff(NamedTuple):
+    """K samples of borders at which light that reaches a view is cut off; detached.
+
+    A border sweeps an area where its edge moves outwards; by that, parts of the derivative are compared (`split.py`).
+    """
+
+    place: Vec2  # on the film, of the paths that see them: pixels from the upper left corner of the window
+    normal: Vec2  # across the border, in the coordinates of `ShadowTerm.seen`; its length is that of the piece per sample
+    strength: Tensor  # (3, K) float64, light lost per unit of motion along the normal
+    samples: Any  # a record of the term's own, of what tells where they are
+    sweep: Tensor | None = None  # (K,) swept area if all edges move by an equal step; None: unknown
+
+    def independent(self) -> Tensor:
+        """The contributions in independent parts, see `split.SampledIntegral`: each sample by itself."""
+        return self.strength * self.sweep
+
+
+def cut_off(place: Vec2, course: Course, light: Tensor, samples: Any) -> CutOff | None:
+    """The samples at which there is any light; None: there are none.
+
+    Args:
+        place, samples: as of `CutOff`.
+        course: of the border.
+        light: (3, N) float64, on the side of the border that is not in shadow.
+    """
+    lost = torch.where((course.normal.x != 0.0) | (course.normal.y != 0.0), light, 0.0)
+    kept = (lost != 0).any(0).nonzero().squeeze(1)
+    place, course, samples = rows((place, course, samples), kept)
+    lost = lost[:, kept]
+    strength = torch.where(course.sweep > 0, lost, -lost)
+    return CutOff(place, course.normal, strength, samples, course.sweep) if len(kept) else None
+
+
+class ShadowTerm(ABC):
+    """One of the integrals of light that edges or curves cut off.
+
+    Attributes:
+        rank: its place among the terms. Of the first all samples are taken.
+        needs: what of the search there has to be.
+        is_split: as many samples are taken as pay off beside the first term: `samples` takes a `split.Amount`, too, and they
+            are `cuts.CutsOfView`.
+    """
+
+    rank: ClassVar[int]
+    needs: ClassVar[tuple[str, ...]] = ("casting",)
+    is_split: ClassVar[bool] = False
+
+    def __init__(self, search: ShadowSearch) -> None:
+        self.call, self.still, self.casting, self.crossing, self.lines = search
+
+    @classmethod
+    def size(cls, call: RenderCall) -> TermSize:
+        """The greatest memory of its samples, whatever is found."""
+        return TermSize()
+
+    @classmethod
+    def turns(cls, call: RenderCall) -> bool:
+        """True if the term has a part in the derivative even where no shadow moves."""
+        return False
+
+    @abstractmethod
+    def applies(self) -> bool:
+        """True if the term has a part in the derivative."""
+
+    @abstractmethod
+    def samples(self, number: int) -> Any:
+        """Samples places at which light that reaches view `number` is cut off, detached; None: there are none."""
+
+    def left_out(self, rendering: Rendering) -> set[str]:
+        """The parameters that move places of the term, as far as it is off and a few samples find them; `call` is eager."""
+        return set()
+
+    def jumps(self, number: int, found: Any) -> list[Deposit]:
+        """What places, `found` by `samples`, add to the derivative of view `number`; attached."""
+        seen = self.seen(number, attached_geometry(self.call.scene), found)
+        return [Deposit(found.place, found.strength.unbind(), swept_areas(seen, found.normal))]
+
+    def seen(self, number: int, geometry: Geometry, found: CutOff) -> Vec2:
+        """Where samples are, attached, in two coordinates in which their border sweeps areas; `geometry`: attached."""
+        raise NotImplementedError
+
+
+Term = TypeVar("Term", bound="type[ShadowTerm]")
+
+SHADOW_TERMS: list[type[ShadowTerm]] = []
+
+
+def shadow_term(term: Term) -> Term:
+    """Registers a term."""
+    SHADOW_TERMS.append(term)
+    SHADOW_TERMS.sort(key=lambda other: other.rank)
+    return term
+
+
+def terms_of(search: ShadowSearch) -> list[ShadowTerm]:
+    """The terms that have a part in the derivative of a call."""
+    terms = [term(search) for term in SHADOW_TERMS if all(getattr(search, name) is not None for name in term.needs)]
+    return [term for term in terms if term.applies()]
+
+
+def films_have_area(call: RenderCall) -> bool:
+    """True if pixels of all views have an area; along a single ray there is no border to be seen."""
+    return all(view.camera.kind.has_area for view in call.views)
+
+
+def glues(call: RenderCall) -> bool:
+    """True if random hits of paths are fixed to surfaces, except behind rough glass."""
+    return call.integrand.settings.sampling != "attached"
+
+
+def follows(call: RenderCall) -> bool:
+    """True if some random hits of paths follow directions that carry derivatives."""
+    return not glues(call) or call.integrand.settings.following
+
+
+def sharp_lights_later(call: RenderCall) -> bool:
+    """True if lights without extent are sampled at the second vertices of paths, or later ones."""
+    settings, lights = call.integrand.settings, call.scene.layout.lights
+    return settings.nee and call.integrand.max_depth > 2 and any(kind.delta for kind in lights)

@@ -1,0 +1,1 @@
+"""Warnings about what a derivative lacks."""

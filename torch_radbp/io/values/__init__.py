@@ -1,0 +1,1 @@
+"""The values in descriptions of scenes: read, checked and converted."""

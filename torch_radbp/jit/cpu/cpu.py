@@ -1,0 +1,146 @@
+"""The CPU as a target: a loop over blocks of vectors, on as many threads as torch has.
+
+    void lanes(i64 first, i64 last, ptr inputs, ptr outputs)
+
+computes the lanes from `first` to `last` in blocks of W. If the last block is not full, it is moved back so that it ends at
+`last`; lanes that are computed twice get the same results twice. Fewer than W lanes are computed in copies that are a full
+block. `inputs` and `outputs` are arrays of pointers; behind those of the inputs stand their lengths. `lanes_of_job` calls it
+for parts of a `team.Job` until none is left, and may run on several threads at once.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torch_radbp.jit.cpu import cpu_order, cpu_runs, cpu_scatter
+from torch_radbp.jit.cpu.machine import MachineCode, host, host_features, host_width, object_code
+from torch_radbp.jit.cpu.prefetch import DECLARATION, prefetches
+from torch_radbp.jit.cpu.recorded import Recorded
+from torch_radbp.jit.lane.emit import Body, emit
+from torch_radbp.jit.lane.graph import LANES, Program
+from torch_radbp.jit.lane.instructions import alignment
+from torch_radbp.jit.lane.loops import TAKE_PARTS, few_lanes
+from torch_radbp.jit.lane.window import window_of
+from torch_radbp.jit.recording.recording import Recording
+from torch_radbp.threads.team import run_lanes
+
+COPIES, SMALL = 4, 1 << 12  # copies of the totals of `jit/scatter.py`, for tables with at most so many entries
+
+
+class Cpu:
+    """The CPU of this machine as a target.
+
+    Args:
+        width: lanes in a block; None: those of a float32 vector of the processor, of which float64 takes two. A search
+            waits for one entry after the other, and two vectors wait together: float32 takes two too where it searches.
+    """
+
+    counts_stay = False
+
+    def __init__(self, width: int | None = None):
+        self.width = width
+
+    def text(self, program: Program) -> str:
+        """The LLVM IR of a program."""
+        width = self.width or host_width() * vectors(program)
+        return loop_module(emit(program, width, window_of(host_features())), width)
+
+    @property
+    def platform(self) -> str:
+        """The processor with its instruction sets; see `Target`."""
+        return f"{host()}, {self.width or host_width()} lanes"
+
+    def code(self, program: Program) -> bytes:
+        """The machine code of a program; see `Target`."""
+        return object_code(self.text(program))
+
+    def loop(self, code: bytes, searched: Sequence[int] = ()) -> CpuLoop:
+        """Loads machine code as a loop; see `Target`."""
+        return CpuLoop(code)
+
+    def compile(self, program: Program) -> CpuLoop:
+        """Compiles and loads a program; see `Target`."""
+        return self.loop(self.code(program))
+
+    def recorded(self, recording: Recording, given: Sequence[Tensor | int], results: Any) -> Recorded:
+        """See `Target`."""
+        return Recorded(recording, given, results)
+
+    chosen = staticmethod(cpu_order.chosen_on_cpu)
+    partition = staticmethod(cpu_order.partition_on_cpu)
+    in_order = staticmethod(cpu_runs.in_order_on_cpu)
+    inverted = staticmethod(cpu_order.inverted_on_cpu)
+    nothing = staticmethod(cpu_order.nothing_on_cpu)
+    put = staticmethod(cpu_order.put_on_cpu)
+    scatter_add = staticmethod(cpu_scatter.scatter_add_on_cpu)
+
+    def copies(self, entries: int) -> int:
+        """Several copies of a small table's sums, one copy of a large table's; see `Target`."""
+        return COPIES if entries <= SMALL else 1
+
+
+class CpuLoop:
+    """A program as machine code of the CPU; see `target.Loop`.
+
+    Args:
+        code: from `machine.object_code`.
+    """
+
+    def __init__(self, code: bytes):
+        self.code = MachineCode(code)
+
+    @property
+    def address(self) -> int:
+        """The address of the loop's body; see `team.LaneLoop`."""
+        return self.code.address
+
+    def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
+        """Runs the loop over all lanes, and waits for it."""
+        run_lanes(self.address, lanes, array("q", [*inputs, *lengths]), array("q", outputs))
+
+
+def loop_module(body: Body, width: int) -> str:
+    """The LLVM IR of a loop that runs `body` for blocks of `width` lanes."""
+    outputs = [value for value in body.program.outputs if value is not None]
+    hints = prefetches(body.program, body.names, width) if width > 1 else ()
+    sizes = ([alignment(value.dtype) if value.kind == LANES else 0 for value in body.program.inputs],
+             [alignment(value.dtype) for value in outputs])
+    return "\n".join([
+        TAKE_PARTS.format(width=width), few_lanes(*sizes, width),
+        "define internal void @lanes(i64 %first, i64 %last, ptr noalias %inputs, ptr noalias %outputs) {", "entry:",
+        *indented([*pointers(body.program, len(outputs)), *body.before]), f"  %final = sub i64 %last, {width}",
+        "  br label %loop", "loop:", "  %at = phi i64 [ %first, %entry ], [ %next, %turn ]",
+        "  %over = icmp sgt i64 %at, %final", "  %i = select i1 %over, i64 %final, i64 %at",
+        *indented(body.block), "  br label %turn", "turn:", *indented(hints),
+        f"  %next = add i64 %at, {width}", "  %more = icmp slt i64 %next, %last",
+        "  br i1 %more, label %loop, label %done", "done:", "  ret void", "}", *body.functions,
+        *([DECLARATION] if width > 1 else []), ""])
+
+
+def vectors(program: Program) -> int:
+    """The number of float32 vectors per block; see `Cpu`."""
+    in_double = any(value is not None and value.dtype == torch.float64 for value in program.outputs)
+    return 2 if program.searched and not in_double else 1
+
+
+def pointers(program: Program, outputs: int) -> Iterator[str]:
+    """Instructions that load the pointers in the arrays `%inputs` and `%outputs`."""
+    inputs = len(program.inputs)
+    for number in range(inputs):
+        yield from (f"%place{number} = getelementptr ptr, ptr %inputs, i64 {number}",
+                    f"%in{number} = load ptr, ptr %place{number}, align 8")
+    for number in program.searched:
+        yield from (f"%length_at{number} = getelementptr i64, ptr %inputs, i64 {inputs + number}",
+                    f"%length{number} = load i64, ptr %length_at{number}, align 8")
+    for number in range(outputs):
+        yield from (f"%result{number} = getelementptr ptr, ptr %outputs, i64 {number}",
+                    f"%out{number} = load ptr, ptr %result{number}, align 8")
+
+
+def indented(lines: Sequence[str]) -> Iterator[str]:
+    return (f"  {line}" for line in lines)

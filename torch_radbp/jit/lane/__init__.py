@@ -1,0 +1,1 @@
+"""Functions of lanes: traced to programs, and written as LLVM's text."""

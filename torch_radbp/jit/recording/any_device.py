@@ -1,0 +1,82 @@
+"""The target for devices without a compiler here: torch's own operations move lanes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torch_radbp.jit.recording.addition import Addition
+from torch_radbp.jit.recording.recording import NotRecordable
+from torch_radbp.tensors.partition import partition_by_torch
+
+
+class AnyDevice:
+    """A device on which only torch computes; see `target.Target`.
+
+    Args:
+        reason: why nothing is compiled for it, and what to do about it.
+    """
+
+    counts_stay = False
+
+    def __init__(self, reason: str = "lanes are compiled for the CPU and for GPUs of NVIDIA's; run the function as it is"):
+        self.reason = reason
+
+    def text(self, program: Any) -> str:
+        raise RuntimeError(self.reason)
+
+    @property
+    def platform(self) -> str:
+        raise RuntimeError(self.reason)
+
+    def code(self, program: Any) -> bytes:
+        raise RuntimeError(self.reason)
+
+    def loop(self, code: bytes, searched: Sequence[int]):
+        raise RuntimeError(self.reason)
+
+    def compile(self, program: Any):
+        raise RuntimeError(self.reason)
+
+    def recorded(self, recording, given: Sequence[Tensor | int], results: Any):
+        raise NotRecordable(self.reason)
+
+    def chosen(self, flags: Tensor) -> Tensor:
+        """The lanes whose flag is set; waits for the device to know their number."""
+        return flags.nonzero().squeeze(1).to(torch.int32)
+
+    def inverted(self, flags: Tensor) -> Tensor:
+        return ~flags
+
+    def nothing(self, flags: Tensor) -> Tensor:
+        return torch.zeros_like(flags)
+
+    def partition(self, number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
+        return partition_by_torch(number, queues)
+
+    def in_order(self, major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor, Tensor]:
+        """As `order.in_order`; waits for the device once."""
+        order, _ = self.partition(minor, queues)
+        order = order.index_select(0, self.partition(major.index_select(0, order), queues)[0])
+        return order, major.index_select(0, order), minor.index_select(0, order)
+
+    def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
+        for target, entry in zip(targets, entries):
+            target.index_copy_(0, place.long(), entry)
+
+    def copies(self, entries: int) -> int:
+        return 1
+
+    def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
+        """As `scatter.scatter_add`: neighbouring lanes use different copies; in order if torch shall be deterministic."""
+        for index, numbers, sums in additions:
+            copy = torch.arange(lanes, device=index.device) % sums.copies
+            for number, total in zip(numbers, sums.totals):
+                if sums.copies == 1:
+                    total.squeeze(1).index_add_(0, index, number.to(total.dtype))
+                else:
+                    total.index_put_((index.long(), copy), number.to(total.dtype), accumulate=True)
+            sums.touched.fill_(True)

@@ -1,0 +1,1 @@
+"""Compiled code on disk, by digests of all that it depends on."""

@@ -1,0 +1,132 @@
+"""Copies of all tensors of a rendering, with which the next one compares its own to see what has changed."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Hashable
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from torch_radbp.scene.cache.inventory import Inventory
+from torch_radbp.scene.cache.same_bits import bits_of, comparable, same_bits, same_bits_each
+from torch_radbp.tensors.differentiated import primal
+
+
+class Copies:
+    """Detached copies of tensors, and inventories of modules; those of the last rendering are taken where nothing changed.
+
+    Args:
+        last: of the last rendering.
+        around: of this rendering, if this one is for a part of it, which shares inventories with it.
+    """
+
+    def __init__(self, last: Copies | None = None, around: Copies | None = None):
+        self.last_copies: dict[Hashable, Tensor] = {} if last is None else last.copies
+        self.copies: dict[Hashable, Tensor] = {}
+        # Tensors of this rendering and their copies.
+        self.seen: dict[int, tuple[Tensor, Tensor]] = {} if around is None else around.seen
+        self.fixed: set[int] = set() if around is None else set(around.fixed)  # ids of objects that will not change
+        self.places: dict[Hashable, weakref.ref[Tensor]] = {}  # of tensors that are not on the CPU
+        self.last_places = {} if last is None else last.places
+        self.unchanged: set[tuple[Hashable, int]] | None = None  # of `last_places`, found when first asked for
+        self.last_inventories: dict[int, Inventory] = {} if last is None or around is not None else last.inventories
+        self.inventories: dict[int, Inventory] = {} if around is None else around.inventories  # by the ids of their roots
+        self.moved: set[int] = set() if around is None else around.moved  # as of `Inventory.reach`, what is not as it was
+
+    def close(self) -> Copies:
+        """Drops what only the comparison with the last rendering needed."""
+        self.last_copies, self.last_places, self.last_inventories, self.unchanged = {}, {}, {}, None
+        self.seen, self.fixed, self.moved = {}, set(), set()
+        self.inventories = {root: inventory for root, inventory in self.inventories.items() if inventory.lasts}
+        return self
+
+    def inventory(self, root: nn.Module) -> Inventory:
+        """The `Inventory` of a module; that of the last rendering if it still holds."""
+        inventory = self.inventories.get(id(root))
+        if inventory is None:
+            last = self.last_inventories.get(id(root))
+            inventory = last if last is not None and last.holds(root) else Inventory(root)
+            self.inventories[id(root)] = inventory
+            self.moved |= inventory.live | inventory.restless
+            self.freeze(inventory)
+        return inventory
+
+    def freeze(self, inventory: Inventory) -> None:
+        """Copies the tensors of an inventory that are not differentiated, or keeps the copies where values are unchanged."""
+        left = [(place, tensor) for place, tensor in inventory.settled if id(tensor) not in self.seen]
+        if self.is_as_it_was(inventory.root) and all(tensor.is_cpu and place in self.last_copies for place, tensor in left):
+            copies = [self.last_copies[place] for place, _ in left]
+            equal = same_bits_each([tensor for _, tensor in left], copies)
+            for (place, tensor), copy, unchanged in zip(left, copies, equal):
+                if unchanged:
+                    self.copies[place], self.seen[id(tensor)] = copy, (tensor, copy)
+                    self.fixed.add(id(copy))
+            left = [each for each, unchanged in zip(left, equal) if not unchanged]
+        for place, tensor in left:
+            if self.frozen(place, tensor) is not self.last_copies.get(place):
+                self.moved.add(id(tensor))
+
+    def is_as_it_was(self, root: nn.Module) -> bool:
+        """True if a module holds the same objects as in the last rendering, whatever the values of tensors are."""
+        return self.last_inventories.get(id(root)) is self.inventory(root)
+
+    def structure(self, make: Callable, root: nn.Module, *arguments: Hashable):
+        """`make(root, *arguments)`, cached for as long as the module holds the very same objects.
+
+        Args:
+            make: a function whose result depends on neither the numbers in tensors nor anything else that changes.
+            root: any module.
+            arguments: any others.
+        """
+        results, key = self.inventory(root).results, (make, *arguments)
+        if key not in results:
+            results[key] = make(root, *arguments)
+        return results[key]
+
+    def facts(self, root: nn.Module) -> dict[Hashable, Any]:
+        """A dict for what is derived from a module's attributes; it is emptied when an attribute changes."""
+        inventory = self.inventories.get(id(root))
+        return {} if inventory is None else inventory.results
+
+    def frozen(self, place: Hashable, tensor: Tensor) -> Tensor:
+        """A detached copy of a tensor; the same object as in the last rendering if not a bit has changed.
+
+        Args:
+            place: tells which tensor of the last rendering to compare with.
+            tensor: any.
+        """
+        if id(tensor) in self.fixed:
+            return tensor
+        if id(tensor) not in self.seen:
+            copy = self.last_copies.get(place)
+            if not self.known_unchanged(place, tensor) and (copy is None or not same_bits(copy, tensor)):
+                with torch.inference_mode(False), torch.no_grad():
+                    copy = primal(tensor).clone(memory_format=torch.contiguous_format)
+            self.seen[id(tensor)] = tensor, copy
+            self.copies[place] = copy
+            self.fixed.add(id(copy))
+        return self.seen[id(tensor)][1]
+
+    def known_unchanged(self, place: Hashable, tensor: Tensor) -> bool:
+        """True if a tensor is unchanged since the last rendering, by one comparison of all tensors of a device.
+
+        To ask a device for one answer takes as long as to ask it for many; on the CPU each is compared when its turn comes.
+        """
+        if tensor.is_cpu:
+            return False
+        self.places[place] = weakref.ref(tensor)
+        if self.unchanged is None:
+            self.unchanged = _unchanged(self.last_places, self.last_copies)
+        return (place, id(tensor)) in self.unchanged
+
+
+def _unchanged(places: dict[Hashable, weakref.ref[Tensor]], copies: dict[Hashable, Tensor]) -> set[tuple[Hashable, int]]:
+    """Compares tensors of the last rendering with their copies, all at once; places and ids of those that are unchanged."""
+    there = [(place, tensor, copies[place]) for place, reference in places.items() if (tensor := reference()) is not None]
+    there = [each for each in there if comparable(*each[1:])]
+    if not there:
+        return set()
+    equal_bits = torch.stack([(bits_of(tensor) == bits_of(copy)).all() for _, tensor, copy in there]).tolist()
+    return {(place, id(tensor)) for (place, tensor, _), equal in zip(there, equal_bits) if equal}

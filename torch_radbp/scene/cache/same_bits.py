@@ -1,0 +1,71 @@
+"""Bitwise comparison of tensors at the speed of memory."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections import deque
+from collections.abc import Callable, Sequence
+from functools import cache
+
+import torch
+from torch import Tensor
+
+from torch_radbp.tensors.differentiated import primal
+from torch_radbp.threads.team import Task, threads, together, until_none_is_left
+
+PART = 16 << 20  # bytes that a thread compares at a time
+
+
+def same_bits(a: Tensor, b: Tensor) -> bool:
+    """True if two tensors have one shape, dtype and device, and the same bits: NaN equals itself, 0 does not equal -0."""
+    if not comparable(a, b):
+        return False
+    if not a.is_cpu:
+        return torch.equal(bits_of(a), bits_of(b))
+    a, b = (each if each.is_contiguous() else primal(each).contiguous() for each in (a, b))
+    return same_memory(a.data_ptr(), b.data_ptr(), a.nbytes)
+
+
+def same_bits_each(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> list[bool]:
+    """`same_bits` for pairs of CPU tensors of equal shapes and dtypes."""
+    differ = memory_difference()
+    return [not differ(a.data_ptr(), b.data_ptr(), a.nbytes) if a.is_contiguous() and a.nbytes <= PART else same_bits(a, b)
+            for a, b in zip(tensors, copies)]
+
+
+def comparable(a: Tensor, b: Tensor) -> bool:
+    """True if two tensors have one shape, dtype and device."""
+    return a.shape == b.shape and a.dtype == b.dtype and a.device == b.device
+
+
+def bits_of(tensor: Tensor) -> Tensor:
+    """The bytes of a tensor, detached."""
+    return primal(tensor).contiguous().view(-1).view(torch.uint8)
+
+
+def same_memory(a: int, b: int, length: int) -> bool:
+    """True if the bytes at two addresses are equal; large ones are compared by several threads.
+
+    The C library does so at the speed of memory; `torch.equal` takes half as long again.
+    """
+    if length <= PART:
+        return not memory_difference()(a, b, length)
+    starts, different = deque(range(0, length, PART)), []
+
+    def compare(task: Task) -> None:
+        for start in until_none_is_left(starts):
+            if memory_difference()(a + start, b + start, min(PART, length - start)):
+                different.append(start)
+                starts.clear()
+
+    together(compare, min(threads(), len(starts)))
+    return not different
+
+
+@cache
+def memory_difference() -> Callable[[int, int, int], int]:
+    """The C library's `memcmp`, called without the interpreter lock."""
+    function = ctypes.CDLL("msvcrt" if os.name == "nt" else None).memcmp
+    function.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t]
+    return function

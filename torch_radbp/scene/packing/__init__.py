@@ -1,0 +1,1 @@
+"""Packs the scene's modules into its tables, by ordinary differentiable torch."""

@@ -1,0 +1,223 @@
+"""`pack`: converts the modules of a `Scene` to `SceneTensors`, by ordinary differentiable torch.
+
+The work is divided into parts, each of which says what it depends on: nothing is done again of which nothing has changed
+since the last rendering (see `PackCache.part`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any, NamedTuple
+
+import torch
+
+from torch_radbp.interface.emitter import Light, stacked
+from torch_radbp.interface.medium import Table
+from torch_radbp.interface.texture import Reader, bank_of
+from torch_radbp.plugin import BSDF, Medium, SceneError, Texture
+from torch_radbp.scene.cache.pack_cache import PackCache
+from torch_radbp.scene.modules.parameters import check_extent, check_parameters, check_places, largest_vertex_coordinate
+from torch_radbp.scene.modules.scene import Scene
+from torch_radbp.scene.packing.attributes import any_attribute_differentiated, check_attributes
+from torch_radbp.scene.packing.geometry import (
+    Columns,
+    PlacedShape,
+    TriangleNumbering,
+    placed_shape,
+    shown_instances,
+    triangle_table,
+)
+from torch_radbp.scene.packing.light_table import Emission, kinds_of, light_table, takes_tree
+from torch_radbp.scene.packing.material_tables import Materials, MaterialTextures, is_plain, material_tables
+from torch_radbp.scene.packing.network_check import check_networks
+from torch_radbp.scene.packing.radiances import Radiances, bank_of_radiances, radiances_of
+from torch_radbp.scene.tables.scene_tensors import Layout, LightTable, SceneTensors, TriangleTable
+from torch_radbp.shape.instance import Instance
+from torch_radbp.shape.surface import Surface
+
+# Parts that others ask for: the shapes as triangles, and the materials.
+PLACED, MATERIALS = "placed", "materials"
+
+
+class Objects(NamedTuple):
+    """The objects of a scene by category."""
+
+    scene: Scene
+    bsdfs: tuple[BSDF, ...]
+    shapes: tuple[Surface, ...]
+    grouped: tuple[bool, ...]  # for each shape, whether instances show it
+    groups: tuple[tuple[Instance, ...], ...]  # for each group its instances
+    emitters: tuple[Light, ...]
+    lamps: tuple[Light, ...]  # those that are on no surface
+    media: tuple[Medium, ...]
+    dtype: torch.dtype
+    device: torch.device
+
+
+def pack(scene: Scene, cache: PackCache | None = None, light_choice: str | None = None, aovs: bool = False,
+         seen: Collection[str] | None = None) -> SceneTensors:
+    """Packs a scene to tensors that are attached to its parameters.
+
+    Args:
+        scene: as it is now.
+        cache: what is known from the last rendering.
+        light_choice: how next-event estimation picks a light; see `Renderer`.
+        aovs: with coordinates and numbers, which quantities may be about that no image needs.
+        seen: the names of the sensors that are rendered, whose parameters are checked; None: all.
+
+    Raises:
+        ValueError: if a parameter is not in its domain, or derivatives of a module would be wrong; the message names it.
+        TypeError: if the parameters are not of one dtype, or a module has been compiled.
+    """
+    cache = PackCache() if cache is None else cache
+    check_parameters(scene, cache, scene.named_sensors if seen is None else seen)
+    objects, inventory = cache.structure(objects_of, scene), cache.inventory(scene)
+    dtype, device, settled = objects.dtype, objects.device, inventory.settled_reach
+    of_shapes = inventory.reach((*objects.shapes, *(instance for instances in objects.groups for instance in instances)))
+    materials = cache.part(MATERIALS, material_tables, scene, settled, scene, objects.bsdfs, dtype, device)
+    radiances = cache.part("radiances", radiances_of, scene, settled, objects.emitters)
+    placed = cache.part(PLACED, placed_shapes, scene, of_shapes, objects)
+    layout = cache.part("layout", layout_of, scene, settled, objects, materials, radiances, placed)
+    if layout.attributes:
+        check_attributes(scene, cache)
+    columns = cache.part("columns", _columns_of, scene, settled, objects, layout, aovs)
+    triangles = cache.part("triangles", triangles_of, scene, of_shapes, objects, placed, columns)
+    bank = cache.part("radiance", bank_of_radiances, scene, inventory.reach(radiances.banked), radiances, dtype, device)
+    lit_banks = radiances.lit_banks(dtype, device)
+    emissions = cache.part("emissions", emissions_of, scene, settled, objects, radiances, placed)
+    bounding = (bank, lit_banks) if takes_tree(light_choice, emissions) else (None, ())  # what gives lights their bounds
+    lights = cache.part("lights", _lights_of, scene, inventory.reach(objects.lamps), objects, triangles, emissions, layout,
+                        light_choice, *bounding)
+    textures = tuple(bank_of_textures(cache, number, group, objects) for number, group in enumerate(materials.textures))
+    check_networks(cache, (*layout.readers, *layout.lit), (*textures, *lit_banks), dtype, device)
+    media = cache.part("media", tables_of_media, scene, inventory.reach(objects.media), objects)
+    return SceneTensors(triangles, materials.table, textures, lights, bank, lit_banks, media, layout)
+
+
+def objects_of(scene: Scene) -> Objects:
+    """Collects the objects of a scene by category."""
+    emitters = tuple(scene.emitters)
+    return Objects(scene, tuple(scene.bsdfs()), tuple(scene.shapes), tuple(each is not None for each in scene.shown_by),
+                   tuple(map(tuple, scene.groups.values())), emitters,
+                   tuple(emitter for emitter in emitters if not emitter.kind().on_surface), tuple(scene.media),
+                   scene.dtype, scene.device)
+
+
+def placed_shapes(cache: PackCache, objects: Objects) -> tuple[PlacedShape, ...]:
+    """All shapes as triangles; raises ValueError if one is too large."""
+    placed = tuple(placed_shape(cache, shape, grouped, objects.dtype)
+                   for shape, grouped in zip(objects.shapes, objects.grouped))
+    check_extent(objects.scene, objects.shapes, [cache(largest_vertex_coordinate, shape.vertices) for shape in placed])
+    return placed
+
+
+def layout_of(cache: PackCache, objects: Objects, materials: Materials, radiances: Radiances,
+              placed: tuple[PlacedShape, ...]) -> Layout:
+    """The `Layout` of a scene: the features that it uses."""
+    named = {name for reader in (*materials.readers, radiances.reader) for name in reader.attributes}
+    attributes = tuple(sorted(named))
+    attributes_move = any_attribute_differentiated(objects.scene, attributes)
+    return Layout(
+        bending=materials.bending or attributes_move,
+        bends_ideally=materials.bends_ideally or (materials.ideal_by_attributes and attributes_move),
+        shading_normals=any(shape.surface.normals is not None for shape in placed),
+        back_sides=materials.back_sides, appearances=materials.appearances,
+        readers=materials.readers, radiance=radiances.reader,
+        radiance_bitmaps=radiances.has_bitmaps or any(reader.needs_uv for reader in radiances.lit), attributes=attributes,
+        lights=kinds_of(objects.emitters), media=tuple(medium.kind() for medium in objects.media), lit=radiances.lit,
+        still=materials.still)
+
+
+def _columns_of(cache: PackCache, objects: Objects, layout: Layout, aovs: bool) -> Columns:
+    """The optional columns of the scene's triangle table; `aovs` as for `pack`."""
+    row = {id(bsdf): index for index, bsdf in enumerate(objects.bsdfs)}
+    return Columns(layout.shading_normals,
+                   layout.radiance_bitmaps or aovs or any(look.needs_uv for look in layout.appearances),
+                   layout.vertex_attributes, layout.face_attributes, any(look.kind.oriented for look in layout.appearances),
+                   tuple(row[id(shape.bsdf)] for shape in objects.shapes),
+                   tuple(shape.emitter is not None for shape in objects.shapes), plain_shapes(objects),
+                   _numbers_of(objects) if aovs else None)
+
+
+def triangles_of(cache: PackCache, objects: Objects, placed: tuple[PlacedShape, ...], columns: Columns) -> TriangleTable:
+    """Builds the triangle table, instances included; raises ValueError if one of these is too far away."""
+    groups, dtype, device = objects.groups, objects.dtype, objects.device
+    numbers = (0,) * sum(map(len, groups)) if columns.numbers is None else instance_numbers(objects)
+    instances = shown_instances(cache, groups, placed, columns.normals, numbers, dtype, device)
+    if instances is not None:
+        check_places(objects.scene, groups, instances.casting.boxes)
+    return triangle_table(cache, placed, columns, dtype, device, instances)
+
+
+def emissions_of(cache: PackCache, objects: Objects, radiances: Radiances,
+                 placed: tuple[PlacedShape, ...]) -> tuple[Emission, ...]:
+    """What next-event estimation needs to know about each emitter, those on surfaces first."""
+    def emission(emitter: Light, count: int | None) -> Emission:
+        return Emission(emitter.kind(), emitter.type, emitter.sampling_weight, radiances.row[id(emitter)],
+                        radiances.lit_rows[id(emitter)], count)
+
+    carriers = [emission(shape.emitter, len(placed_shape.faces)) for shape, placed_shape in zip(objects.shapes, placed)
+                if shape.emitter is not None]
+    return (*carriers, *(emission(lamp, None) for lamp in objects.lamps))
+
+
+def _lights_of(cache: PackCache, objects: Objects, triangles: TriangleTable, emissions: tuple[Emission, ...], layout: Layout,
+               light_choice: str | None, bank: Any, lit_banks: tuple[Any, ...]) -> LightTable:
+    """Builds the light table; the tables of emitters' textures are needed if lights are selected by a tree."""
+    lamps = tuple(cache.twin(number, lamp) for number, lamp in enumerate(objects.lamps))
+    return light_table(cache, triangles, emissions, lamps, layout, bank, lit_banks, light_choice)
+
+
+def tables_of_media(cache: PackCache, objects: Objects) -> tuple[Table, ...]:
+    """The tables of the media, attached."""
+    scattering = [f"`{objects.scene.name_of(medium)}`" for medium in objects.media if medium.kind().scatters]
+    if len(scattering) > 1:
+        raise SceneError(f"{' and '.join(scattering)} both fill the scene and scatter light: one medium may")
+    like = torch.empty(0, dtype=objects.dtype, device=objects.device)
+    return tuple(stacked([cache.twin(number, medium).row()], like) for number, medium in enumerate(objects.media))
+
+
+def bank_of_textures(cache: PackCache, number: int, group: MaterialTextures, objects: Objects) -> Any:
+    """The bank, of this number, of those textures of materials that one reader reads; attached."""
+    scene, dtype, device = objects.scene, objects.dtype, objects.device
+    if group.reader.outside:  # a module that is read outside is taken as it is: only it knows what its values depend on
+        return group.reader.bank(list(group.textures), dtype, device)
+    twins = cache.part(("twins", number), twins_of, scene, group.settled, group.textures)
+    return cache.part(("bank", number), bank_of_twins, scene, group.reach, group.reader, twins, dtype, device)
+
+
+def twins_of(cache: PackCache, textures: tuple[Texture, ...]) -> tuple[Texture, ...]:
+    """Copies of textures that change only with their values; see `PackCache.twin`."""
+    return tuple(cache.twin(number, texture) for number, texture in enumerate(textures))
+
+
+def bank_of_twins(cache: PackCache, reader: Reader, twins: tuple[Texture, ...], dtype: torch.dtype,
+                  device: torch.device) -> Any:
+    """Builds the table of copied textures of one kind, attached."""
+    return cache(bank_of, reader, twins, dtype, device)
+
+
+def plain_shapes(objects: Objects) -> tuple[bool, ...]:
+    """For each shape, whether its reflected light is discontinuous only at shadow borders; see `vertex.nearby`."""
+    if any(emitter.picture_jumps() or emitter.picture_ends() for emitter in objects.emitters):
+        return (False,) * len(objects.shapes)
+    plain = {id(bsdf): is_plain(bsdf) for bsdf in objects.bsdfs}
+    return tuple(shape.emitter is None and plain[id(shape.bsdf)] for shape in objects.shapes)
+
+
+def _numbers_of(objects: Objects) -> tuple[TriangleNumbering, ...]:
+    """How the triangles of each shape are numbered in AOVs."""
+    number = numbers_in(objects.scene)
+    return tuple(TriangleNumbering(not shape.whole, number.get(id(shape), 0)) for shape in objects.shapes)
+
+
+def instance_numbers(objects: Objects) -> tuple[int, ...]:
+    """The AOV number of each instance, group by group."""
+    number = numbers_in(objects.scene)
+    return tuple(number[id(instance)] for instances in objects.groups for instance in instances)
+
+
+def numbers_in(scene: Scene) -> dict[int, int]:
+    """The AOV numbers of shapes and instances by their ids: from 1 on, in the order of the scene."""
+    places = [id(child) for child in scene.children() if isinstance(child, (Surface, Instance))]
+    return {place: count for count, place in enumerate(places, 1)}

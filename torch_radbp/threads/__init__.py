@@ -1,0 +1,1 @@
+"""Threads that share work, and memory that is used again."""
