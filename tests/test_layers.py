@@ -4,7 +4,9 @@ import ast
 import importlib.util
 import inspect
 import pkgutil
+import re
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,20 +17,19 @@ import torch_radbp as rb
 PACKAGE = Path(rb.__file__).parent
 TRAINING = PACKAGE.parent / "training"
 TESTS = Path(__file__).parent
+PICTURE = TESTS.parent / "docs" / "reading_the_code.md"
 
-# Data flows down this list; a part may import from the layers above its own, and nothing beside itself.
-LAYERS = [
-    {"tensors", "plugin", "install_hint"},
-    {"jit", "sampling", "film", "transforms", "pose", "losses", "priors", "integrator", "formats"},
-    {"texture", "sensor", "phase", "public_call"}, {"shape", "bsdf", "emitter", "volume"}, {"medium"}, {"scene"},
-    {"raycast", "optim", "io", "bake"}, {"path", "photographs"}, {"call"}, {"adjoint"}, {"boundary", "aov"}, {"rendering"},
-    {"check"}, {"public"}, {"training"},
-]
-RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
+# A room is a folder with code, or a file in none; what is in the package's own folder is called by the package's name. Their
+# order is that of their picture, where names stand before three spaces: a room may import from those above it.
+SHOWN = PICTURE.read_text(encoding="utf-8").split("## The rooms")[1].split("##")[0]
+ROOMS = [name.replace("/", ".") for line in SHOWN.splitlines() if line.startswith("    ")
+         for name in re.split(" {3,}", line.strip())[0].split()]
+RANK = {name: rank for rank, name in enumerate(ROOMS)}
+FLOORS = 14  # the most rooms, one above the other, that a change of the lowest may reach
 
 
 class Import(NamedTuple):
-    """An import of one part of the package by another; parts are the first names below `torch_radbp`."""
+    """An import of one room by another."""
 
     file: str
     line: int
@@ -36,26 +37,54 @@ class Import(NamedTuple):
     imported: str
 
 
-def part_of(path: Path) -> str:
+def room_of(path: Path) -> str:
+    """The room of a file of the package, or of its `training`."""
     if path.is_relative_to(TRAINING):
         return "training"
-    return path.relative_to(PACKAGE).with_suffix("").parts[0]
+    folder = path.relative_to(PACKAGE).parent.parts
+    return ".".join(folder) or (path.stem if path.stem not in ("__init__", "public") else "torch_radbp")
+
+
+def room_named(module: str) -> str:
+    """The room of a module or of a name in one, `torch_radbp.` before it."""
+    parts = module.split(".")[1:]
+    if parts[:1] == ["training"]:
+        return "training"
+    while parts:
+        place = PACKAGE.joinpath(*parts)
+        if place.is_dir() or place.with_suffix(".py").exists():
+            return room_of(place / "__init__.py" if place.is_dir() else place.with_suffix(".py"))
+        parts.pop()
+    return "torch_radbp"
+
+
+def is_stage(node: ast.AST) -> bool:
+    """True for a function that is declared by `@stage(...)`."""
+    return isinstance(node, ast.FunctionDef) and any(
+        isinstance(each, ast.Call) and ast.unparse(each.func) == "stage" for each in node.decorator_list)
+
+
+def modules_named(tree: ast.Module, path: Path) -> Iterator[tuple[int, str]]:
+    """The modules and names that a file imports, inside of functions and for type checkers, too, or names without an import:
+    modules in texts, and stages as attributes of `stages` or as fields of a record of functions."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}, line {node.lineno}: relative import"
+            yield from ((node.lineno, f"{node.module}.{alias.name}") for alias in node.names)
+        elif isinstance(node, ast.Constant) and re.fullmatch(r"torch_radbp(\.\w+)+", str(node.value)):
+            yield node.lineno, node.value
+        elif isinstance(node, ast.Attribute) and node.attr in STAGES and ast.unparse(node.value).endswith("stages"):
+            yield node.lineno, STAGES[node.attr]
+        elif isinstance(node, ast.AnnAssign) and ast.unparse(node.annotation).startswith(("Callable", "Stage")):
+            yield from ((node.lineno, STAGES[name]) for name in [ast.unparse(node.target)] if name in STAGES)
 
 
 def imports(path: Path) -> list[Import]:
-    """All imports of torch_radbp in a file, those inside functions and behind TYPE_CHECKING included."""
-    found = []
-    for node in ast.walk(ast.parse(path.read_text())):
-        names = []
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}, line {node.lineno}: relative import"
-            whole = node.module == "torch_radbp"
-            names = [f"{node.module}.{alias.name}" for alias in node.names] if whole else [node.module]
-        found += [Import(str(path), node.lineno, part_of(path), name.split(".")[1] if "." in name else "__init__")
-                  for name in names if name.split(".")[0] == "torch_radbp"]
-    return found
+    """What a file takes from rooms, its own included."""
+    return [Import(str(path), line, room_of(path), room_named(name))
+            for line, name in modules_named(ast.parse(path.read_text()), path) if name.split(".")[0] == "torch_radbp"]
 
 
 def named(node: ast.Import | ast.ImportFrom) -> list[str]:
@@ -71,28 +100,60 @@ def running(tree: ast.AST) -> Iterator[ast.AST]:
 
 
 FILES = sorted(path for folder in (PACKAGE, TRAINING) for path in folder.rglob("*.py"))
+# Where functions over lanes are defined, by their names: who names one in a text means the function.
+STAGES = {node.name: ".".join(("torch_radbp", *path.relative_to(PACKAGE).with_suffix("").parts))
+          for path in PACKAGE.rglob("*.py") for node in ast.walk(ast.parse(path.read_text())) if is_stage(node)}
 IMPORTS = [found for path in FILES for found in imports(path)]
+BETWEEN = [each for each in IMPORTS if each.imported != each.importer]
 
 
 def say(wrong: list[Import]) -> str:
     return "\n".join(f"{i.file}:{i.line}: {i.importer} imports {i.imported}" for i in wrong)
 
 
+def floors() -> dict[str, int]:
+    """The floor of each room: 1 if it imports none, else one above the highest that it imports.
+
+    Raises:
+        graphlib.CycleError: naming the rooms, if some import each other in a circle.
+    """
+    below = {room: {each.imported for each in BETWEEN if each.importer == room} for room in ROOMS}
+    floor: dict[str, int] = {}
+    for room in TopologicalSorter(below).static_order():
+        floor[room] = 1 + max((floor[other] for other in below.get(room, ())), default=0)
+    return floor
+
+
 def test_the_imports_are_found():
-    assert len(IMPORTS) > 100
-    assert {"path", "adjoint", "scene", "tensors"} <= {i.imported for i in IMPORTS}
+    assert len(IMPORTS) > 1000 and len(STAGES) > 50
+    assert {"path", "adjoint", "scene.tables", "tensors", "torch_radbp"} <= {i.imported for i in IMPORTS}
 
 
-def test_every_part_has_its_layer():
-    known = {*RANK, "__init__"}
-    assert {part_of(path) for path in FILES} <= known
-    assert {i.imported for i in IMPORTS} <= known
+def test_names_of_modules_and_stages_count_as_imports():
+    stage, home = next(iter(STAGES.items()))
+    tree = ast.parse(f"""
+run = by_name("torch_radbp.path.trace")
+other = call.stages.{stage}(lanes)
+class Functions:
+    {stage}: Callable
+    length: int = len({stage!r})
+""")
+    assert set(modules_named(tree, Path())) == {(2, "torch_radbp.path.trace"), (3, home), (5, home)}
+
+
+def test_every_room_is_in_the_picture_once():
+    with_code = {room_of(path) for path in FILES if len(ast.parse(path.read_text()).body) > 1}
+    assert sorted(with_code) == sorted(ROOMS)
 
 
 def test_imports_go_one_way():
-    wrong = [i for i in IMPORTS if i.importer in RANK and i.imported in RANK and i.imported != i.importer
-             and RANK[i.imported] >= RANK[i.importer]]
+    wrong = [i for i in BETWEEN if RANK[i.imported] > RANK[i.importer]]
     assert not wrong, say(wrong)
+
+
+def test_rooms_have_few_floors_and_no_circles():
+    floor = floors()
+    assert max(floor.values()) <= FLOORS, sorted(floor.items(), key=lambda each: each[1])
 
 
 def test_a_part_is_not_asked_of_the_package():
@@ -122,7 +183,7 @@ def test_what_is_imported_exists():
 
 
 def test_only_training_imports_the_package_as_a_whole():
-    wrong = [i for i in IMPORTS if i.imported in ("__init__", "public") and i.importer not in ("__init__", "training")]
+    wrong = [i for i in BETWEEN if i.imported == "torch_radbp" and i.importer != "training"]
     assert not wrong, say(wrong)
 
 
