@@ -37,7 +37,7 @@ class Decisions(TorchFunctionMode):
     What belongs to a choice is told by `torch_radbp.tensors.differentiated.settled`, which detaches it.
 
     Args:
-        choices: only what `settled` detaches, and the tables of lights; else everything.
+        choices: only what `settled` detaches, and the tables of lights and media; else everything.
     """
 
     def __init__(self, choices: bool = False):
@@ -80,14 +80,14 @@ class Decisions(TorchFunctionMode):
         return held.view_as(held)
 
     def proposal(self, scene: SceneTensors) -> SceneTensors:
-        """`proposal_of`, held: all of it, or only the tables from which lights are chosen, without the areas that densities
-        on a chosen one are the inverse of."""
+        """`proposal_of`, held: all of it, or only the media by which distances are sampled and the tables from which lights
+        are chosen, without the areas that densities on a chosen one are the inverse of."""
         if not self.choices:
             return self.all_held(scene)
         lights, now = self.all_held(scene.lights), detached(scene)
         tables = (held._replace(inverse_area=own.inverse_area) if hasattr(own, "inverse_area") else held
                   for held, own in zip(lights.tables, now.lights.tables))
-        return now._replace(lights=lights._replace(tables=tuple(tables)))
+        return now._replace(lights=lights._replace(tables=tuple(tables)), media=self.all_held(scene.media))
 
     def all_held(self, record):
         """Every tensor of a record held, also of one without derivatives."""

@@ -66,6 +66,11 @@ def light(**attributes: Any) -> dict[str, Any]:
             "dark": diffuse(0.1, 0.2, 0.1), SUBJECT: attributes}
 
 
+def fog(**attributes: Any) -> dict[str, Any]:
+    """A medium around a camera, in which a lamp lights a floor."""
+    return {"sensor": camera(medium={"type": "ref", "id": SUBJECT}), "lamp": lamp(), "floor": floor(), SUBJECT: attributes}
+
+
 METAL = {"eta": rgb(0.2, 0.9, 1.1), "k": rgb(3.9, 2.4, 2.2), "specular_reflectance": rgb(0.9, 0.6, 0.8)}
 ROUGH_METAL = {"eta": 0.9, "k": 2.4, "specular_reflectance": 0.8}
 TINTED = {"int_ior": 1.5, "specular_reflectance": rgb(0.9, 0.5, 0.7), "specular_transmittance": rgb(0.4, 0.9, 0.6)}
@@ -108,6 +113,8 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "area of attributes": lambda: light(
         type="ply", filename=coloured_file(faces=False), face_normals=True, to_world=AIMED @ scale((0.3, 0.3, 0.3)),
         bsdf={"type": "ref", "id": "dark"}, emitter={"type": "area", "radiance": ATTRIBUTE | {"scale": 9.0}}),
+    "homogeneous": fog(type="homogeneous", sigma_t=rgb(0.2, 0.3, 0.4), albedo=rgb(0.9, 0.6, 0.3), scale=1.5,
+                       phase={"type": "hg", "g": 0.4}),
     "diffuse": metal(type="diffuse", reflectance=bitmap(filter_type="nearest")),
     "trilinear": metal(type="roughplastic", distribution="ggx", alpha=0.3, diffuse_reflectance=fine(),
                        specular_reflectance=fine(7, 5, seed=4)),

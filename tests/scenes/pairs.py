@@ -11,7 +11,7 @@ import torch_radbp as rb
 from tests.scenes.every_plugin import subjects
 from torch_radbp.plugin import BSDF, REGISTRY, Plugin, Texture, attributes
 
-CATEGORIES = ("shape", "bsdf", "texture", "emitter", "sensor")
+CATEGORIES = ("shape", "bsdf", "texture", "emitter", "sensor", "medium", "phase", "volume")
 
 
 class Pair(NamedTuple):

@@ -78,7 +78,8 @@ def quiet(name: str, sensors: int) -> rb.Scene:
             parts["behind"] = BEHIND
         if any(kind.delta for kind in kinds):
             parts["sky"] = EVEN_SKY
-    view = camera(2) if name in WIDE or "trilinear" in name else camera(4, NARROW)
+    medium = {key: part for key, part in objects(name)["sensor"].items() if key == "medium"}
+    view = medium | (camera(2) if name in WIDE or "trilinear" in name else camera(4, NARROW))
     return load(torch.float64, **{f"sensor_{number}": view for number in range(sensors)}, **parts)
 
 

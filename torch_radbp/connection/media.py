@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torch_radbp.connection.light import FAR, LightSample
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
-from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.differentiated import detached, settled
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot
 
 
@@ -39,7 +39,7 @@ def way_through(scene: SceneTensors, proposal: SceneTensors, ray: Ray, distance:
         return through
     _, reaches = scene.layout.media[number].flight_pdf(proposal.media[number], detached(ray), distance.detach(),
                                                          distance.detach())
-    return through / reaches.clamp_min(TINY)
+    return through / settled(reaches).clamp_min(TINY)
 
 
 def attenuated(light: Vec3, through: Vec3 | None) -> Vec3:

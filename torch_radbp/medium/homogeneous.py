@@ -88,13 +88,20 @@ class Homogeneous(Medium):
         self.phase_function = Isotropic() if phase_function is None else phase_function
 
     def domains(self) -> dict[str, Domain]:
-        return {"albedo": FRACTION, "sigma_t": AMOUNT, "scale": NUMBER._replace(low=0.0)}
+        return {"albedo": FRACTION, "sigma_t": AMOUNT._replace(floor=0.0),
+                "scale": NUMBER._replace(low=0.0, floor=0.0)}
 
     def kind(self) -> HomogeneousKind:
         return HomogeneousKind(self.phase_function.kind())
 
     def row(self) -> HomogeneousTable:
-        return HomogeneousTable(self.sigma_t.colour() * self.scale, self.albedo.colour(), self.phase_function.row())
+        sigma_t = (self.sigma_t.colour() * self.scale).map(not_below_zero)
+        return HomogeneousTable(sigma_t, self.albedo.colour(), self.phase_function.row())
+
+
+def not_below_zero(sigma: Tensor) -> Tensor:
+    """Extinction that a step of an optimiser has taken below 0 counts as 0, with its derivative."""
+    return sigma + (sigma.detach().clamp_min(0.0) - sigma.detach())
 
 
 def at_least(sigma: Vec3, way: Tensor) -> Vec3:

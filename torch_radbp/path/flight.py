@@ -74,28 +74,28 @@ class FlightVertex(VertexKind):
         # Fly to the end, and find what is scattered there of the light that comes back: T sigma_s / p.
         state, key = arrival.state, bounce_key(arrival.state.key, at.counter)
         number, medium = partial(uniform, key, dtype=state.pdf.dtype), scene.layout.scattering_medium
-        kind, table = scene.layout.media[medium], scene.media[medium]
+        kind, table, fixed = scene.layout.media[medium], scene.media[medium], proposal.media[medium]
         t, longer = distance_flown(scene, arrival, settings, here)
         p, wi = point_along(state.ray, t), -state.ray.d
         way = torch.where(arrival.hit.prim >= 0, arrival.hit.t, FAR)
-        density, _ = kind.flight_pdf(proposal.media[medium], detached(state.ray), way, arrival.flight)
-        scattered = transmittance(scene, state.ray, t) * kind.scattering(table, p) * (longer / density.clamp_min(TINY))
+        density, _ = kind.flight_pdf(fixed, detached(state.ray), way, arrival.flight)
+        chance = longer / settled(density).clamp_min(TINY)
+        scattered = transmittance(scene, state.ray, t) * kind.scattering(table, p) * chance
 
         # Ld: the light of one point on a light, as the phase function scatters it.
         none, there = Vec3.full(state.pdf, 0.0), torch.ones_like(state.pdf, dtype=torch.bool)
         light, Ld = None, none
         if settings.nee:
             light = sample_light(scene, proposal, p, light_numbers(key), arrival.picked, texture_values)
-            scatters_to = partial(phase_to, kind, table, p, wi)
+            scatters_to = partial(phase_to, kind, table, fixed, p, wi)
             light, Ld = connected_to_light(scene, p, there, scatters_to, light, settings.sampling)
             Ld = Ld * scattered
 
-        # F: sample the phase function for the next direction.
-        wo = kind.sample_phase(table, p, wi, number(BSDF_U), number(BSDF_V))
-        wo = wo if settings.sampling == "attached" else wo.map(torch.Tensor.detach)
-        phase, pdf = kind.phase(table, p, wi, wo)
+        # F: sample the phase function for the next direction, which stays where it is.
+        wo = kind.sample_phase(fixed, p, wi, number(BSDF_U), number(BSDF_V)).map(settled)
+        phase, pdf = phase_to(kind, table, fixed, p, wi, wo)
+        weight = scattered * (phase.x / settled(pdf))
         pdf = pdf if settings.sampling == "attached" else pdf.detach()
-        weight = scattered * (phase / pdf)
 
         # Play roulette.
         promise = max_component((state.beta * weight).detach())
@@ -147,7 +147,7 @@ def free_flight(scene: SceneTensors, state: PathState, hit: Hit, at: Position) -
     u, v = (uniform(key, dimension, state.pdf.dtype) for dimension in (FLIGHT_U, FLIGHT_V))
     way = torch.where(hit.prim >= 0, hit.t, FAR)
     t = scene.layout.media[number].sample_flight(scene.media[number], state.ray, way, u, v)
-    return torch.where(t >= way, torch.inf, t)
+    return settled(torch.where(t >= way, torch.inf, t))
 
 
 def distance_flown(scene: SceneTensors, arrival: Arrival, settings: Settings,
@@ -158,7 +158,7 @@ def distance_flown(scene: SceneTensors, arrival: Arrival, settings: Settings,
         return arrival.flight, 1.0
     si = surface_met(scene, arrival, settings, here)
     way = torch.where(si.valid, si.t, 1.0)
-    longer = way / way.detach()
+    longer = way / settled(way)
     return arrival.flight * longer, longer
 
 
@@ -167,9 +167,15 @@ def point_along(ray: Ray, t: Tensor) -> Vec3:
     return ray.o + ray.d * t
 
 
-def phase_to(kind: MediumKind, table: Any, p: Vec3, wi: Vec3, d: Vec3) -> tuple[Vec3, Tensor]:
-    """The phase function for light from a direction in the world, and the density with which it is sampled."""
-    phase, pdf = kind.phase(table, p, wi, d)
+def phase_to(kind: MediumKind, table: Any, fixed: Any, p: Vec3, wi: Vec3, d: Vec3) -> tuple[Vec3, Tensor]:
+    """The phase function for light from a direction in the world, and the density with which that is sampled.
+
+    Args:
+        kind, table: the medium, attached.
+        fixed: its table by which directions are sampled, detached.
+        p, wi, d: as for `MediumKind.phase`.
+    """
+    (phase, _), (_, pdf) = kind.phase(table, p, wi, d), kind.phase(fixed, p, wi, d)
     return Vec3(phase, phase, phase), pdf
 
 

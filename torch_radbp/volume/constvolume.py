@@ -25,7 +25,7 @@ class ConstVolume(Volume):
             raise ValueError(f"value of constvolume must be a colour or a number, got a {self.value.type}")
 
     def domains(self) -> dict[str, Domain]:
-        return {"value": AMOUNT}
+        return {"value": AMOUNT._replace(floor=0.0)}
 
     def colour(self) -> Vec3:
         """The value, () for each channel, attached."""
