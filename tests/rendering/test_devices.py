@@ -73,6 +73,7 @@ OF_SHADOWS = {"descended", "edge_found", "edge_tried", "edge_passed", "direct_li
 OF_CONTACTS = {"light_line"}  # of bodies that touch
 OF_MIRRORS = {"goes_on", "ideal_vertex", "no_direction", "scattered_ideally", "parted", "unparted", "drawn_by_steps"}
 OF_FEW_EDGES = {"edge_tried"}  # few beside the samples
+OF_MEDIA = {"free_flight"}  # that scatter
 # Stages that a scene does without.
 NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},
           "lamps": {"places", *OF_TWO_SIDES, *OF_JUMPS, *OF_MIRRORS, *OF_FEW_EDGES},
@@ -88,7 +89,7 @@ NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},
 def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling):
     calls, scene = calls_of(name, sampling), build(name)
     without = NOT_IN.get(name, {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES}) | (OF_SHADOWS if sampling == "attached" else set())
-    assert {stage for stage, cases in calls.items() if not cases} <= without | OF_CONTACTS
+    assert {stage for stage, cases in calls.items() if not cases} <= without | OF_CONTACTS | OF_MEDIA
     scatterers = {arguments[0].layout.scatterer for arguments in calls["bounce"].values()}
     assert scatterers == set(rb.scene.packing.pack.pack(scene).layout.appearances)
     for name, cases in calls.items():
