@@ -108,8 +108,7 @@ def many_lamps() -> dict[str, Any]:
 def fog() -> dict[str, Any]:
     """A medium around a camera, between a floor and a lamp."""
     return {f"{SUBJECT}_sensor": camera(16, 50, medium={"type": "ref", "id": f"{SUBJECT}_fog"}), "floor": floor(),
-            f"{SUBJECT}_fog": objects("homogeneous")[SUBJECT], f"{SUBJECT}_sky": sky(0.3),
-            f"{SUBJECT}_lamp": lamp(emitter={"type": "area", "radiance": bitmap(factor=9.0)})}
+            f"{SUBJECT}_fog": objects("homogeneous")[SUBJECT], "lamp": lamp()}
 
 
 EVERYTHING = {"materials": materials, "shapes": shapes, "textures": textures, "lamps": many_lamps, "fog": fog}
