@@ -19,7 +19,7 @@ from torch_radbp.scene.tables.appearance import Appearance
 from torch_radbp.scene.tables.scene_tensors import Layout
 
 
-class Scatters(NamedTuple):
+class SurfaceMet(NamedTuple):
     """The event of hitting a surface of one appearance: light is emitted, received and scattered."""
 
     appearance: int  # of `Layout.appearances`
@@ -102,7 +102,7 @@ class Ends(Enum):
         return ending
 
 
-Event = Scatters | FlightEnd | Ends
+Event = SurfaceMet | FlightEnd | Ends
 
 
 def events_of(layout: Layout, last: bool) -> tuple[Event, ...]:
@@ -114,6 +114,6 @@ def events_of(layout: Layout, last: bool) -> tuple[Event, ...]:
     """
     if last:
         return (Ends.LAST_BOUNCE,)
-    surfaces = map(Scatters, range(len(layout.appearances)))
+    surfaces = map(SurfaceMet, range(len(layout.appearances)))
     return (*surfaces, *([] if layout.scattering_medium is None else FlightEnd),
             *([] if layout.surround is None else [Ends.SURROUNDINGS]))

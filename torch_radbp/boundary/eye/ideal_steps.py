@@ -22,7 +22,7 @@ from torch_radbp.jit.order import chosen, partition
 from torch_radbp.jit.recording.recording import Reserve
 from torch_radbp.jit.tape import Played, Tape
 from torch_radbp.path.bounce import Vertex
-from torch_radbp.path.event import Scatters
+from torch_radbp.path.event import SurfaceMet
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.queues import Queue
@@ -103,7 +103,7 @@ def ideally_scattered(integrand: Integrand, ideal: Ideal, state: PathState, hit:
     queues, first = [], 0
     for appearance, count in zip(ideal.numbers, counts):
         if count:
-            queues.append(Queue(Scatters(appearance), first, first + count))
+            queues.append(Queue(SurfaceMet(appearance), first, first + count))
         first += count
     if not queues:
         return order[:0], None

@@ -14,7 +14,7 @@ from torch_radbp.boundary.eye.eyes import Eyes, Lobe, lobe_around
 from torch_radbp.boundary.eye.seen_edges import corners_of, salted, uniform_numbers
 from torch_radbp.call.render_call import RenderCall, started
 from torch_radbp.path.camera_rays import CameraSample, sample_camera
-from torch_radbp.path.event import Scatters
+from torch_radbp.path.event import SurfaceMet
 from torch_radbp.path.integrand import Integrand, int32_number
 from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.state import PathState
@@ -220,7 +220,7 @@ def hits_plain(geometry: Geometry, hit: Hit) -> Tensor:
     return (hit.prim >= 0) & lookup(geometry.triangles.plain, hit.prim.clamp_min(0))
 
 
-def scatters_as(integrand: Integrand, event: Scatters, following: bool) -> bool:
+def scatters_as(integrand: Integrand, event: SurfaceMet, following: bool) -> bool:
     """True if an event's scattering has differentiated directions (`following`), or else hits that are fixed to surfaces; of
     what scatters between surfaces neither is looked for."""
     scatterer, settings = integrand.scatterer(event), integrand.settings
