@@ -322,6 +322,8 @@ LOSSES = {
     "plastic": (lambda: box_of({"type": "plastic"}), "of a plastic is not written"),
     "crop": (lambda: rb.load_dict({"type": "scene", "lamp": LAMP, "sensor": {
         "type": "perspective", "film": {"type": "hdrfilm", "crop_width": 10}}}), "its crop window is not written"),
+    "fog": (lambda: rb.load_dict({"type": "scene", "lamp": LAMP, "sensor": {
+        "type": "perspective", "medium": {"type": "homogeneous"}}}), "sensor.medium: a homogeneous medium is not written"),
 }
 
 
