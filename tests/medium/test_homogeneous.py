@@ -15,16 +15,12 @@ import torch
 import torch_radbp as rb
 from tests.gradients import EXACT, REPLAY, cotangent, image_and_gradients, relative_error
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
+from tests.scenes.media import BLACK, DULL, haze
 
 SAMPLINGS = ("detached", "hybrid", "attached")
 NEAR = 0.01  # from the camera to where its rays begin, the near plane
 SETTINGS = {"spp": 8, "max_depth": 5, "rr_depth": 2}
 NAMES = [f"camera.medium.{name}" for name in ("sigma_t.value.value", "albedo.value.value", "phase_function.g")]
-BLACK = diffuse(0, 0, 0)
-
-
-def haze(sigma_t=(0.3, 0.6, 1.2), albedo=(0.9, 0.5, 0.2), g=0.4) -> dict:
-    return {"type": "homogeneous", "sigma_t": rgb(*sigma_t), "albedo": rgb(*albedo), "phase": {"type": "hg", "g": g}}
 
 
 def furnace(fill: dict, radiance=(1, 1, 1), **more):
@@ -133,9 +129,6 @@ def test_forward_mode_is_the_transpose_of_backward(compile, name):
     assert float((gradient * tangent).sum()) == pytest.approx(float((w * forward).sum()), rel=1e-9)
 
 
-DULL = haze((0.3, 0.4, 0.5), (0.9, 0.6, 0.3), 0.4)
-
-
 @pytest.mark.parametrize("name, step", zip(NAMES, (0.05, 0.05, 0.15)))
 def test_derivatives_are_those_of_differences(name, step):
     """Independent samples, among walls that send light."""
@@ -173,7 +166,7 @@ def test_moving_a_shape_in_it_warns_of_the_edges_that_it_sees():
 
 
 def test_one_medium_fills_the_scene():
-    with pytest.raises(rb.SceneError, match="sensors stand in different ones: `camera` in homogeneous, `other` in none"):
+    with pytest.raises(rb.SceneError, match="sensors stand in different media: `camera` in homogeneous, `other` in none"):
         room(other=overhead(2))
     with pytest.raises(rb.SceneError, match="`lost` is a medium in which no sensor stands"):
         room(lost=haze())
@@ -210,8 +203,3 @@ def test_xml_is_read_and_written(tmp_path):
         torch.testing.assert_close(dict(again.named_parameters())[name], value)
     image, other = (rb.render(each, spp=4, max_depth=3, seed=1) for each in (scene, again))
     assert image.min() > 0 and torch.equal(image, other)
-
-
-def test_a_boundary_of_a_medium_is_refused():
-    with pytest.raises(rb.SceneError, match="interior.*fills the whole scene"):
-        room(ball={"type": "sphere", "interior": haze()})

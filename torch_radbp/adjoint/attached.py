@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.local_map import Verdict, attached_vertex
+from torch_radbp.adjoint.local_map import attached_vertex, verdict_of
 from torch_radbp.jit.dual import dual
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lanes import put_rows
@@ -41,7 +41,7 @@ def bounced_twice(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | No
     E, ahead = attached_vertices(integrand, state, depth, step, _spread(hit, alive, step.scattered))
     if E is not None:
         brighten(integrand, L, state, step.order[:step.scattered], vertex.next.lane, E)
-        ahead = ahead._replace(vantage=vertex.next.vantage)
+        ahead = ahead._replace(vantage=vertex.next.vantage, medium=vertex.next.medium)
     light = attached_light(integrand, state, depth, step)
     if light is not None:
         order = step.order[step.scattered:]
@@ -68,7 +68,7 @@ def attached_vertices(integrand: Integrand, state: PathState, depth: int, step: 
     queues = [queue for queue in step.queues if queue.event.scatters]
     if not queues:
         return None, None
-    stage, verdict = integrand.stages(attached_vertex), Verdict(step.visible, step.survives, following)
+    stage, verdict = integrand.stages(attached_vertex), verdict_of(step)._replace(following=following)
     prepared = [(scene, proposal, reached, lanes, rows_between(verdict, queue.first, queue.last), *more)
                 for queue in queues
                 for scene, proposal, reached, lanes, *more in [arguments_of(integrand, state, depth, step, queue)]]

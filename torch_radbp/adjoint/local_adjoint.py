@@ -11,7 +11,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 from torch_radbp.adjoint.bounce import DifferentiatedPart, LanesOfChunk, Memo, bounce_adjoint
-from torch_radbp.adjoint.local_map import Verdict
+from torch_radbp.adjoint.local_map import verdict_of
 from torch_radbp.adjoint.outside import values_that_move
 from torch_radbp.adjoint.scatter import Contribution
 from torch_radbp.interface.texture import Place, TextureValue
@@ -112,7 +112,7 @@ class LocalAdjoints:
         for (queue, _), (scatterer, places), values in zip(queues, asking, self.texture_values(queues, asking)):
             here = slice(queue.first, queue.last)
             lanes = step.order[here]
-            verdict = Verdict(step.visible[here], step.survives[here]) if queue.event.scatters else None
+            verdict = rows_between(verdict_of(step), queue.first, queue.last) if queue.event.scatters else None
             yield LocalAdjoint(self.of_event(queue.event), (reached, lanes, verdict, chunk, at, settings, values),
                                scatterer, places, integrand.stages(rows)(state.lane, lanes),
                                (self.of_positions, integrand) if depth == 0 else None)

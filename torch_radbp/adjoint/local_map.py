@@ -10,6 +10,8 @@ from torch import Tensor
 from torch_radbp.interface.texture import TextureValue
 from torch_radbp.path.bounce import gathered
 from torch_radbp.path.state import Arrival, PathState, Position, Settings
+from torch_radbp.path.step import Step
+from torch_radbp.path.through_media import let_through
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import Corners
@@ -33,7 +35,13 @@ class Verdict(NamedTuple):
 
     visible: Tensor  # (N,) bool: the shadow ray was free
     survives: Tensor  # (N,) bool: the path goes on
+    lengths: tuple[Tensor, ...] | None = None  # (N,) see `Step`
     following: Hit | None = None  # what the next ray meets, triangle -1: nothing; None: rays carry no derivatives
+
+
+def verdict_of(step: Step) -> Verdict:
+    """The decisions at all vertices of a bounce that scatter."""
+    return Verdict(step.visible, step.survives, step.lengths)
 
 
 class BothCorners(NamedTuple):
@@ -58,7 +66,8 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, ver
     terms = kind.terms(scene, proposal, arrival, at, settings, texture_values, here)
     if verdict is None:
         return LocalMap(terms.Le, terms.Le.map(torch.zeros_like), None)
-    E = gathered(terms.Le, terms.Ld, verdict.visible)
+    Ld = terms.Ld if verdict.lengths is None else let_through(scene, terms.Ld, state.ray, verdict.lengths)
+    E = gathered(terms.Le, Ld, verdict.visible)
     if not settings.moving:
         return LocalMap(E, masked(verdict.survives, terms.weight * terms.thinning), None)
     weight, ray = kind.attached_ray(scene, terms, verdict.following, settings.sampling, there)

@@ -18,6 +18,7 @@ class NullKind(DeltaKind):
 
     transmits: ClassVar[bool] = True
     straight: ClassVar[bool] = True
+    invisible: ClassVar[bool] = True
 
     @property
     def slots(self) -> int:
@@ -35,7 +36,8 @@ class Null(BSDF):
     """Lets all light pass straight through. It has no parameters.
 
     As in Mitsuba's path tracer, passing is a bounce that counts towards `max_depth`, and next-event estimation does not
-    look through: light behind it is found by paths that pass and happen to meet it.
+    look through: light behind it is found by paths that pass and happen to meet it. In a scene in which surfaces are the
+    boundaries of media it is as in Mitsuba's `volpath`: passing counts nothing, and next-event estimation looks through.
     """
 
     def __init__(self) -> None:

@@ -79,7 +79,9 @@ class RenderCall(NamedTuple):
 
 def started(call: RenderCall, sample: CameraSample) -> PathState:
     """The paths that begin with some rays."""
-    return start_path(sample.ray, sample.key, call.scene.lights.by_place, call.following, sample.cone)
+    layout = call.scene.layout
+    medium = (-1 if layout.around is None else layout.around) if layout.bounded else None
+    return start_path(sample.ray, sample.key, call.scene.lights.by_place, call.following, sample.cone, medium)
 
 
 def start_paths(call: RenderCall, wavefront: Wavefront, which: int) -> PathState:

@@ -7,39 +7,31 @@ from torch import Tensor
 
 from torch_radbp.connection.light import FAR, LightSample
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
-from torch_radbp.tensors.differentiated import detached, settled
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot
 
 
 def transmittance(scene: SceneTensors, ray: Ray, distance: Tensor) -> Vec3 | None:
-    """The share of light that all media together let through over a distance along each ray, (N,); None: there are no media.
+    """The share of light that the medium around lets through over a distance along each ray, (N,); None: there is none.
 
-    Attached to the tables of the media, the rays and the distances.
+    Attached to the table of the medium, the rays and the distances. Of scenes whose media have no boundaries.
     """
-    through: Vec3 | None = None
-    for kind, table in zip(scene.layout.media, scene.media):
-        share = kind.transmittance(table, ray, distance)
-        through = share if through is None else through * share
-    return through
+    number = scene.layout.around
+    if number is None:
+        return None
+    return scene.layout.media[number].transmittance(scene.media[number], ray, distance)
 
 
-def way_through(scene: SceneTensors, proposal: SceneTensors, ray: Ray, distance: Tensor, flown: bool) -> Vec3 | None:
-    """What light that surfaces send along rays counts by, (N,), for paths that have met them; None: there are no media.
-
-    In a medium that scatters only some flights reach the surface, so that those count by transmittance over the probability
-    to get there.
+def transmittance_of(scene: SceneTensors, ray: Ray, lengths: tuple[Tensor, ...]) -> Vec3:
+    """The share of light that all media together let through, (N,), attached to their tables.
 
     Args:
-        scene, ray, distance: as for `transmittance`.
-        proposal: the scene, detached; has the probability.
-        flown: whether flights were sampled.
+        ray: (N,).
+        lengths: (N,) of the ways along it in each of `Layout.media`.
     """
-    through, number = transmittance(scene, ray, distance), scene.layout.scattering_medium
-    if not flown or number is None:
-        return through
-    _, reaches = scene.layout.media[number].flight_pdf(proposal.media[number], detached(ray), distance.detach(),
-                                                         distance.detach())
-    return through / settled(reaches).clamp_min(TINY)
+    through = Vec3.full(ray.d.x, 1.0)
+    for kind, table, length in zip(scene.layout.media, scene.media, lengths):
+        through = through * kind.transmittance(table, ray, length)
+    return through
 
 
 def attenuated(light: Vec3, through: Vec3 | None) -> Vec3:
@@ -48,8 +40,8 @@ def attenuated(light: Vec3, through: Vec3 | None) -> Vec3:
 
 
 def transmittance_to_light(scene: SceneTensors, start: Vec3, light: LightSample) -> Vec3 | None:
-    """The same from points to light samples, (N,)."""
-    if not scene.layout.media:
+    """`transmittance` from points to light samples, (N,); None: connections say what they pass, or nothing is there."""
+    if scene.layout.around is None or scene.layout.bounded:
         return None
     reach = light.target - start
     distance = torch.sqrt(dot(reach, reach).clamp_min(TINY))

@@ -68,6 +68,7 @@ class Kind(ABC):
     oriented: ClassVar[bool] = False  # anisotropic: turning the surface about its normal makes a difference
     transmits: ClassVar[bool] = False  # light passes to the other side
     straight: ClassVar[bool] = False  # some of it in the direction in which it came (null scattering)
+    invisible: ClassVar[bool] = False  # nothing else happens to light, so that paths through media need not stop there
     turns_normals: ClassVar[bool] = False  # it shades with other normals than the surface's
     # What `check_bsdf` holds a kind to, and the kinds that it holds; False: the model is not so.
     reciprocal: ClassVar[bool] = True  # f(wi, wo) / n_i^2 = f(wo, wi) / n_o^2 with the indices n of refraction on both sides

@@ -1,8 +1,8 @@
 """The interface between media and the tracer.
 
-A medium fills the whole scene: it is that of the sensors. It has two parts, as an emitter has: its `MediumKind`, a hashable
-value that names the functions, and a table of its numbers, attached to its parameters. What a vertex sends along a ray, and
-the light that reaches it along a connection, counts by the share that the medium lets through:
+A medium fills what surfaces enclose, or the whole scene if no surface is a boundary. It has two parts, as an emitter has:
+its `MediumKind`, a hashable value that names the functions, and a table of its numbers, attached to its parameters. What a
+vertex sends along a ray, and the light that reaches it along a connection, counts by the share that media let through:
 
     L = T(ray) (E + F L'),    E = Le + visible T(connection) Ld
 
@@ -16,6 +16,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import torch
 from torch import Tensor
 
 from torch_radbp.tensors.vec import Ray, Vec3
@@ -36,7 +37,7 @@ class MediumKind(ABC):
         Args:
             table: of the medium, read by `lookup` at row 0; attached, as the result is.
             ray: (N,) world, unit directions; attached where rays carry derivatives, as `distance` is.
-            distance: (N,) to the next surface; 1e10 where there is none.
+            distance: (N,) length of the way through the medium; 1e10 where nothing ends it.
         """
 
     def sample_flight(self, table: Table, ray: Ray, way: Tensor, u: Tensor, v: Tensor) -> Tensor:
@@ -45,13 +46,14 @@ class MediumKind(ABC):
         Args:
             table: of the medium.
             ray: (N,) world, unit directions.
-            way: (N,) to the next surface; 1e10 where there is none. Distances beyond it count as none.
+            way: (N,) to the next surface, or boundary; 1e10 where there is none. Distances beyond it count as none.
             u, v: (N,) uniform in [0, 1).
         """
         raise TypeError(f"{type(self).__name__} does not scatter")
 
-    def flight_pdf(self, table: Table, ray: Ray, way: Tensor, distance: Tensor) -> tuple[Tensor, Tensor]:
-        """The density of `sample_flight` over distance, and the probability of flying farther, (N,) each."""
+    def flight_pdf(self, table: Table, ray: Ray, way: Tensor, distance: Tensor) -> tuple[Vec3, Vec3]:
+        """The density of `sample_flight` over distance, and the probability of flying farther, (N,) each: by each of the
+        three colours, of which `v` chooses one with equal probability, from 0 to 1 in turn."""
         raise TypeError(f"{type(self).__name__} does not scatter")
 
     def scattering(self, table: Table, p: Vec3) -> Vec3:
@@ -72,3 +74,13 @@ class MediumKind(ABC):
     def sample_phase(self, table: Table, p: Vec3, wi: Vec3, u: Tensor, v: Tensor) -> Vec3:
         """Samples unit directions in the world in which paths go on, (N,); attached."""
         raise TypeError(f"{type(self).__name__} does not scatter")
+
+
+def colour_chosen(values: Vec3, v: Tensor) -> Tensor:
+    """The value of the colour that a random number chooses, (N,)."""
+    return torch.where(v * 3.0 < 1.0, values.x, torch.where(v * 3.0 < 2.0, values.y, values.z))
+
+
+def mean_of_colours(values: Vec3) -> Tensor:
+    """The mean over colours, (N,)."""
+    return (values.x + values.y + values.z) / 3.0

@@ -53,7 +53,7 @@ from torch_radbp.shape.mesh import TensorMesh
 MAX_DEPTH = 100  # of objects in objects, references followed
 MAX_OBJECTS = 100_000
 
-FILLS_THE_SCENE = {"medium": "; a medium fills the whole scene, and is that of its sensors"}
+PLACE_OF = {"medium": "; a medium is the interior or exterior of a shape, or that of the sensors"}
 PARTS_OF_SENSORS = ("sampler", "film", "rfilter")  # stand there to be referred to
 
 
@@ -218,7 +218,7 @@ class _Builder:
         tag = node.category if isinstance(node, XMLObject) else None
         if tag is not None and tag not in expected:
             raise self.error(path, node, f"{with_article(tag)} cannot stand here; supported: {', '.join(expected)}"
-                             f"{FILLS_THE_SCENE.get(tag, '')}")
+                             f"{PLACE_OF.get(tag, '')}")
         possible = [tag] if tag else list(expected)
         plugin_class = next((REGISTRY[category][name] for category in possible if name in REGISTRY[category]), None)
         if plugin_class is not None:
@@ -229,7 +229,7 @@ class _Builder:
                              f"write <{elsewhere} type=\"{name}\">")
         if elsewhere:
             raise self.error(path, node, f"{name!r} is {with_article(elsewhere)}, which cannot stand here; supported: "
-                             f"{', '.join(expected)}{FILLS_THE_SCENE.get(elsewhere, '')}")
+                             f"{', '.join(expected)}{PLACE_OF.get(elsewhere, '')}")
         known = [known for category in possible for known in REGISTRY[category]]
         missing = next((category for category, other in ABSENT if other == name and (not tag or category == tag)), None)
         if missing is not None:
@@ -284,7 +284,11 @@ class _Builder:
             raise self.error(path, value, f"{parent['type']} does not take an object called {key!r}; {takes}{instead}")
         plugin = self.plugin(path, value, list(dict.fromkeys(expected)))
         category = getattr(plugin, "category", "texture")  # a plain module stands for a texture
-        return next(name for name in accepted if category in accepted[name]), plugin
+        places = [name for name in accepted if category in accepted[name]]
+        if len(places) > 1 and category in PLACE_OF:
+            raise self.error(path, value, f"{parent['type']} has {with_article(category)} in each of {', '.join(places)}: "
+                             "call it by one of these names")
+        return places[0], plugin
 
     def value(self, path: tuple[str, ...], key: str, value: Any, node: dict[str, Any], cls: type[Plugin]) -> Any:
         """Converts the attribute `key` of the object `node` at `path`: a plain value or a colour, as annotated."""

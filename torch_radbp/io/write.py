@@ -171,7 +171,7 @@ class _Writer:
         ElementTree.SubElement(element, "string", name="filename", value=_text(file.name))
         if normals is None:
             ElementTree.SubElement(element, "boolean", name="face_normals", value="true")
-        for attribute in ("flip_normals", "bsdf", "emitter"):
+        for attribute in ("flip_normals", "bsdf", "emitter", "interior", "exterior"):
             self.add(element, plugin, attribute, name)
         return element
 
@@ -205,7 +205,8 @@ class _Writer:
             if plugin.id is not None or id(plugin) in self.shared:  # others may refer to it, or do
                 self.ids[id(plugin)] = self.new_id(name) if plugin.id is None else plugin.id
                 element.set("id", _text(self.ids[id(plugin)]))
-        if isinstance(plugin, Plugin) and plugin.category in ("texture", "volume"):  # told apart by names
+        categories = ("texture", "volume", "medium")  # told apart by names
+        if isinstance(plugin, Plugin) and plugin.category in categories and attribute != plugin.category:
             element.set("name", attribute)
         return element
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.interface.medium import MediumKind
+from torch_radbp.interface.medium import MediumKind, colour_chosen
 from torch_radbp.interface.phase import PhaseKind
 from torch_radbp.phase.isotropic import Isotropic
 from torch_radbp.plugin import Medium, Phase, Texture, Volume, finite, register
@@ -41,12 +41,12 @@ class HomogeneousKind(MediumKind):
     def sample_flight(self, table: HomogeneousTable, ray: Ray, way: Tensor, u: Tensor, v: Tensor) -> Tensor:
         # The exponential distribution of one of the three colours.
         sigma = at_least(everywhere(table.sigma_t, u), way)
-        return -torch.log1p(-u) / torch.where(v * 3.0 < 1.0, sigma.x, torch.where(v * 3.0 < 2.0, sigma.y, sigma.z))
+        return -torch.log1p(-u) / colour_chosen(sigma, v)
 
-    def flight_pdf(self, table: HomogeneousTable, ray: Ray, way: Tensor, distance: Tensor) -> tuple[Tensor, Tensor]:
+    def flight_pdf(self, table: HomogeneousTable, ray: Ray, way: Tensor, distance: Tensor) -> tuple[Vec3, Vec3]:
         sigma = at_least(everywhere(table.sigma_t, distance), way)
         through = sigma.map(lambda each: torch.exp(-each * distance))
-        return dot(sigma, through) / 3.0, (through.x + through.y + through.z) / 3.0
+        return sigma * through, through
 
     def scattering(self, table: HomogeneousTable, p: Vec3) -> Vec3:
         return everywhere(table.sigma_t, p.x) * everywhere(table.albedo, p.x)

@@ -7,11 +7,12 @@ derivatives; and what scatters light, which is the part of the scene that they r
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+from typing import ClassVar
 
 from torch_radbp.path.bounce import bounce, ending
-from torch_radbp.path.flight import FLIGHT
+from torch_radbp.path.flight import FlightVertex
 from torch_radbp.path.path_end import END
 from torch_radbp.path.surface import SURFACE
 from torch_radbp.path.vertex import VertexKind
@@ -19,12 +20,12 @@ from torch_radbp.scene.tables.appearance import Appearance
 from torch_radbp.scene.tables.scene_tensors import Layout
 
 
-class SurfaceMet(NamedTuple):
+@dataclass(frozen=True)
+class SurfaceMet:
     """The event of hitting a surface of one appearance: light is emitted, received and scattered."""
 
     appearance: int  # of `Layout.appearances`
-
-    scatters = True
+    scatters: ClassVar[bool] = True
 
     def scatterer(self, layout: Layout) -> Appearance:
         """The appearance of the surface."""
@@ -45,15 +46,12 @@ class SurfaceMet(NamedTuple):
         return bounce
 
 
-class FlightEnd(Enum):
-    """The event of scattering in the medium before a surface is met."""
+@dataclass(frozen=True)
+class FlightEnd:
+    """The event of scattering in a medium before a surface is met."""
 
-    MEDIUM = "the medium scatters light"
-
-    @property
-    def scatters(self) -> bool:
-        """The path may go on."""
-        return True
+    medium: int  # of `Layout.media`
+    scatters: ClassVar[bool] = True
 
     def scatterer(self, layout: Layout) -> None:
         """There is no surface."""
@@ -65,7 +63,7 @@ class FlightEnd(Enum):
     @property
     def vertex(self) -> VertexKind:
         """The functions of the vertex."""
-        return FLIGHT
+        return FlightVertex(self.medium)
 
     @property
     def stage(self) -> Callable:
@@ -115,5 +113,5 @@ def events_of(layout: Layout, last: bool) -> tuple[Event, ...]:
     if last:
         return (Ends.LAST_BOUNCE,)
     surfaces = map(SurfaceMet, range(len(layout.appearances)))
-    return (*surfaces, *([] if layout.scattering_medium is None else FlightEnd),
+    return (*surfaces, *map(FlightEnd, layout.scattering_media),
             *([] if layout.surround is None else [Ends.SURROUNDINGS]))

@@ -21,12 +21,12 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.connection.light import FAR, light_aims, sample_light, sample_places
-from torch_radbp.connection.media import transmittance
+from torch_radbp.connection.light import light_aims, sample_light, sample_places
 from torch_radbp.interface.medium import MediumKind
 from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.light_connection import connected_to_light, light_numbers
-from torch_radbp.path.state import BSDF_U, BSDF_V, ROULETTE, Arrival, PathState, Position, Settings
+from torch_radbp.path.passage import way_left
+from torch_radbp.path.state import BSDF_U, BSDF_V, ROULETTE, Arrival, Position, Settings
 from torch_radbp.path.surface import surface_met
 from torch_radbp.path.vertex import Terms, VertexKind
 from torch_radbp.raycast.protocol import Hit
@@ -35,15 +35,11 @@ from torch_radbp.scene.tables.light_tree import Vantage
 from torch_radbp.scene.tables.placement import points_in_world
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import Corners, at_corners
-from torch_radbp.tensors.differentiated import detached, settled
-from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.differentiated import settled
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, max_component
 from torch_radbp.vertex.cone import Cone, cone_beyond
 from torch_radbp.vertex.interaction import corner_rows
 from torch_radbp.vertex.outgoing_ray import glued_direction
-
-SALT = 0x1B873593  # tells the random numbers of flights from those of bounces
-FLIGHT_U, FLIGHT_V = range(2)
 
 
 class FlightPlace(NamedTuple):
@@ -59,7 +55,9 @@ class FlightPlace(NamedTuple):
 
 @dataclass(frozen=True)
 class FlightVertex(VertexKind):
-    """A vertex in a medium."""
+    """A vertex in the medium of a number."""
+
+    number: int
 
     def places(self, scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position,
                settings: Settings) -> tuple[Place, ...]:
@@ -73,14 +71,12 @@ class FlightVertex(VertexKind):
               texture_values: tuple[TextureValue, ...], here: Corners | None = None) -> Terms:
         # Fly to the end, and find what is scattered there of the light that comes back: T sigma_s / p.
         state, key = arrival.state, bounce_key(arrival.state.key, at.counter)
-        number, medium = partial(uniform, key, dtype=state.pdf.dtype), scene.layout.scattering_medium
+        number, medium = partial(uniform, key, dtype=state.pdf.dtype), self.number
         kind, table, fixed = scene.layout.media[medium], scene.media[medium], proposal.media[medium]
         t, longer = distance_flown(scene, arrival, settings, here)
         p, wi = point_along(state.ray, t), -state.ray.d
-        way = torch.where(arrival.hit.prim >= 0, arrival.hit.t, FAR)
-        density, _ = kind.flight_pdf(fixed, detached(state.ray), way, arrival.flight)
-        chance = longer / settled(density).clamp_min(TINY)
-        scattered = transmittance(scene, state.ray, t) * kind.scattering(table, p) * chance
+        chance = longer / settled(arrival.flight.chance).clamp_min(TINY)
+        scattered = way_left(scene, arrival, t) * kind.scattering(table, p) * chance
 
         # Ld: the light of one point on a light, as the phase function scatters it.
         none, there = Vec3.full(state.pdf, 0.0), torch.ones_like(state.pdf, dtype=torch.bool)
@@ -110,6 +106,9 @@ class FlightVertex(VertexKind):
     def vantage(self, terms: Terms) -> Vantage:
         return Vantage(terms.place.p.map(settled), Vec3.full(terms.place.t, 0.0))
 
+    def medium(self, scene: SceneTensors, terms: Terms, arrival: Arrival, d: Vec3) -> Tensor:
+        return arrival.flight.medium
+
     def ray(self, terms: Terms) -> Ray:
         return Ray(terms.place.p, terms.place.wo)
 
@@ -130,36 +129,16 @@ class FlightVertex(VertexKind):
         return cone_beyond(cone, terms.place.t, terms.pdf)
 
 
-FLIGHT = FlightVertex()
-
-
-@stage("scene")
-def free_flight(scene: SceneTensors, state: PathState, hit: Hit, at: Position) -> Tensor:
-    """The distances at which paths scatter before they meet a surface, (N,); infinite: they do not.
-
-    Args:
-        scene: detached; any part of it.
-        state, hit: the paths that reach a bounce, and what their rays meet.
-        at: the depth.
-    """
-    # What decides whether there is a flight at all has a point of its own, beside that of the direction that follows.
-    number, key = scene.layout.scattering_medium, bounce_key(state.key, at.counter + SALT)
-    u, v = (uniform(key, dimension, state.pdf.dtype) for dimension in (FLIGHT_U, FLIGHT_V))
-    way = torch.where(hit.prim >= 0, hit.t, FAR)
-    t = scene.layout.media[number].sample_flight(scene.media[number], state.ray, way, u, v)
-    return settled(torch.where(t >= way, torch.inf, t))
-
-
 def distance_flown(scene: SceneTensors, arrival: Arrival, settings: Settings,
                    here: Corners | None = None) -> tuple[Tensor, Tensor | float]:
     """The distances of flights, (N,), and how much longer the way to the surface is than it was, of value 1; attached if
     that moves. Args as for `VertexKind.terms`."""
     if not settings.moving:
-        return arrival.flight, 1.0
+        return arrival.flight.t, 1.0
     si = surface_met(scene, arrival, settings, here)
     way = torch.where(si.valid, si.t, 1.0)
     longer = way / settled(way)
-    return arrival.flight * longer, longer
+    return arrival.flight.t * longer, longer
 
 
 def point_along(ray: Ray, t: Tensor) -> Vec3:
@@ -181,5 +160,6 @@ def phase_to(kind: MediumKind, table: Any, fixed: Any, p: Vec3, wi: Vec3, d: Vec
 
 def flight_vantage(arrival: Arrival) -> Vantage:
     """Where flights end, for the choice of lights: in no plane, so that light may come from all around."""
-    p = point_along(arrival.state.ray, torch.where(arrival.flight < torch.inf, arrival.flight, 0.0))
-    return Vantage(p.map(settled), Vec3.full(arrival.flight, 0.0))
+    t = arrival.flight.t
+    p = point_along(arrival.state.ray, torch.where(t < torch.inf, t, 0.0))
+    return Vantage(p.map(settled), Vec3.full(t, 0.0))

@@ -11,7 +11,7 @@ from torch_radbp.path.flight import flight_vantage
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.light_connection import light_numbers
-from torch_radbp.path.state import Arrival, PathState, Position, Settings
+from torch_radbp.path.state import Arrival, Flight, PathState, Position, Settings
 from torch_radbp.path.surface import surface_met
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import bounce_key
@@ -36,7 +36,7 @@ def pick_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, at: Po
     """
     seen = vantage(surface_met(scene, arrival, Settings()))
     if arrival.flight is not None:
-        ends, there = arrival.flight < torch.inf, flight_vantage(arrival)
+        ends, there = arrival.flight.t < torch.inf, flight_vantage(arrival)
         seen = Vantage(*(where(ends, inside, outside) for inside, outside in zip(there, seen)))
     return drawn_element(choice, seen, light_numbers(bounce_key(arrival.state.key, at.counter)))
 
@@ -62,7 +62,7 @@ def chance_of_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, l
 
 
 def picked_lights(integrand: Integrand, state: PathState, hit: Hit, depth: int,
-                  flight: Tensor | None = None) -> LightPick | None:
+                  flight: Flight | None = None) -> LightPick | None:
     """Selects lights for paths with hits; None if selection does not depend on the point. `flight`: see `Arrival`."""
     choice = integrand.proposal.lights.choice
     if not integrand.settings.nee or not integrand.proposal.lights.by_place:

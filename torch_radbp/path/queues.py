@@ -11,6 +11,7 @@ from torch import Tensor
 from torch_radbp.jit.order import chosen, partition
 from torch_radbp.jit.recording.lane_count import LaneCount
 from torch_radbp.path.event import Ends, Event
+from torch_radbp.path.state import Flight
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
@@ -102,7 +103,7 @@ def in_turn(kinds: Sequence[tuple[Event, tuple[bool, bool]]], counts: Sequence[i
 
 @stage("scene")
 def appearance_met(scene: SceneTensors, hit: Hit, nothing: Tensor, image_lanes: ImageLanes | None,
-                   flight: Tensor | None = None) -> tuple[Tensor, Tensor | None]:
+                   flight: Flight | None = None) -> tuple[Tensor, Tensor | None]:
     """The number of the event that each ray meets, (N,) int32: the appearance from the front; and where the side matters.
 
     Args:
@@ -117,9 +118,12 @@ def appearance_met(scene: SceneTensors, hit: Hit, nothing: Tensor, image_lanes: 
     """
     row, met = lookup(scene.triangles.material, hit.prim.clamp_min(0)), hit.prim >= 0
     number = torch.where(met, lookup(scene.materials.appearance, row), nothing)
-    if flight is not None:  # the end of a flight in a medium comes behind the appearances
-        ends = flight < torch.inf
-        number, met = torch.where(ends, nothing - 1, number), met & ~ends
+    if flight is not None:  # the ends of flights in media come behind the appearances, in the order of the media
+        ends, scattering = flight.t < torch.inf, scene.layout.scattering_media
+        for place, medium in enumerate(scattering):
+            here = ends if flight.medium is None else ends & (flight.medium == medium)
+            number = torch.where(here, nothing - (len(scattering) - place), number)
+        met = met & ~ends
     differs = None if scene.materials.differs is None else met & lookup(scene.materials.differs, row)
     return _numbered(number, nothing, image_lanes), differs
 

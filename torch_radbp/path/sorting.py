@@ -6,12 +6,11 @@ from torch import Tensor
 
 from torch_radbp.jit.order import chosen, nothing
 from torch_radbp.path.camera_hit import camera_hit
-from torch_radbp.path.event import Ends, FlightEnd, events_of
-from torch_radbp.path.flight import free_flight
+from torch_radbp.path.event import Ends, events_of
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.queues import ImageLanes, Queue, appearance_met, one_queue, queues_by, shines, side_met
-from torch_radbp.path.state import PathState
+from torch_radbp.path.state import Flight
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.vec import Ray
 
@@ -24,7 +23,7 @@ def first_hit(integrand: Integrand, ray: Ray, depth: int) -> Hit:
 
 
 def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool, image_lanes: ImageLanes | None = None,
-           flight: Tensor | None = None) -> tuple[Tensor | None, Tensor, tuple[Queue, ...]]:
+           flight: Flight | None = None) -> tuple[Tensor | None, Tensor, tuple[Queue, ...]]:
     """Sorts rays with hits into queues: `Step.front`, `Step.order` and `Step.queues`.
 
     Args:
@@ -40,7 +39,7 @@ def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool, image_lanes: Im
 
 
 def appearances_met(integrand: Integrand, ray: Ray, hit: Hit, image_lanes: ImageLanes | None = None,
-                    flight: Tensor | None = None) -> tuple[Tensor, Tensor | None]:
+                    flight: Flight | None = None) -> tuple[Tensor, Tensor | None]:
     """The event numbers of rays with hits, (N,) int32, for `queues_by`, and `Step.front`; args as for `queued`."""
     part = integrand.part(Ends.SURROUNDINGS)
     number, differs = part.call(appearance_met, hit, integrand.no_appearance, image_lanes, flight)
@@ -49,10 +48,3 @@ def appearances_met(integrand: Integrand, ray: Ray, hit: Hit, image_lanes: Image
         put_rows((number, front), lanes, part.call(side_met, ray, hit, lanes, integrand.no_appearance, image_lanes))
     return number, front
 
-
-def flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -> Tensor | None:
-    """The distances at which paths scatter in a medium before they meet a surface, (N,), see `Arrival.flight`; None: nothing
-    scatters between surfaces, or paths end."""
-    if integrand.proposal.layout.scattering_medium is None or integrand.is_last(depth):
-        return None
-    return integrand.part(FlightEnd.MEDIUM).call(free_flight, state, hit, integrand.at(depth))

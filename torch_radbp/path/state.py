@@ -51,6 +51,7 @@ class PathState(NamedTuple):
     vantage: Vantage | None = None  # where the ray starts; None if light selection does not depend on it
     followed: Tensor | None = None  # bool, see `Settings.following`; None without it
     cone: Cone | None = None  # around the ray; None if no texture asks how much of a surface a sample sees
+    medium: Tensor | None = None  # int32, number of that in which the ray starts, -1: none; None: media have no boundaries
     number: LaneCount | None = None  # of the lanes, of which the first are meant; None: all are
 
     @property
@@ -63,6 +64,17 @@ class PathState(NamedTuple):
         return self if self.number is None else rows_between(self._replace(number=None), 0, waited_for(self.number))
 
 
+class Flight(NamedTuple):
+    """How far paths come in media, (N,) each; detached."""
+
+    t: Tensor  # distance to where they scatter before they meet a surface; infinite: they do not
+    chance: Tensor  # density of this distance over length, or the probability of getting as far as the surface
+    # Where media have boundaries the number of that in which the way ends, int32, -1: none; and the lengths of the ways in
+    # each of `Layout.media`. Else None and nothing: the whole way is in one medium.
+    medium: Tensor | None = None
+    lengths: tuple[Tensor, ...] = ()
+
+
 class Arrival(NamedTuple):
     """The paths that reach a bounce, and the surfaces that they hit, (N,) each."""
 
@@ -70,20 +82,22 @@ class Arrival(NamedTuple):
     hit: Hit
     front: Tensor | None  # bool: they hit the front, where sides have different appearances; None: nowhere
     picked: LightPick | None = None  # None: lights are selected by constant probabilities
-    flight: Tensor | None = None  # distance to where they scatter before that; infinite: they do not; None: nowhere
+    flight: Flight | None = None  # None: nothing scatters between surfaces
 
 
 def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: bool = False,
-               cone: Cone | None = None) -> PathState:
+               cone: Cone | None = None, medium: int | None = None) -> PathState:
     """The state before the first bounce: throughput 1, lanes numbered in order.
 
     Args:
         ray, key, cone: of each lane.
         from_places: paths remember where their rays begin.
         following: as in `Settings`.
+        medium: the number of that in which they begin, -1: none; None: media have no boundaries.
     """
     beta = Vec3(torch.ones_like(ray.d.x), torch.ones_like(ray.d.x), torch.ones_like(ray.d.x))
     lane = torch.arange(len(ray.d.x), dtype=torch.int32, device=ray.d.x.device)
     return PathState(ray, beta, torch.full_like(ray.d.x, torch.inf), key, lane,
                      Vantage(ray.o.map(settled), ray.d.map(settled)) if from_places else None,
-                     torch.zeros_like(lane, dtype=torch.bool) if following else None, cone)
+                     torch.zeros_like(lane, dtype=torch.bool) if following else None, cone,
+                     None if medium is None else torch.full_like(lane, medium))

@@ -12,7 +12,7 @@ from torch_radbp.jit.recording.lane_count import LaneCount, waited_for
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lane_room import ASKED, power_of_2
 from torch_radbp.path.queues import EMPTY, Queue
-from torch_radbp.path.state import Arrival, PathState
+from torch_radbp.path.state import Arrival, Flight, PathState
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.light_choice import LightPick
 from torch_radbp.tensors.record import rows_between
@@ -33,9 +33,11 @@ class Step(NamedTuple):
     visible: Tensor  # (K,) bool: the shadow ray was free; of the first K of `order`, which scatter
     survives: Tensor  # (K,) bool: the path goes on
     picked: LightPick | None = None  # (N,) None: lights are selected by constant probabilities
-    flight: Tensor | None = None  # (N,) see `Arrival`
+    flight: Flight | None = None  # (N,) see `Arrival`
     # Of each queue those of textures that are read outside; None: not computed. In a forward pass attached to the scene.
     texture_values: tuple[tuple[TextureValue, ...] | None, ...] = ()
+    # (K,) lengths of the ways of shadow rays in each of `Layout.media`; None: media have no boundaries.
+    lengths: tuple[Tensor, ...] | None = None
 
     @property
     def scattered(self) -> int:

@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 
 from torch_radbp.connection.light import light_aims, sample_light, sample_places
-from torch_radbp.connection.media import attenuated, way_through
+from torch_radbp.connection.media import attenuated
 from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.light_connection import connected_to_light, emission, light_numbers
+from torch_radbp.path.passage import medium_beyond, way_through
 from torch_radbp.path.state import BSDF_CHOICE, BSDF_U, BSDF_V, ROULETTE, Arrival, Position, Settings
 from torch_radbp.path.vertex import Terms, VertexKind
 from torch_radbp.raycast.protocol import Hit
@@ -20,7 +21,7 @@ from torch_radbp.sampling.sampler import bounce_key, uniform
 from torch_radbp.scene.tables.light_tree import Vantage
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import Corners
-from torch_radbp.tensors.vec import Ray, Vec3, max_component
+from torch_radbp.tensors.vec import Ray, Vec3, dot, max_component
 from torch_radbp.vertex.cone import Cone, cone_beyond
 from torch_radbp.vertex.emission import emission_places, vantage
 from torch_radbp.vertex.interaction import SurfaceInteraction, surface_interaction
@@ -60,7 +61,7 @@ class SurfaceVertex(VertexKind):
         state, key = arrival.state, bounce_key(arrival.state.key, at.counter)
         number = partial(uniform, key, dtype=state.pdf.dtype)
         si = surface_met(scene, arrival, settings, here)
-        through = way_through(scene, proposal, state.ray, si.t, arrival.flight is not None)
+        through = way_through(scene, arrival, si.t)
         of_material, of_emitter, of_sample = shares_of(scene, texture_values)
 
         # Le: the light that it emits.
@@ -91,6 +92,10 @@ class SurfaceVertex(VertexKind):
 
     def vantage(self, terms: Terms) -> Vantage:
         return vantage(terms.place.si)
+
+    def medium(self, scene: SceneTensors, terms: Terms, arrival: Arrival, d: Vec3) -> Tensor:
+        si = terms.place.si
+        return medium_beyond(scene, si.prim, dot(si.n, d), arrival.flight.medium)
 
     def ray(self, terms: Terms) -> Ray:
         return outgoing_ray(terms.place.si, terms.place.sample.wo)

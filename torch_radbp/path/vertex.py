@@ -80,6 +80,10 @@ class VertexKind(ABC):
         """The place on which the choice of a light depends."""
         raise TypeError(f"nothing leaves a {type(self).__name__}")
 
+    def medium(self, scene: SceneTensors, terms: Terms, arrival: Arrival, d: Vec3) -> Tensor:
+        """The numbers of the media into which rays leave in direction `d`, int32, where media have boundaries."""
+        raise TypeError(f"nothing leaves a {type(self).__name__}")
+
     def ray(self, terms: Terms) -> Ray:
         """The ray along which the path goes on."""
         raise TypeError(f"nothing leaves a {type(self).__name__}")
@@ -106,7 +110,7 @@ class VertexKind(ABC):
         return False
 
     def ahead(self, terms: Terms, state: PathState, ray: Ray, beta: Vec3, settings: Settings) -> PathState:
-        """The states of paths that go on along a ray, without `vantage`.
+        """The states of paths that go on along a ray, without `vantage`, and in the medium from which they come.
 
         Args:
             terms: of the vertices.
@@ -118,4 +122,4 @@ class VertexKind(ABC):
         return PathState(
             ray, beta, terms.pdf, state.key, state.lane, None,
             torch.full_like(state.followed, self.follows(terms)) if settings.following else None,
-            None if state.cone is None else self.cone(terms, state.cone))
+            None if state.cone is None else self.cone(terms, state.cone), state.medium)

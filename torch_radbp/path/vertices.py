@@ -91,4 +91,5 @@ def room_for_vertices(state: PathState, lanes: int, with_light: bool) -> Vertex:
         return state.pdf.new_empty(lanes)
 
     Le, Ld, F = (Vec3(number(), number(), number()) if with_light else None for _ in range(3))
-    return Vertex(Le, Ld, F, room(state.ray), number(), room(state), number().new_empty(lanes, dtype=torch.bool))
+    survives = number().new_empty(lanes, dtype=torch.bool)
+    return Vertex(Le, Ld, F, room(state.ray), number(), room(state.medium), room(state), survives)

@@ -14,14 +14,16 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.dual import dual
-from torch_radbp.jit.order import inverted, nothing
+from torch_radbp.jit.order import nothing
 from torch_radbp.path.bounce import Vertex, gathered
+from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.light_picks import picked_lights
-from torch_radbp.path.sorting import first_hit, flights, queued
+from torch_radbp.path.sorting import first_hit, queued
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Onward, Step, cut_to_count, surviving, survivors
+from torch_radbp.path.through_media import free_connections, free_flights, let_through
 from torch_radbp.path.vertices import bounce_queues, with_texture_values
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import any_differentiated
@@ -64,10 +66,11 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
     """
     state, step = cut_to_count(state, step)
     if step is not None:
-        return *bounce_queues(integrand, state, depth, step, with_light), step
+        vertex, light = bounce_queues(integrand, state, depth, step, with_light)
+        return with_connections(integrand, vertex, step), light, step
     # What does each ray meet, and does its flight end in a medium before? Lanes with the same event form a queue.
     hit = first_hit(integrand, state.ray, depth) if hit is None else hit
-    flight = flights(integrand, state, hit, depth)
+    hit, flight = free_flights(integrand, state, hit, depth)
     queues = queued(integrand, state.ray, hit, integrand.is_last(depth), integrand.image_lanes(state), flight)
     # Which light shall each vertex connect to, where that depends on the place?
     undecided = hit.prim.new_empty(0, dtype=torch.bool)
@@ -77,11 +80,19 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
     # E_k, but for shadows, F_k and the next rays, queue by queue.
     vertex, light = bounce_queues(integrand, state, depth, step, with_light)
     # Which connections are free?
+    visible, lengths = nothing(vertex.survives), None
     if integrand.settings.nee and not integrand.is_last(depth):
-        visible = inverted(integrand.caster.occluded(vertex.shadow, vertex.shadow_distance))
-    else:
-        visible = nothing(vertex.survives)
-    return vertex, light, step._replace(visible=visible, survives=vertex.survives)
+        visible, lengths = free_connections(integrand, vertex)
+    step = step._replace(visible=visible, survives=vertex.survives, lengths=lengths)
+    return with_connections(integrand, vertex, step), light, step
+
+
+def with_connections(integrand: Integrand, vertex: Vertex, step: Step) -> Vertex:
+    """Vertices with the light that media let through to them."""
+    if step.lengths is None or vertex.Ld is None:
+        return vertex
+    part = integrand.part(Ends.SURROUNDINGS)
+    return vertex._replace(Ld=integrand.stages(let_through)(part.scene, vertex.Ld, vertex.shadow, step.lengths))
 
 
 def shown(integrand: Integrand, state: PathState, vertex: Vertex, light: Vec3 | None,

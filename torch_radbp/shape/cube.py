@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from torch_radbp.plugin import BSDF, Emitter, Matrix4, register
+from torch_radbp.plugin import BSDF, Emitter, Matrix4, Medium, register
 from torch_radbp.shape.mesh import Mesh
 
 # For each face: its outward normal and the directions of u and v.
@@ -27,8 +27,9 @@ class Cube(Mesh):
     """
 
     def __init__(self, *, face_normals: bool = False, to_world: Matrix4 | None = None, flip_normals: bool = False,
-                 bsdf: BSDF | None = None, emitter: Emitter | None = None):
-        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
+                 bsdf: BSDF | None = None, emitter: Emitter | None = None,
+                 interior: Medium | None = None, exterior: Medium | None = None):
+        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals, interior=interior, exterior=exterior)
         self.face_normals = face_normals
         square = torch.tensor([[0.0, 1], [1, 1], [1, 0], [0, 0]])
         positions, normals = [], []

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import BSDF, Emitter, Matrix4, Point3, finite, positive, register
+from torch_radbp.plugin import BSDF, Emitter, Matrix4, Medium, Point3, finite, positive, register
 from torch_radbp.shape.surface import Tessellated, Triangles, grid
 from torch_radbp.tensors.vec import Frame, Vec3
 from torch_radbp.transforms import affine
@@ -36,8 +36,9 @@ class Cylinder(Tessellated):
 
     def __init__(self, *, p0: Point3 | None = None, p1: Point3 | None = None, radius: float = 1.0,
                  to_world: Matrix4 | None = None, flip_normals: bool = False, bsdf: BSDF | None = None,
-                 emitter: Emitter | None = None):
-        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
+                 emitter: Emitter | None = None,
+                 interior: Medium | None = None, exterior: Medium | None = None):
+        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals, interior=interior, exterior=exterior)
         matrix, radius = affine("to_world", to_world), positive("radius", radius)
         if p0 is not None or p1 is not None or radius != 1:
             start = finite("p0", START if p0 is None else p0, (3,))

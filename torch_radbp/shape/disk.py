@@ -8,7 +8,7 @@ import math
 import torch
 from torch import Tensor
 
-from torch_radbp.plugin import BSDF, Emitter, Matrix4, register
+from torch_radbp.plugin import BSDF, Emitter, Matrix4, Medium, register
 from torch_radbp.shape.surface import Tessellated, Triangles
 
 SECTORS, RINGS = 256, 8
@@ -24,8 +24,9 @@ class Disk(Tessellated):
     whole = True
 
     def __init__(self, *, to_world: Matrix4 | None = None, flip_normals: bool = False, bsdf: BSDF | None = None,
-                 emitter: Emitter | None = None):
-        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
+                 emitter: Emitter | None = None,
+                 interior: Medium | None = None, exterior: Medium | None = None):
+        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals, interior=interior, exterior=exterior)
         uv, faces = rings_of_triangles()
         angle = 2 * math.pi * uv[:, 1]
         sector = 2 * math.pi / SECTORS

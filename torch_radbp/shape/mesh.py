@@ -13,7 +13,7 @@ from torch_radbp.formats.mesh import read_mesh
 from torch_radbp.formats.mesh_arrays import MeshArrays
 from torch_radbp.formats.trimesh_arrays import arrays_of
 from torch_radbp.formats.trimesh_file import read_trimesh
-from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, TriangleMesh, finite, register
+from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, Medium, TriangleMesh, finite, register
 from torch_radbp.plugin.domain import LARGEST_COORDINATE, POSE, Domain
 from torch_radbp.shape.normals import BLOCK, angle_weighted_normals
 from torch_radbp.shape.surface import Surface, Triangles, turned
@@ -224,8 +224,9 @@ class OBJ(FileMesh):
 
     def __init__(self, *, filename: Filename, face_normals: bool = False, flip_tex_coords: bool = True,
                  recompute_normals: bool = False, to_world: Matrix4 | None = None, flip_normals: bool = False,
-                 bsdf: BSDF | None = None, emitter: Emitter | None = None):
-        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
+                 bsdf: BSDF | None = None, emitter: Emitter | None = None,
+                 interior: Medium | None = None, exterior: Medium | None = None):
+        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals, interior=interior, exterior=exterior)
         self.read(filename, face_normals, flip_tex_coords, recompute_normals, to_world)
 
 
@@ -235,8 +236,9 @@ class PLY(FileMesh):
 
     def __init__(self, *, filename: Filename, face_normals: bool = False, flip_tex_coords: bool = False,
                  recompute_normals: bool = False, to_world: Matrix4 | None = None, flip_normals: bool = False,
-                 bsdf: BSDF | None = None, emitter: Emitter | None = None):
-        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
+                 bsdf: BSDF | None = None, emitter: Emitter | None = None,
+                 interior: Medium | None = None, exterior: Medium | None = None):
+        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals, interior=interior, exterior=exterior)
         self.read(filename, face_normals, flip_tex_coords, recompute_normals, to_world)
 
 
@@ -273,8 +275,9 @@ class TensorMesh(Mesh):
                  vertex_normals: Tensor | None = None, vertex_texcoords: Tensor | None = None,
                  mesh: TriangleMesh | None = None, filename: Filename | None = None, recompute_normals: bool = False,
                  to_world: Matrix4 | None = None, flip_normals: bool = False, bsdf: BSDF | None = None,
-                 emitter: Emitter | None = None):
-        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
+                 emitter: Emitter | None = None,
+                 interior: Medium | None = None, exterior: Medium | None = None):
+        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals, interior=interior, exterior=exterior)
         tensors = {"vertex_positions": vertex_positions, "faces": faces, "vertex_normals": vertex_normals,
                    "vertex_texcoords": vertex_texcoords}
         given = [name for name, value in {**tensors, "mesh": mesh, "filename": filename}.items() if value is not None]

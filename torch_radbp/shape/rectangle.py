@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from torch_radbp.plugin import BSDF, Emitter, Matrix4, register
+from torch_radbp.plugin import BSDF, Emitter, Matrix4, Medium, register
 from torch_radbp.shape.surface import Tessellated, Triangles, grid
 
 
@@ -19,8 +19,9 @@ class Rectangle(Tessellated):
     whole = True
 
     def __init__(self, *, face_normals: bool = False, to_world: Matrix4 | None = None, flip_normals: bool = False,
-                 bsdf: BSDF | None = None, emitter: Emitter | None = None):
-        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
+                 bsdf: BSDF | None = None, emitter: Emitter | None = None,
+                 interior: Medium | None = None, exterior: Medium | None = None):
+        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals, interior=interior, exterior=exterior)
         self.face_normals = face_normals
         uv, faces = grid(1, 1)
         vertices = uv.new_zeros(len(uv), 3)

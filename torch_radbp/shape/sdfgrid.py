@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.formats.volume import read_volume
-from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, finite, nearest, register
+from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, Medium, finite, nearest, register
 from torch_radbp.plugin.domain import LARGEST_AMOUNT, POSE, Domain
 from torch_radbp.shape.surface import Surface, Triangles, turned
 from torch_radbp.shape.zero_set import Net, check_grid, smooth_normal, unit_vector, vertices, voxel_gradient, zero_net
@@ -46,8 +46,9 @@ class SDFGrid(Surface):
     """
 
     def __init__(self, *, filename: Filename | None = None, grid: Tensor | None = None, normals: str = "smooth",
-                 to_world: Matrix4 | None = None, bsdf: BSDF | None = None, emitter: Emitter | None = None):
-        super().__init__(bsdf=bsdf, emitter=emitter)
+                 to_world: Matrix4 | None = None, bsdf: BSDF | None = None, emitter: Emitter | None = None,
+                 interior: Medium | None = None, exterior: Medium | None = None):
+        super().__init__(bsdf=bsdf, emitter=emitter, interior=interior, exterior=exterior)
         if normals not in NORMALS:
             raise ValueError(f"normals {normals!r} is not known; {nearest(normals, NORMALS)}")
         if (filename is None) == (grid is None):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, integer, register
+from torch_radbp.plugin import BSDF, Emitter, Filename, Matrix4, Medium, integer, register
 from torch_radbp.shape.mesh import FileMesh
 
 
@@ -16,7 +16,8 @@ class Serialized(FileMesh):
 
     def __init__(self, *, filename: Filename, shape_index: int = 0, face_normals: bool = False,
                  recompute_normals: bool = False, to_world: Matrix4 | None = None, flip_normals: bool = False,
-                 bsdf: BSDF | None = None, emitter: Emitter | None = None):
-        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
+                 bsdf: BSDF | None = None, emitter: Emitter | None = None,
+                 interior: Medium | None = None, exterior: Medium | None = None):
+        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals, interior=interior, exterior=exterior)
         self.shape_index = integer("shape_index", shape_index, 0)
         self.read(filename, face_normals, False, recompute_normals, to_world, self.shape_index)

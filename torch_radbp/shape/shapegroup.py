@@ -17,7 +17,7 @@ class ShapeGroup(Shape):
         shapes: with their materials; without emitters, groups and instances, as in Mitsuba.
 
     Raises:
-        ValueError: if one of them is not a plain surface, or shines.
+        ValueError: if one of them is not a plain surface, shines, or is the boundary of a medium.
     """
 
     def __init__(self, *, shapes: dict[str, Shape] | None = None):
@@ -28,6 +28,9 @@ class ShapeGroup(Shape):
                 raise ValueError(f"{name!r} is of type {shape.type}, which a shapegroup cannot hold: groups are not nested")
             if shape.emitter is not None:
                 raise ValueError(f"the shape {name!r} carries an emitter, which cannot be instanced: put it into the scene")
+            if shape.bounds_media:
+                raise ValueError(f"the shape {name!r} is the boundary of a medium, which cannot be instanced: put it into "
+                                 "the scene")
             name = name.replace(".", "_")
             while hasattr(self, name):
                 name += "_"

@@ -7,7 +7,7 @@ import math
 import torch
 
 from torch_radbp.interface.balls import RINGS, SEGMENTS, Ball
-from torch_radbp.plugin import BSDF, Emitter, Matrix4, Point3, finite, positive, register
+from torch_radbp.plugin import BSDF, Emitter, Matrix4, Medium, Point3, finite, positive, register
 from torch_radbp.shape.surface import Tessellated, Triangles, grid
 from torch_radbp.transforms import affine
 
@@ -28,8 +28,9 @@ class Sphere(Tessellated):
     whole = True
 
     def __init__(self, *, center: Point3 | None = None, radius: float = 1.0, to_world: Matrix4 | None = None,
-                 flip_normals: bool = False, bsdf: BSDF | None = None, emitter: Emitter | None = None):
-        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals)
+                 flip_normals: bool = False, bsdf: BSDF | None = None, emitter: Emitter | None = None,
+                 interior: Medium | None = None, exterior: Medium | None = None):
+        super().__init__(bsdf=bsdf, emitter=emitter, flip_normals=flip_normals, interior=interior, exterior=exterior)
         matrix, radius = affine("to_world", to_world), positive("radius", radius)
         if center is not None or radius != 1:
             local = torch.eye(4)

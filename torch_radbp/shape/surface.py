@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.interface.balls import Ball
-from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Shape
+from torch_radbp.plugin import BSDF, REGISTRY, Emitter, Medium, Shape
 from torch_radbp.plugin.domain import POSE, Domain
 from torch_radbp.transforms import mirrors, transform, transform_normals, transform_points
 
@@ -44,13 +44,17 @@ class Surface(Shape):
         emitter: a light that shines from the surface, such as `area`.
         flip_normals: turn the surface inside out.
         to_world: the pose, world from local; affine.
+        interior: the medium behind the surface, on the side away from its normal.
+        exterior: the medium before it. Without both the surface is no boundary: what is before it is behind it, too; with
+            one of them, nothing is on the other side.
     """
 
     converter: ClassVar[Callable[[Surface], trimesh.Trimesh]]  # set by `torch_radbp.io.trimesh_out`
     faces: Tensor  # (F, 3) int64: `triangles()` has as many, in the same order
     may_cross_itself = False  # its vertices may move so that it passes through itself
 
-    def __init__(self, *, bsdf: BSDF | None = None, emitter: Emitter | None = None, flip_normals: bool = False):
+    def __init__(self, *, bsdf: BSDF | None = None, emitter: Emitter | None = None, flip_normals: bool = False,
+                 interior: Medium | None = None, exterior: Medium | None = None):
         super().__init__()
         diffuse = REGISTRY["bsdf"]["diffuse"]
         self.bsdf = diffuse(reflectance=0.5 if emitter is None else 0.0) if bsdf is None else bsdf
@@ -59,6 +63,13 @@ class Surface(Shape):
                              f"which belongs to the scene itself")
         self.add_module("emitter", emitter)
         self.flip_normals = flip_normals
+        self.add_module("interior", interior)
+        self.add_module("exterior", exterior)
+
+    @property
+    def bounds_media(self) -> bool:
+        """True if it is a boundary of a medium."""
+        return self.interior is not None or self.exterior is not None
 
     def connections(self) -> tuple[Callable[..., NamedTuple], tuple[Any, ...]] | None:
         """A function that computes detached facts which `triangles` needs about the shape's values, and its arguments.

@@ -123,7 +123,7 @@ class JumpWatch:
     def edges_in_a_medium(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about edges that a medium which scatters sees, where anything moves, or None: no term has them."""
         names = moving_names(rendering)
-        if rendering.call.scene.layout.scattering_medium is None or rendering.max_depth < 2 or not names:
+        if not rendering.call.scene.layout.scattering_media or rendering.max_depth < 2 or not names:
             return None
         return SilhouetteWarning(f"derivatives with respect to {listed(sorted(names))} lack what edges and shadows "
                                  "contribute to the light that the medium scatters: check_gradient measures how much that "

@@ -81,7 +81,7 @@ class _Writer:
             elif child.category == "sensor":
                 self.add_camera(name, child)
         for medium in self.scene.media:
-            self.losses.add(self.scene.name_of(medium), f"a {medium.type} medium is not written: glTF has none around cameras")
+            self.losses.add(self.scene.name_of(medium), f"a {medium.type} medium is not written: glTF has none")
 
     def add_shape(self, name: str, shape: Shape, instance: Instance | None = None) -> None:
         """Adds a node with a mesh, in the frame of the shape's pose, or where an instance shows it."""

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
-from torch_radbp.plugin import BSDF, Emitter, Plugin, Shape
+from torch_radbp.plugin import BSDF, Emitter, Medium, Plugin, Shape
 from torch_radbp.scene.cache.module_attributes import ModuleTree, dicts_of, separate_roots, shared_with_roots, stands_still
 from torch_radbp.tensors.differentiated import differentiated
 from torch_radbp.tensors.torch_internals import inside_dual_level
@@ -91,7 +91,7 @@ def _held_by(modules: Iterable[nn.Module], left_out: Collection[nn.Module] = (),
     Args:
         modules: to begin with.
         left_out: a set of modules that are left out.
-        of_shapes: with the materials and emitters of shapes, which say nothing of the shapes themselves.
+        of_shapes: with the materials, emitters and media of shapes, which say nothing of the shapes themselves.
     """
     ahead, met = list(modules), set()
     while ahead:
@@ -105,7 +105,7 @@ def _held_by(modules: Iterable[nn.Module], left_out: Collection[nn.Module] = (),
             children += module.shared.values()
             children += modules_among(tuple(vars(module).values()))
         ahead += [child for child in children
-                  if of_shapes or not (isinstance(module, Shape) and isinstance(child, (BSDF, Emitter)))]
+                  if of_shapes or not (isinstance(module, Shape) and isinstance(child, (BSDF, Emitter, Medium)))]
 
 
 def modules_among(values: tuple) -> Iterator[nn.Module]:

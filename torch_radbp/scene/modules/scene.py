@@ -53,7 +53,8 @@ class Scene(ModuleTree):
         media = self.media
         for name, child in self._modules.items():
             if isinstance(child, Medium) and child not in media:
-                raise SceneError(f"`{name}` is a medium in which no sensor stands: write it as the medium of the sensors")
+                raise SceneError(f"`{name}` is a medium in which no sensor stands, and that no shape has: write it as the "
+                                 "medium of the sensors, or as the interior or exterior of a shape")
         surrounds = [emitter.type for emitter in self.emitters if emitter.kind().surround]
         if len(surrounds) > 1:
             raise SceneError(f"the scene has more than one emitter that surrounds it ({', '.join(surrounds)}): add up "
@@ -172,7 +173,7 @@ class Scene(ModuleTree):
 
     def shared_with_roots(self) -> list[Medium]:
         """The medium in which the sensors stand."""
-        return self.media
+        return [] if self.around is None else [self.around]
 
     @property
     def emitters(self) -> list[Emitter]:
@@ -181,19 +182,24 @@ class Scene(ModuleTree):
         return in_scene + [shape.emitter for shape in self.shapes if shape.emitter is not None]
 
     @property
-    def media(self) -> list[Medium]:
-        """What light travels through, everywhere between the surfaces: that of the sensors, one or none.
+    def around(self) -> Medium | None:
+        """The medium in which the sensors stand; None: empty space.
 
         Raises:
-            SceneError: if sensors stand in different media.
+            SceneError: if they stand in different media.
         """
         media = {name: sensor.medium for name, sensor in self.named_sensors.items()}
         one, *others = media.values() or (None,)
         if any(other is not one for other in others):
             each = ", ".join(f"`{name}` in {medium.type if medium else 'none'}" for name, medium in media.items())
-            raise SceneError(f"a medium fills the whole scene, and sensors stand in different ones: {each}; give all the "
-                             "same object, by a reference to it")
-        return [] if one is None else [one]
+            raise SceneError(f"sensors stand in different media: {each}; give all the same object, by a reference to it")
+        return one
+
+    @property
+    def media(self) -> list[Medium]:
+        """What light travels through: the medium of the sensors, then those that surfaces are the boundaries of."""
+        media = [self.around, *(medium for shape in self.shapes for medium in (shape.interior, shape.exterior))]
+        return list(dict.fromkeys(medium for medium in media if medium is not None))
 
     @property
     def dtype(self) -> torch.dtype:
@@ -315,4 +321,5 @@ def modules_of(root: nn.Module, prefix: str = "") -> list[tuple[str, nn.Module]]
         return modules_in(root, prefix)
     named = modules_in(root, prefix, set(root.named_sensors.values()))
     met = {module for _, module in named}
-    return named + [each for medium in root.media if medium not in met for each in modules_in(medium, root.name_of(medium))]
+    return named + [each for medium in root.shared_with_roots() if medium not in met
+                    for each in modules_in(medium, root.name_of(medium))]

@@ -54,6 +54,7 @@ class Columns(NamedTuple):
     emitting: tuple[bool, ...]  # whether each shape belongs to an emitter
     plain: tuple[bool, ...]  # of each shape, see `TriangleTable`
     numbers: tuple[TriangleNumbering, ...] | None = None  # of each shape, for AOVs
+    boundary: tuple[int, ...] | None = None  # of each shape, row of `BoundaryTable`; None: media have no boundaries
 
 
 def placed_shape(cache: PackCache, shape: Surface, instanced: bool, dtype: torch.dtype) -> PlacedShape:
@@ -123,7 +124,9 @@ def triangle_table(cache: PackCache, shapes: Sequence[PlacedShape], columns: Col
                          attributes=cache(face_table, surfaces, counts, columns.face_attributes, dtype, device),
                          numbers=None if columns.numbers is None else cache(_numbers, columns.numbers, counts, device),
                          instances=instances,
-                         plain=cache(of_each, columns.plain, counts, torch.bool, device) if any(columns.plain) else None)
+                         plain=cache(of_each, columns.plain, counts, torch.bool, device) if any(columns.plain) else None,
+                         boundary=(None if columns.boundary is None
+                                   else cache(of_each, columns.boundary, counts, torch.int32, device)))
 
 
 def shown_instances(cache: PackCache, groups: Sequence[Sequence[Instance]], shapes: Sequence[PlacedShape], normals: bool,

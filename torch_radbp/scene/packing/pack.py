@@ -14,7 +14,7 @@ import torch
 from torch_radbp.interface.emitter import Light, stacked
 from torch_radbp.interface.medium import Table
 from torch_radbp.interface.texture import Reader, bank_of
-from torch_radbp.plugin import BSDF, Medium, SceneError, Texture
+from torch_radbp.plugin import BSDF, Medium, Texture
 from torch_radbp.scene.cache.pack_cache import PackCache
 from torch_radbp.scene.modules.parameters import check_extent, check_parameters, check_places, largest_vertex_coordinate
 from torch_radbp.scene.modules.scene import Scene
@@ -31,7 +31,7 @@ from torch_radbp.scene.packing.light_table import Emission, kinds_of, light_tabl
 from torch_radbp.scene.packing.material_tables import Materials, MaterialTextures, is_plain, material_tables
 from torch_radbp.scene.packing.network_check import check_networks
 from torch_radbp.scene.packing.radiances import Radiances, bank_of_radiances, radiances_of
-from torch_radbp.scene.tables.scene_tensors import Layout, LightTable, SceneTensors, TriangleTable
+from torch_radbp.scene.tables.scene_tensors import SAME, BoundaryTable, Layout, LightTable, SceneTensors, TriangleTable
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
 
@@ -91,7 +91,8 @@ def pack(scene: Scene, cache: PackCache | None = None, light_choice: str | None 
     textures = tuple(bank_of_textures(cache, number, group, objects) for number, group in enumerate(materials.textures))
     check_networks(cache, (*layout.readers, *layout.lit), (*textures, *lit_banks), dtype, device)
     media = cache.part("media", tables_of_media, scene, inventory.reach(objects.media), objects)
-    return SceneTensors(triangles, materials.table, textures, lights, bank, lit_banks, media, layout)
+    boundaries = cache.part("boundaries", boundary_table, scene, settled, objects) if layout.bounded else None
+    return SceneTensors(triangles, materials.table, textures, lights, bank, lit_banks, media, boundaries, layout)
 
 
 def objects_of(scene: Scene) -> Objects:
@@ -124,7 +125,8 @@ def layout_of(cache: PackCache, objects: Objects, materials: Materials, radiance
         back_sides=materials.back_sides, appearances=materials.appearances,
         readers=materials.readers, radiance=radiances.reader,
         radiance_bitmaps=radiances.has_bitmaps or any(reader.needs_uv for reader in radiances.lit), attributes=attributes,
-        lights=kinds_of(objects.emitters), media=tuple(medium.kind() for medium in objects.media), lit=radiances.lit,
+        lights=kinds_of(objects.emitters), media=tuple(medium.kind() for medium in objects.media), **sides_of(objects),
+        lit=radiances.lit,
         still=materials.still)
 
 
@@ -136,7 +138,8 @@ def _columns_of(cache: PackCache, objects: Objects, layout: Layout, aovs: bool) 
                    layout.vertex_attributes, layout.face_attributes, any(look.kind.oriented for look in layout.appearances),
                    tuple(row[id(shape.bsdf)] for shape in objects.shapes),
                    tuple(shape.emitter is not None for shape in objects.shapes), plain_shapes(objects),
-                   _numbers_of(objects) if aovs else None)
+                   _numbers_of(objects) if aovs else None,
+                   boundaries_of(objects)[1] if layout.bounded else None)
 
 
 def triangles_of(cache: PackCache, objects: Objects, placed: tuple[PlacedShape, ...], columns: Columns) -> TriangleTable:
@@ -170,11 +173,35 @@ def _lights_of(cache: PackCache, objects: Objects, triangles: TriangleTable, emi
 
 def tables_of_media(cache: PackCache, objects: Objects) -> tuple[Table, ...]:
     """The tables of the media, attached."""
-    scattering = [f"`{objects.scene.name_of(medium)}`" for medium in objects.media if medium.kind().scatters]
-    if len(scattering) > 1:
-        raise SceneError(f"{' and '.join(scattering)} both fill the scene and scatter light: one medium may")
     like = torch.empty(0, dtype=objects.dtype, device=objects.device)
     return tuple(stacked([cache.twin(number, medium).row()], like) for number, medium in enumerate(objects.media))
+
+
+def sides_of(objects: Objects) -> dict[str, Any]:
+    """What `Layout` says of boundaries between media."""
+    around = objects.scene.around
+    return {"around": None if around is None else objects.media.index(around),
+            "bounded": any(shape.bounds_media for shape in objects.shapes)}
+
+
+def boundaries_of(objects: Objects) -> tuple[tuple[tuple[int, int, bool], ...], tuple[int, ...]]:
+    """The rows of `BoundaryTable`, and of each shape its row."""
+    def side(shape: Surface, medium: Medium | None) -> int:
+        if not shape.bounds_media:
+            return SAME
+        return -1 if medium is None else objects.media.index(medium)
+
+    of_shapes = [(side(shape, shape.interior), side(shape, shape.exterior), shape.bsdf.kind().invisible)
+                 for shape in objects.shapes]
+    rows = tuple(dict.fromkeys(of_shapes))
+    return rows, tuple(map(rows.index, of_shapes))
+
+
+def boundary_table(cache: PackCache, objects: Objects) -> BoundaryTable:
+    """The table of boundaries between media."""
+    columns = zip(*boundaries_of(objects)[0])
+    return BoundaryTable(*(torch.tensor(column, dtype=dtype, device=objects.device)
+                           for column, dtype in zip(columns, (torch.int32, torch.int32, torch.bool))))
 
 
 def bank_of_textures(cache: PackCache, number: int, group: MaterialTextures, objects: Objects) -> Any:

@@ -20,6 +20,8 @@ from torch_radbp.scene.tables.placement import InstanceTable
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.vec import Vec2, Vec3
 
+SAME = -2  # in the place of a medium's number: a surface that changes nothing
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -35,7 +37,9 @@ class Layout:
     radiance_bitmaps: bool  # some of them depend on u and v
     attributes: tuple[str, ...]  # names of mesh attributes that textures read
     lights: tuple[LightKind, ...]  # kinds of light
-    media: tuple[MediumKind, ...] = ()  # that light travels through
+    media: tuple[MediumKind, ...] = ()  # that light travels through, by their numbers
+    around: int | None = None  # the number of the medium in which the sensors stand; None: empty space
+    bounded: bool = False  # surfaces are boundaries of media, so that each ray has to know in which it is
     lit: tuple[OutsideReader, ...] = ()  # of those textures of emitters that are read outside
     scatterer: Appearance | None = None  # of a part of a scene, what light is scattered by; None: nothing
     vertex: Any = None  # of a part of a scene, the `path.vertex.VertexKind` of its lanes; hashable
@@ -64,9 +68,9 @@ class Layout:
         return bool(self.lit) or any(look.outside for look in self.appearances)
 
     @property
-    def scattering_medium(self) -> int | None:
-        """The number of the medium that scatters light; None: none does."""
-        return next((number for number, kind in enumerate(self.media) if kind.scatters), None)
+    def scattering_media(self) -> tuple[int, ...]:
+        """The numbers of the media that scatter light."""
+        return tuple(number for number, kind in enumerate(self.media) if kind.scatters)
 
     @property
     def surface_lights(self) -> dict[int, LightKind]:
@@ -114,6 +118,7 @@ class TriangleTable(NamedTuple):
     numbers: tuple[Tensor, Tensor] | None = None  # (T,) int32: of the triangle in its shape, of the shape from 1; for AOVs
     instances: InstanceTable | None = None  # of groups; None: there are none
     plain: Tensor | None = None  # (T,) bool: reflected light is discontinuous only at shadow borders; None: of no triangle
+    boundary: Tensor | None = None  # (T,) int32, row of `BoundaryTable`; None: media have no boundaries
 
     @property
     def casting_instances(self) -> Instances | None:
@@ -129,6 +134,14 @@ class MaterialTable(NamedTuple):
     turned: Tensor  # (2 M,) bool: the shading frame is flipped towards the viewer
     differs: Tensor | None  # (M,) bool: another appearance from behind, so that lanes queue by the side; None: no material
     count: Tensor  # () int32, M
+
+
+class BoundaryTable(NamedTuple):
+    """The kinds of boundaries between media, a row each; surfaces that are none have a row, too."""
+
+    inside: Tensor  # (B,) int32 number of the medium behind the surface; -1: empty space, `SAME`: that before it
+    outside: Tensor  # (B,) int32 likewise before it, on the side of its normal
+    invisible: Tensor  # (B,) bool: light passes straight through
 
 
 class LightTable(NamedTuple):
@@ -161,6 +174,7 @@ class SceneTensors(NamedTuple):
     radiance: Any  # the bank of `Layout.radiance`
     lit: tuple[Any, ...]  # the banks of `Layout.lit`
     media: tuple[Any, ...]  # the tables of `Layout.media`
+    boundaries: BoundaryTable | None  # None: media have none
     layout: Layout
 
     @property

@@ -1,0 +1,164 @@
+"""Media that surfaces enclose: invisible boundaries, and those of glass.
+
+Slabs in closed form, and single scattering beside a point light; next-event estimation through boundaries against chance;
+the gradient of every strategy, stride and way of running against the tape's; forward mode; differences; what is refused.
+"""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.gradients import EXACT, REPLAY, assert_informative, cotangent, image_and_gradients, relative_error
+from tests.scenes import diffuse, load, overhead, rectangle, rgb
+from tests.scenes.media import BLACK, DULL, haze
+
+NULL = {"type": "null"}
+GLASS = {"type": "dielectric", "int_ior": 1.3}
+ROUGH = {"type": "roughdielectric", "int_ior": 1.3, "alpha": 0.3}
+SETTINGS = {"spp": 8, "max_depth": 5, "rr_depth": 2}
+CLEAR = haze((0.5, 0.5, 0.5), (1, 1, 1), 0.3)  # absorbs nothing
+
+
+def slab(height: float, thickness: float, **more) -> dict:
+    """A wide box that lies flat, with its middle at a height."""
+    pose = torch.diag(torch.tensor([50.0, 50.0, thickness / 2, 1.0]))
+    pose[2, 3] = height
+    return {"type": "cube", "to_world": pose, "bsdf": NULL, **more}
+
+
+def ball(radius: float = 0.8, **more) -> dict:
+    return {"type": "sphere", "center": [0.0, 0.0, 1.0], "radius": radius, **more}
+
+
+def room(bsdf=NULL, **more):
+    """A ball of haze with another one in it, above a floor under a lamp, a point light and a sky."""
+    return load(torch.float64, camera=overhead(4, 4.0, 1.0), floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)),
+                ball=ball(bsdf=bsdf, interior=haze()),
+                core=ball(0.4, bsdf=NULL, interior=haze((2, 1, 3), (0.3, 0.6, 0.9), -0.3)),
+                lamp=rectangle((0.3, -0.8, 2.5), 0.4, (1, 0, 0), 170, bsdf=BLACK,
+                               emitter={"type": "area", "radiance": rgb(3, 2, 1)}),
+                bulb={"type": "point", "position": [-0.5, 0.6, 2.5], "intensity": rgb(2, 3, 4)},
+                sky={"type": "constant", "radiance": rgb(0.2, 0.3, 0.4)}, **more)
+
+
+NAMES = ["ball.interior.sigma_t.value.value", "ball.interior.albedo.value.value", "ball.interior.phase_function.g",
+         "ball.interior.scale", "core.interior.sigma_t.value.value", "core.interior.albedo.value.value",
+         "floor.bsdf.reflectance.value", "lamp.emitter.radiance.value", "sky.radiance.value"]
+
+
+@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+def test_light_through_slabs_is_left_by_their_extinction(compile):
+    """Two slabs that only absorb, one in the other, before a floor that sends light; seen, and along shadow rays."""
+    dark, darker = haze((0.2, 0.4, 0.8), (0, 0, 0)), haze((1, 2, 3), (0, 0, 0))
+    scene = load(torch.float64, camera=overhead(2, 4.0, 1e-4), outer=slab(2, 1.5, interior=dark),
+                 inner=slab(2, 0.5, interior=darker, exterior=dark),
+                 floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.5, 0.5, 0.5), emitter={"type": "area", "radiance": 1.0}),
+                 bulb={"type": "point", "position": [0, 0, 4.5], "intensity": rgb(math.pi * 20.25, 0, 0)})
+    image = rb.render(scene, spp=1 << 12, max_depth=2, compile=compile, seed=1).mean((0, 2, 3))
+    left = (-torch.tensor([0.2 + 0.5, 0.4 + 1, 0.8 + 1.5])).exp()
+    expected = left * torch.tensor([1 + 0.5 * float(left[0]), 1, 1])
+    assert ((image / expected - 1).abs() < 0.02).all()
+
+
+def test_in_a_furnace_radiance_is_1_behind_all_boundaries():
+    """Media that absorb nothing under a sky of 1, in boundaries of null and of glass, nested, around a surface."""
+    scene = load(torch.float64, camera=overhead(4, 4.0, 1.0), sky={"type": "constant"}, ball=ball(bsdf=NULL, interior=CLEAR),
+                 core=ball(0.4, bsdf=GLASS, interior=haze((2, 2, 2), (1, 1, 1), -0.3), exterior=CLEAR),
+                 stone=ball(0.1, bsdf=diffuse(1, 1, 1)))
+    image = rb.render(scene, spp=4096, max_depth=200, rr_depth=200, nee=False, seed=1)
+    error = image.mean((0, 1)).flatten() - 1.0
+    assert abs(float(error.mean())) < 4 * float(error.std()) / math.sqrt(len(error)) < 0.01
+
+
+@pytest.mark.parametrize("bsdf", [NULL, ROUGH], ids=["null", "rough"])
+def test_lamps_seen_through_boundaries_by_chance_and_by_connection_agree(bsdf):
+    scene = room(bsdf)
+    del scene._modules["bulb"]  # which chance does not find
+    means = torch.stack([torch.stack([rb.render(scene, spp=8192, max_depth=5, rr_depth=3, nee=nee, seed=seed).mean((0, 2, 3))
+                                      for seed in range(12)]) for nee in (False, True)])
+    assert (means > 0).all()
+    difference, error = means.mean(1).diff(dim=0)[0], (means.var(1) / means.shape[1]).sum(0).sqrt()
+    assert (difference.abs() < 4 * error).all() and (error < 0.05 * means[1].mean(0)).all()
+
+
+@pytest.mark.parametrize("nee", [False, True])
+def test_invisible_surfaces_change_nothing(nee):
+    """A veil that bounds nothing, and a boundary with the same medium on both sides: the same image to rounding."""
+    air = {"type": "ref", "id": "air"}
+    plain, veiled = (load(torch.float64, air=DULL, camera=overhead(4, 4.0, 1.0) | {"medium": air},
+                          floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4), interior=air, exterior=air),
+                          lamp=rectangle((0.3, -0.8, 2.5), 0.4, (1, 0, 0), 170, bsdf=BLACK,
+                                         emitter={"type": "area", "radiance": 20.0}), **more)
+                     for more in ({}, {"veil": rectangle((0, 0, 1.5), 9.0, bsdf=NULL),
+                                       "ball": ball(bsdf=NULL, interior=air, exterior=air)}))
+    images = [rb.render(scene, spp=4096, max_depth=4, nee=nee, seed=2).mean((0, 2, 3)) for scene in (plain, veiled)]
+    assert images[0].min() > 0.01 and ((images[1] / images[0] - 1).abs() < 0.01).all()
+
+
+@pytest.mark.parametrize("bsdf", [NULL, GLASS, ROUGH], ids=["null", "glass", "rough"])
+@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, bsdf):
+    image, expected = image_and_gradients(room(bsdf), NAMES, **SETTINGS | {"adjoint": rb.TapeAdjoint()})
+    assert_informative(image, expected)
+    for adjoint in (*EXACT[:-1], *REPLAY):
+        found, gradients = image_and_gradients(room(bsdf), NAMES, compile=compile, **SETTINGS | {"adjoint": adjoint})
+        assert relative_error(found, image) < 1e-12
+        for name, gradient, wanted in zip(NAMES, gradients, expected):
+            assert relative_error(gradient, wanted) < 1e-10, (adjoint, name)
+
+
+@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+@pytest.mark.parametrize("name", NAMES[:5])
+def test_forward_mode_is_the_transpose_of_backward(compile, name):
+    scene, settings = room(), SETTINGS | {"compile": compile}
+    tangent = torch.linspace(0.5, 1.0, scene.get_parameter(name).numel(), dtype=torch.float64)
+    tangent = tangent.view_as(scene.get_parameter(name))
+    forward = rb.jvp(scene, {name: tangent}, seed=1, **settings)
+    w = cotangent(forward)
+    _, (gradient,) = image_and_gradients(scene, [name], seed=1, adj_image=w, **settings)
+    assert float((gradient * tangent).sum()) == pytest.approx(float((w * forward).sum()), rel=1e-9)
+
+
+@pytest.mark.parametrize("bsdf", [NULL, ROUGH], ids=["null", "rough"])
+@pytest.mark.parametrize("name, step", zip(NAMES[:6], (0.05, 0.1, 0.2, 0.05, 0.1, 0.1)))
+def test_derivatives_are_those_of_differences(name, step, bsdf):
+    """Before a floor that sends light, in the mean over the image."""
+    scene = load(torch.float64, camera=overhead(2, 4.0, 0.7),
+                 floor=rectangle((0, 0, 0), 1.5, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0}),
+                 ball=ball(0.9, bsdf=bsdf, interior=haze((0.6, 0.8, 1.0), (0.5, 0.4, 0.3), 0.4)),
+                 core=ball(0.7, bsdf=NULL, interior=haze((1, 2, 1.5), (0.3, 0.6, 0.5), -0.3)))
+    found = rb.check_gradient(scene, name, step=step, spp=1 << 14, max_depth=5, seed=3).comparison
+    wanted, error = found.difference.mean(), found.standard_error.square().sum().sqrt() / found.standard_error.numel()
+    assert 0 < error < 0.1 * wanted.abs() and (found.jvp.mean() - wanted).abs() < 4 * error
+
+
+def test_what_moves_is_refused_by_name():
+    scene = room()
+    scene.get_parameter("floor.to_world").requires_grad_()
+    with pytest.raises(ValueError, match="floor.to_world.*boundaries of media"):
+        rb.render(scene, spp=1)
+
+
+def test_a_medium_of_a_shape_is_called_interior_or_exterior():
+    with pytest.raises(rb.SceneError, match="sphere has a medium in each of interior, exterior: call it by one"):
+        room(other=ball(fog=haze()))
+
+
+def test_a_boundary_cannot_be_instanced():
+    with pytest.raises(rb.SceneError, match="'leaf' is the boundary of a medium, which cannot be instanced"):
+        room(group={"type": "shapegroup", "leaf": ball(interior=haze())})
+
+
+def test_boundaries_are_read_and_written(tmp_path):
+    scene = room(GLASS).float()
+    rb.save(scene, tmp_path / "scene.xml")
+    again = rb.load(tmp_path / "scene.xml")
+    assert [medium.type for medium in again.media] == ["homogeneous"] * 2
+    for name, value in scene.named_parameters():
+        torch.testing.assert_close(dict(again.named_parameters())[name], value)
+    image, other = (rb.render(each, spp=4, max_depth=3, seed=1) for each in (scene, again))
+    assert image.max() > 0 and torch.equal(image, other)
