@@ -40,8 +40,8 @@ class VolumeFunction(Volume):
         """The functions."""
         raise TypeError(f"{type(self).__name__} does not define its kind")
 
-    def table(self, dtype: torch.dtype, device: torch.device) -> Table:
-        """The values: a record of columns, attached."""
+    def table(self, dtype: torch.dtype | None = None, device: torch.device | None = None) -> Table:
+        """The values: a record of columns, attached; None: as the parameters have them."""
         raise TypeError(f"{type(self).__name__} does not define its table")
 
     def channels(self) -> int:

@@ -52,10 +52,10 @@ class HomogeneousKind(MediumKind):
         return everywhere(table.sigma_t, p.x) * everywhere(table.albedo, p.x)
 
     def phase(self, table: HomogeneousTable, p: Vec3, wi: Vec3, wo: Vec3) -> tuple[Tensor, Tensor]:
-        return self.phase_function.eval_pdf(table.phase, -dot(wi, wo))
+        return self.phase_function.eval_pdf(table.phase, p, wi, wo)
 
     def sample_phase(self, table: HomogeneousTable, p: Vec3, wi: Vec3, u: Tensor, v: Tensor) -> Vec3:
-        return self.phase_function.direction(table.phase, -wi, u, v)
+        return self.phase_function.sample(table.phase, p, wi, u, v)
 
 
 @register("medium", "homogeneous")

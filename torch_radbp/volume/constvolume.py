@@ -45,8 +45,8 @@ class ConstVolume(VolumeFunction):
     def kind(self) -> ConstKind:
         return ConstKind()
 
-    def table(self, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
-        return tuple(self.value.texels().to(dtype=dtype, device=device).reshape(3, 1).unbind())
+    def table(self, dtype: torch.dtype | None = None, device: torch.device | None = None) -> tuple[Tensor, ...]:
+        return tuple(self.value.texels().to(dtype=dtype, device=device).reshape(3, 1).contiguous().unbind())
 
     def channels(self) -> int:
         return 3
