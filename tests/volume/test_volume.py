@@ -1,4 +1,4 @@
-"""Volumes: values at points against torch's and Mitsuba's interpolation, their derivatives, compiled and eager, and bounds."""
+"""Volumes: values at points against torch's and Mitsuba's interpolation, their derivatives, compiled values, and bounds."""
 
 from __future__ import annotations
 
