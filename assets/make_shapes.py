@@ -1,4 +1,4 @@
-"""Makes assets/shapes: a torus in four formats of meshes, and the distances of two balls that touch.
+"""Makes assets/shapes: a torus in four formats of meshes, distances of two balls that touch, a puff of smoke, and fibres.
 
     python -m assets.make_shapes
 """
@@ -45,6 +45,19 @@ def two_balls() -> np.ndarray:
     return np.minimum(lower, upper)[..., None].astype(np.float32)
 
 
+def puff() -> np.ndarray:
+    """(Z, Y, X, 1) a puff of smoke in the unit cube: 1 in the middle of three overlapping balls, 0 outside of them."""
+    z, y, x = np.meshgrid(*[(np.arange(GRID) + 0.5) / GRID] * 3, indexing="ij")
+    balls = (0.4, 0.5, 0.35, 0.3), (0.65, 0.45, 0.5, 0.25), (0.45, 0.55, 0.7, 0.22)
+    density = sum(np.maximum(1 - ((x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2) / r**2, 0) for a, b, c, r in balls)
+    return np.minimum(density, 1)[..., None].astype(np.float32)
+
+
+def fibres() -> np.ndarray:
+    """(1, 1, 1, 6) the matrix of flakes around fibres along x: they turn their sides to y and z."""
+    return np.array([0.01, 1, 1, 0, 0, 0], np.float32).reshape(1, 1, 1, 6)
+
+
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
     arrays = torus()
@@ -55,4 +68,5 @@ if __name__ == "__main__":
     (FOLDER / "torus.obj").write_text("\n".join(lines) + "\n")
     made.export(FOLDER / "torus.stl")
     (FOLDER / "torus.serialized").write_bytes(serialized(mesh(arrays.vertices, arrays.faces, uv=arrays.uv)))
-    write_volume(FOLDER / "two_balls.vol", two_balls())
+    for name, values in (("two_balls", two_balls()), ("puff", puff()), ("fibres", fibres())):
+        write_volume(FOLDER / f"{name}.vol", values)

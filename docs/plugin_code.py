@@ -125,7 +125,7 @@ def elements(key: str, value: Any, owner: type | None) -> Iterator[ElementTree.E
     elif isinstance(value, dict):
         category = next(category for category in REGISTRY if value["type"] in REGISTRY[category])
         element = ElementTree.Element(category, type=value["type"])
-        if owner is None or category == "texture" or is_named(attributes(owner), category):
+        if owner is None or category in ("texture", "volume") or is_named(attributes(owner), category):
             element.set("id" if owner is None else "name", key)
         for name, item in value.items():
             if name != "type":

@@ -218,13 +218,24 @@ INTEGRATORS = {
 }
 MEDIA = {"homogeneous": foggy("A ball in fog, which the lamp above it lights.", {})}
 PHASES = {
+    "blendphase": foggy("Air with drops in it: they light up around the lamp.", {"phase": {
+        "type": "blendphase", "weight": 0.5, "phase_0": {"type": "rayleigh"}, "phase_1": {"type": "hg", "g": 0.9}}}),
     "hg": foggy("Fog that scatters light mostly forwards: it is darker seen from the side of the lamp.", {
         "phase": {"type": "hg", "g": 0.7}}),
     "isotropic": foggy("Fog that scatters light into all directions alike.", {"phase": {"type": "isotropic"}}),
     "rayleigh": foggy("Air, so thick that it is seen.", {"phase": {"type": "rayleigh"}}),
+    "sggx": foggy("Fibres along x in the air.", {"phase": {
+        "type": "sggx", "S": {"type": "gridvolume", "filename": Asset("shapes/fibres.vol")}}}),
+    "tabphase": foggy("Fog that scatters light forwards and backwards, by a table.", {"phase": {
+        "type": "tabphase", "values": "2, 0.4, 0.2, 0.4, 4"}}),
 }
-VOLUMES = {"constvolume": foggy("Fog whose drops are coloured.", {
-    "albedo": {"type": "constvolume", "value": {"type": "rgb", "value": [0.6, 0.8, 1.0]}}})}
+VOLUMES = {
+    "constvolume": foggy("Fog whose drops are coloured.", {
+        "albedo": {"type": "constvolume", "value": {"type": "rgb", "value": [0.6, 0.8, 1.0]}}}),
+    "gridvolume": foggy("Fog that scatters light forwards in a puff above the ball, and backwards around it.", {"phase": {
+        "type": "blendphase", "phase_0": {"type": "hg", "g": -0.6}, "phase_1": {"type": "hg", "g": 0.6}, "weight": {
+            "type": "gridvolume", "filename": Asset("shapes/puff.vol"), "to_world": Placed((4, 4, 3), (-2, -2, 0))}}}),
+}
 EXAMPLES = {"bsdf": BSDFS, "texture": TEXTURES, "emitter": EMITTERS, "shape": SHAPES, "sensor": SENSORS, "film": FILMS,
             "rfilter": FILTERS, "sampler": SAMPLERS, "integrator": INTEGRATORS, "medium": MEDIA, "phase": PHASES,
             "volume": VOLUMES}

@@ -16,14 +16,36 @@ VALUES = np.random.default_rng(0).uniform(-1, 1, (4, 3, 5, 1)).astype("f4")
 
 def test_what_is_written_is_read(tmp_path):
     write_volume(tmp_path / "g.vol", VALUES)
-    assert np.array_equal(read_volume(tmp_path / "g.vol"), VALUES)
-    assert read_volume(tmp_path / "g.vol").dtype == np.float32
+    assert np.array_equal(read_volume(tmp_path / "g.vol").values, VALUES)
+    assert read_volume(tmp_path / "g.vol").values.dtype == np.float32
+
+
+@pytest.mark.parametrize("channels", [1, 3, 6])
+def test_channels_and_the_box_are_written_and_read(tmp_path, channels):
+    values, box = np.arange(60 * channels, dtype="f4").reshape(4, 3, 5, channels), (-1.0, -2.0, 0.5, 1.0, 3.0, 2.0)
+    write_volume(tmp_path / "g.vol", values, box)
+    found = read_volume(tmp_path / "g.vol", (1, 3, 6))
+    assert np.array_equal(found.values, values) and found.box == box
+
+
+def test_other_numbers_of_channels_are_refused(tmp_path):
+    write_volume(tmp_path / "g.vol", np.zeros((2, 2, 2, 4), "f4"))
+    with pytest.raises(ValueError, match="g.vol: it must have 1 or 3 or 6 channels, got 4"):
+        read_volume(tmp_path / "g.vol", (1, 3, 6))
+
+
+@pytest.mark.parametrize("header", [b"", bytes(12), bytes(20)])
+def test_a_header_that_asks_for_much_allocates_nothing(tmp_path, header):
+    """2^31 - 1 cells along each axis, of a file that ends behind its header."""
+    (tmp_path / "g.vol").write_bytes(HEADER.pack(b"VOL", 3, 1, *(2**31 - 1,) * 3, 6, *(0,) * 6) + header)
+    with pytest.raises(ValueError, match="values of 6 channels need .* bytes after the header, got"):
+        read_volume(tmp_path / "g.vol", (1, 3, 6))
 
 
 def test_mitsuba_reads_and_writes_the_same(tmp_path, mi):
     mi.VolumeGrid(VALUES).write(str(tmp_path / "theirs.vol"))
     write_volume(tmp_path / "ours.vol", VALUES)
-    assert np.array_equal(read_volume(tmp_path / "theirs.vol"), VALUES)
+    assert np.array_equal(read_volume(tmp_path / "theirs.vol").values, VALUES)
     assert np.array_equal(np.array(mi.VolumeGrid(str(tmp_path / "ours.vol"))).reshape(VALUES.shape), VALUES)
 
 

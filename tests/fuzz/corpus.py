@@ -29,6 +29,7 @@ from tests.scenes.xml.cases import CASES
 from tests.scenes.xml.files import Folder
 from tests.scenes.xml.matrix import SMALL
 from tests.training.conftest import RECIPE, SCENE
+from torch_radbp.formats.volume import write_volume
 from torch_radbp.plugin import REGISTRY, attributes
 from torch_radbp.training.recipe_file import read_recipe
 from torch_radbp.training.recovery.checkpoint import save_checkpoint
@@ -136,6 +137,8 @@ def _scenes(root: Path) -> list[Seed]:
     including = b'<scene version="3.0.0"><include filename="part.xml"/><path value="../poster"/></scene>'
     (root / "others").mkdir()
     (root / "others" / "coloured.ply").write_text(COLOURED)
+    write_volume(root / "others" / "smoke.vol", np.linspace(0, 1, 12, dtype="f4").reshape(3, 2, 2, 1))
+    write_volume(root / "others" / "flakes.vol", np.array([0.9, 0.3, 0.5, 0.2, -0.1, 0.1], "f4").reshape(1, 1, 1, 6))
     seeds += [Seed(seeds[0].folder, seeds[0].content.replace(b'type="path"', f'type="{name}"'.encode()))
               for name in ("prb_basic", "prb_projective", "prbvolpath", "ptracer", "volpath", "volpathmis")]
     direct = '<integrator type="direct"><integer name="shading_samples" value="1"/>'
@@ -312,7 +315,13 @@ FOG = """<scene version="3.0.0">
   <shape type="sphere"/>
 </scene>
 """
-PHASES = ('<phase type="isotropic"/>', '<phase type="rayleigh"/>', '<phase type="hg"><float name="g" value="0.3"/></phase>')
+SMOKE = """<volume name="{}" type="gridvolume"><string name="filename" value="{}"/><string name="wrap_mode" value="{}"/>
+    <boolean name="use_grid_bbox" value="true"/></volume>"""
+PHASES = (
+    '<phase type="isotropic"/>', '<phase type="rayleigh"/>', '<phase type="hg"><float name="g" value="0.3"/></phase>',
+    '<phase type="tabphase"><string name="values" value="0.5, 0.1, 2"/></phase>',
+    f'<phase type="sggx">{SMOKE.format("S", "flakes.vol", "repeat")}</phase>',
+    f'<phase type="blendphase">{SMOKE.format("weight", "smoke.vol", "mirror")} <phase type="hg"/><phase type="hg"/></phase>')
 OLD = """<scene version="0.6.0">
   <default name="maxDepth" value="3"/>
   <integrator type="path"><integer name="maxDepth" value="$maxDepth"/></integrator>

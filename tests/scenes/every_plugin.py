@@ -38,7 +38,7 @@ from tests.scenes.parts import (
     turned,
 )
 from tests.scenes.quadrilateral import CORNERS, FACES, coloured_file, mesh_file, quadrilateral
-from torch_radbp.io.values.transform import rotate, scale
+from torch_radbp.io.values.transform import rotate, scale, translate
 
 SUBJECT = "subject"
 
@@ -71,6 +71,14 @@ def fog(**attributes: Any) -> dict[str, Any]:
     return {"sensor": camera(medium={"type": "ref", "id": SUBJECT}), "lamp": lamp(), "floor": floor(), SUBJECT: attributes}
 
 
+def grid(channels: int = 1, seed: int = 3, **attributes: Any) -> dict[str, Any]:
+    """A grid of positive values around everything, turned, and read beyond its border as well."""
+    data = 0.1 + 0.8 * torch.rand(2, 3, 2, channels, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    to_world = rotate((1, 2, 0.4), 15) @ scale((2.6, 3.0, 4.0)) @ translate((-0.5, -0.5, -0.5))
+    return {"type": "gridvolume", "data": data, "to_world": to_world} | attributes
+
+
+HAZE = {"type": "homogeneous", "sigma_t": rgb(0.2, 0.3, 0.4), "albedo": rgb(0.9, 0.6, 0.3)}
 METAL = {"eta": rgb(0.2, 0.9, 1.1), "k": rgb(3.9, 2.4, 2.2), "specular_reflectance": rgb(0.9, 0.6, 0.8)}
 ROUGH_METAL = {"eta": 0.9, "k": 2.4, "specular_reflectance": 0.8}
 TINTED = {"int_ior": 1.5, "specular_reflectance": rgb(0.9, 0.5, 0.7), "specular_transmittance": rgb(0.4, 0.9, 0.6)}
@@ -115,6 +123,10 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
         bsdf={"type": "ref", "id": "dark"}, emitter={"type": "area", "radiance": ATTRIBUTE | {"scale": 9.0}}),
     "homogeneous": fog(type="homogeneous", sigma_t=rgb(0.2, 0.3, 0.4), albedo=rgb(0.9, 0.6, 0.3), scale=1.5,
                        phase={"type": "hg", "g": 0.4}),
+    "fog by a table": fog(**HAZE, phase={"type": "tabphase", "values": "0.3, 0.2, 0.5, 1.1"}),
+    "fog of flakes": fog(**HAZE, phase={"type": "sggx", "S": [0.9, 0.3, 0.5, 0.2, -0.1, 0.15]}),
+    "fog of two kinds": fog(**HAZE, phase={
+        "type": "blendphase", "weight": grid(), "phase_0": {"type": "hg", "g": 0.5}, "phase_1": {"type": "hg", "g": -0.3}}),
     "diffuse": metal(type="diffuse", reflectance=bitmap(filter_type="nearest")),
     "trilinear": metal(type="roughplastic", distribution="ggx", alpha=0.3, diffuse_reflectance=fine(),
                        specular_reflectance=fine(7, 5, seed=4)),

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import torch_radbp as rb
 from tests.scenes.every_plugin import subjects
-from torch_radbp.plugin import BSDF, REGISTRY, Plugin, Texture, attributes
+from torch_radbp.plugin import BSDF, REGISTRY, Phase, Plugin, Texture, attributes
 
 CATEGORIES = ("shape", "bsdf", "texture", "emitter", "sensor", "medium", "phase", "volume")
 
@@ -38,12 +38,12 @@ def own_parameters(plugin: type[Plugin]) -> set[str]:
 
 
 def nested(plugin: type[Plugin]) -> set[str]:
-    """Attributes that take a texture, and the two materials of one that takes several."""
+    """Attributes that take a texture, and the two materials or phase functions of one that takes several."""
     found = set()
     for name, attribute in attributes(plugin).items():
         if Texture in (attribute.annotation, *typing.get_args(attribute.annotation)):
             found.add(name)
-        if attribute.annotation == list[BSDF]:
+        if attribute.annotation in (list[BSDF], list[Phase]):
             found |= {f"{name}_0", f"{name}_1"}
     return found
 

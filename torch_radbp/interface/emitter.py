@@ -23,6 +23,7 @@ from torch_radbp.interface.emitter_bounds import LightBounds
 from torch_radbp.plugin import Emitter
 from torch_radbp.plugin.jump_lines import JumpLines
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.record import with_parts
 from torch_radbp.tensors.vec import Vec2, Vec3, interpolated
 
 NEAREST = 1e-9  # the least distance that counts; 1 / NEAREST^4 is finite in float32
@@ -207,8 +208,9 @@ class Light(Emitter):
 
 
 def stacked(records: Sequence[Table], like: Tensor) -> Table:
-    """Records of () tensors as one record of columns."""
+    """Records of () tensors as one record of columns; the columns of one record stay."""
     first = records[0]
     if isinstance(first, Tensor):
-        return torch.stack(tuple(records)).to(like)
-    return first if first is None else type(first)(*(stacked(parts, like) for parts in zip(*records)))
+        column = first if first.ndim else torch.stack(tuple(records))
+        return column.to(like) if column.is_floating_point() else column.to(like.device)
+    return first if first is None else with_parts(first, [stacked(parts, like) for parts in zip(*records)])

@@ -16,31 +16,50 @@ from torch import Tensor
 
 from torch_radbp.plugin import Phase
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import TINY, Frame, Vec3
+from torch_radbp.tensors.vec import TINY, Frame, Vec3, dot
 
-Table = Any  # a NamedTuple of columns of one row
+Table = Any  # a NamedTuple of columns
 
 
 @dataclass(frozen=True)
 class PhaseKind(ABC):
-    """The functions of one kind of phase function; all tensors are (N,).
+    """The functions of one kind of phase function; all tensors are (N,), at points `p` in the world.
 
-    `cosine` is that of the angle by which light turns: 1 goes straight on.
+    `wi` and `wo` are unit directions in the world, towards where a path comes from and in which it goes on.
     """
 
     @abstractmethod
-    def eval_pdf(self, table: Table, cosine: Tensor) -> tuple[Tensor, Tensor]:
+    def eval_pdf(self, table: Table, p: Vec3, wi: Vec3, wo: Vec3) -> tuple[Tensor, Tensor]:
         """The phase function, 1 / sr, and the density over solid angle of `sample`; attached."""
 
     @abstractmethod
-    def sample(self, table: Table, u: Tensor) -> Tensor:
+    def sample(self, table: Table, p: Vec3, wi: Vec3, u: Tensor, v: Tensor) -> Vec3:
+        """Samples directions in which paths go on, by two random numbers; attached."""
+
+    def projected_area(self, table: Table, p: Vec3, wi: Vec3) -> Tensor | None:
+        """The factor of the extinction along a direction, attached; None: the same along all."""
+        return None
+
+
+@dataclass(frozen=True)
+class CosineKind(PhaseKind):
+    """One that depends on the cosine of the angle by which light turns, and on nothing else: 1 goes straight on."""
+
+    @abstractmethod
+    def of_cosine(self, table: Table, cosine: Tensor) -> tuple[Tensor, Tensor]:
+        """The phase function, 1 / sr, and the density over solid angle of `sample_cosine`; attached."""
+
+    @abstractmethod
+    def sample_cosine(self, table: Table, u: Tensor) -> Tensor:
         """Samples cosines by random numbers; attached."""
 
-    def direction(self, table: Table, d: Vec3, u: Tensor, v: Tensor) -> Vec3:
-        """Samples unit directions in which light goes on that came along `d`, in the world; attached."""
-        cosine, phi = self.sample(table, u), 2.0 * torch.pi * v
+    def eval_pdf(self, table: Table, p: Vec3, wi: Vec3, wo: Vec3) -> tuple[Tensor, Tensor]:
+        return self.of_cosine(table, -dot(wi, wo))
+
+    def sample(self, table: Table, p: Vec3, wi: Vec3, u: Tensor, v: Tensor) -> Vec3:
+        cosine, phi = self.sample_cosine(table, u), 2.0 * torch.pi * v
         sine = torch.sqrt((1.0 - cosine * cosine).clamp_min(TINY))
-        return Frame.of(d).to_world(Vec3(sine * torch.cos(phi), sine * torch.sin(phi), cosine))
+        return Frame.of(-wi).to_world(Vec3(sine * torch.cos(phi), sine * torch.sin(phi), cosine))
 
 
 class PhaseFunction(Phase):
@@ -51,7 +70,7 @@ class PhaseFunction(Phase):
         raise TypeError(f"{type(self).__name__} does not define its kind")
 
     def row(self) -> Table:
-        """The numbers: a record of () tensors, attached."""
+        """The numbers: a record of () tensors, or of columns, attached."""
         return ()
 
 

@@ -21,8 +21,6 @@ for category, reasons in {
     "sensor": {"distant": NO_IMAGE, "irradiancemeter": NO_IMAGE, "radiancemeter": NO_IMAGE},
     "film": {"specfilm": "light has three colours and no spectrum; use hdrfilm"},
     "medium": {"heterogeneous": EVEN},
-    "phase": {name: "it is not there yet; use hg, isotropic or rayleigh" for name in ("blendphase", "sggx", "tabphase")},
-    "volume": {"gridvolume": EVEN},
 }.items():
     for name, reason in reasons.items():
         absent(category, name, reason)

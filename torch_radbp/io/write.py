@@ -20,7 +20,7 @@ from torch_radbp.formats.atomic import check_target, naming
 from torch_radbp.formats.image import save_image
 from torch_radbp.formats.mesh_arrays import MeshArrays
 from torch_radbp.formats.ply import write_ply
-from torch_radbp.formats.volume import write_volume
+from torch_radbp.formats.volume import UNIT_BOX, write_volume
 from torch_radbp.io.gltf.read import said
 from torch_radbp.io.gltf.write import gltf_files
 from torch_radbp.io.values.attribute_values import is_list, is_named, options
@@ -43,7 +43,7 @@ def save(scene: Scene, path: str | os.PathLike, strict: bool = False) -> None:
 
     XML is loaded to the same image by this package and by Mitsuba 3, which refuses what it does not have: the filter
     `trilinear` of bitmaps, and sensors `calibrated` that no `perspective` is exactly, since they are distorted or their
-    pixels are not square; others are written as `perspective`. Bitmaps are written beside it as EXR, distances on a grid as
+    pixels are not square; others are written as `perspective`. Bitmaps are written beside it as EXR, values on a grid as
     VOL, and meshes as PLY in world space, where their pose has put them, with the normals that they have now; all named
     after the scene and the object and all float32 (PLY: of the parameter's dtype). The saved scene needs no file of the
     original one.
@@ -141,17 +141,24 @@ class _Writer:
         for attribute in attributes(type(plugin)):
             if attribute not in FILED or not hasattr(plugin, attribute):
                 self.add(element, plugin, attribute, name)
-        if hasattr(plugin, "data"):
-            file = self.file(name, ".exr")
-            save_image(file, plugin.data.movedim(-1, 0))
-            ElementTree.SubElement(element, "string", name="filename", value=_text(file.name))
-        if hasattr(plugin, "grid"):
-            if not torch.isfinite(plugin.grid).all():
-                raise SceneError(f"{name}.grid: not written, it has values that are NaN or infinite")
-            file = self.file(name, ".vol")
-            write_volume(file, plugin.grid.detach().cpu().numpy())
-            ElementTree.SubElement(element, "string", name="filename", value=_text(file.name))
+        for attribute in FILED:
+            if getattr(plugin, attribute, None) is not None:
+                file = self.values_file(plugin, attribute, name)
+                ElementTree.SubElement(element, "string", name="filename", value=_text(file.name))
         return element
+
+    def values_file(self, plugin: Plugin, attribute: str, name: str) -> Path:
+        """Writes an image as EXR, or values on a grid as VOL, and returns the file."""
+        values = getattr(plugin, attribute)
+        if values.ndim == 3:
+            file = self.file(name, ".exr")
+            save_image(file, values.movedim(-1, 0))
+            return file
+        if not torch.isfinite(values).all():
+            raise SceneError(f"{name}.{attribute}: not written, it has values that are NaN or infinite")
+        file = self.file(name, ".vol")
+        write_volume(file, values.detach().cpu().numpy(), getattr(plugin, "box", UNIT_BOX))
+        return file
 
     def mesh_element(self, plugin: Plugin, name: str) -> ElementTree.Element:
         """The XML of a mesh, which is written as a PLY file; without vertex normals it is marked flat."""

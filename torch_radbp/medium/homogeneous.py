@@ -15,7 +15,7 @@ from torch_radbp.plugin import Medium, Phase, Texture, Volume, finite, register
 from torch_radbp.plugin.domain import AMOUNT, FRACTION, NUMBER, Domain
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot
-from torch_radbp.volume.constvolume import as_volume
+from torch_radbp.volume.constvolume import as_constant
 
 THINNEST = 0.05  # the least optical thickness of a way by which distances are sampled
 
@@ -52,10 +52,10 @@ class HomogeneousKind(MediumKind):
         return everywhere(table.sigma_t, p.x) * everywhere(table.albedo, p.x)
 
     def phase(self, table: HomogeneousTable, p: Vec3, wi: Vec3, wo: Vec3) -> tuple[Tensor, Tensor]:
-        return self.phase_function.eval_pdf(table.phase, -dot(wi, wo))
+        return self.phase_function.eval_pdf(table.phase, p, wi, wo)
 
     def sample_phase(self, table: HomogeneousTable, p: Vec3, wi: Vec3, u: Tensor, v: Tensor) -> Vec3:
-        return self.phase_function.direction(table.phase, -wi, u, v)
+        return self.phase_function.sample(table.phase, p, wi, u, v)
 
 
 @register("medium", "homogeneous")
@@ -83,7 +83,7 @@ class Homogeneous(Medium):
         if not sample_emitters:
             raise ValueError("sample_emitters must be true: Renderer(nee=False) turns next-event estimation off everywhere")
         self.sample_emitters = True
-        self.albedo, self.sigma_t = as_volume(self, "albedo", albedo), as_volume(self, "sigma_t", sigma_t)
+        self.albedo, self.sigma_t = as_constant(self, "albedo", albedo), as_constant(self, "sigma_t", sigma_t)
         self.freeze("scale", finite("scale", scale, ()).to(torch.get_default_dtype()))
         self.phase_function = Isotropic() if phase_function is None else phase_function
 

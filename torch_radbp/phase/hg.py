@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.interface.phase import PhaseFunction, PhaseKind, entry
+from torch_radbp.interface.phase import CosineKind, PhaseFunction, entry
 from torch_radbp.plugin import finite, register
 from torch_radbp.plugin.domain import NUMBER, Domain
 
@@ -23,16 +23,16 @@ class HenyeyGreensteinTable(NamedTuple):
 
 
 @dataclass(frozen=True)
-class HenyeyGreensteinKind(PhaseKind):
+class HenyeyGreensteinKind(CosineKind):
     """(1 - g^2) / (4 pi (1 + g^2 - 2 g cos)^1.5)."""
 
-    def eval_pdf(self, table: HenyeyGreensteinTable, cosine: Tensor) -> tuple[Tensor, Tensor]:
+    def of_cosine(self, table: HenyeyGreensteinTable, cosine: Tensor) -> tuple[Tensor, Tensor]:
         g = entry(table.g, cosine)
         base = 1.0 + g * g - 2.0 * g * cosine
         value = (1.0 - g * g) / (4.0 * math.pi * base * torch.sqrt(base))
         return value, value
 
-    def sample(self, table: HenyeyGreensteinTable, u: Tensor) -> Tensor:
+    def sample_cosine(self, table: HenyeyGreensteinTable, u: Tensor) -> Tensor:
         # The inverse of the cumulative distribution; near g = 0 by its first two terms.
         g = entry(table.g, u)
         by, x = torch.where(g.abs() < NEARLY_EVEN, 1.0, g), 2.0 * u - 1.0

@@ -8,19 +8,19 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_radbp.interface.phase import PhaseFunction, PhaseKind
+from torch_radbp.interface.phase import CosineKind, PhaseFunction
 from torch_radbp.plugin import register
 
 
 @dataclass(frozen=True)
-class IsotropicKind(PhaseKind):
+class IsotropicKind(CosineKind):
     """1 / (4 pi)."""
 
-    def eval_pdf(self, table: tuple[()], cosine: Tensor) -> tuple[Tensor, Tensor]:
+    def of_cosine(self, table: tuple[()], cosine: Tensor) -> tuple[Tensor, Tensor]:
         even = torch.full_like(cosine, 0.25 / math.pi)
         return even, even
 
-    def sample(self, table: tuple[()], u: Tensor) -> Tensor:
+    def sample_cosine(self, table: tuple[()], u: Tensor) -> Tensor:
         return 1.0 - 2.0 * u
 
 

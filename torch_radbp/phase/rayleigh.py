@@ -8,19 +8,19 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_radbp.interface.phase import PhaseFunction, PhaseKind
+from torch_radbp.interface.phase import CosineKind, PhaseFunction
 from torch_radbp.plugin import register
 
 
 @dataclass(frozen=True)
-class RayleighKind(PhaseKind):
+class RayleighKind(CosineKind):
     """3 / (16 pi) (1 + cos^2)."""
 
-    def eval_pdf(self, table: tuple[()], cosine: Tensor) -> tuple[Tensor, Tensor]:
+    def of_cosine(self, table: tuple[()], cosine: Tensor) -> tuple[Tensor, Tensor]:
         value = (1.0 + cosine * cosine) * (3.0 / (16.0 * math.pi))
         return value, value
 
-    def sample(self, table: tuple[()], u: Tensor) -> Tensor:
+    def sample_cosine(self, table: tuple[()], u: Tensor) -> Tensor:
         # The root of x^3 + 3 x = 8 u - 4, by Cardano; the cubes of its two parts have the product -1.
         half = 4.0 * u - 2.0
         cube = half.abs() + torch.sqrt(half * half + 1.0)

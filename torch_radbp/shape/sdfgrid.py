@@ -54,7 +54,7 @@ class SDFGrid(Surface):
         if (filename is None) == (grid is None):
             raise ValueError("an sdfgrid needs either filename or grid, and not both")
         if filename is not None:
-            grid = torch.from_numpy(read_volume(filename))
+            grid = torch.from_numpy(read_volume(filename).values)
         self.filename, self.normals = filename, normals
         self.freeze("grid", finite("grid", grid).to(torch.get_default_dtype()))
         check_grid("grid", self.grid.detach()[..., 0])

@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torch_radbp.interface.volume import VolumeFunction, VolumeKind
 from torch_radbp.plugin import Plugin, Texture, Volume, register
 from torch_radbp.plugin.domain import AMOUNT, Domain
+from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Vec3
 from torch_radbp.texture.rgb import as_texture
 
 
+@dataclass(frozen=True)
+class ConstKind(VolumeKind):
+    """Reads the only value."""
+
+    def values(self, table: tuple[Tensor, ...], p: Vec3) -> tuple[Tensor, ...]:
+        return lookup(table, torch.zeros_like(p.x, dtype=torch.int32))
+
+
 @register("volume", "constvolume")
-class ConstVolume(Volume):
+class ConstVolume(VolumeFunction):
     """A value that is the same everywhere.
 
     Parameters: `value`, a colour. Derivatives: with respect to it.
@@ -27,17 +42,40 @@ class ConstVolume(Volume):
     def domains(self) -> dict[str, Domain]:
         return {"value": AMOUNT._replace(floor=0.0)}
 
+    def kind(self) -> ConstKind:
+        return ConstKind()
+
+    def table(self, dtype: torch.dtype | None = None, device: torch.device | None = None) -> tuple[Tensor, ...]:
+        return tuple(self.value.texels().to(dtype=dtype, device=device).reshape(3, 1).contiguous().unbind())
+
+    def channels(self) -> int:
+        return 3
+
+    def entries(self) -> dict[str, Tensor]:
+        return {"value": self.value.texels()}
+
     def colour(self) -> Vec3:
         """The value, () for each channel, attached."""
         return Vec3.of(self.value.texels()[0, 0])
 
 
-def as_volume(owner: Plugin, name: str, value: Volume | Texture | float) -> Volume:
-    """Makes the volume for the attribute `name` of a medium, from a volume, or anything that a colour is made of.
+def as_volume(owner: Plugin, name: str, value: Volume | Texture | float, channels: tuple[int, ...] = (1, 3)) -> Volume:
+    """Makes the volume for the attribute `name` of a plugin, from a volume, or anything that a colour is made of.
 
     Raises:
-        ValueError: if a value is not in the attribute's domain.
+        ValueError: if a value is not in the attribute's domain, or there are other numbers of channels.
     """
     volume = value if isinstance(value, Volume) else ConstVolume(value=value)
-    volume.value.check(name, owner.domains()[name])
+    if volume.channels() not in channels:
+        raise ValueError(f"{name} of {owner.type} must have {' or '.join(map(str, channels))} channels, got a {volume.type} "
+                         f"of {volume.channels()}")
+    for values in volume.entries().values():
+        owner.domains()[name].check(name, values)
     return volume
+
+
+def as_constant(owner: Plugin, name: str, value: Volume | Texture | float) -> ConstVolume:
+    """The same where the value must be the same everywhere."""
+    if isinstance(value, Volume) and not isinstance(value, ConstVolume):
+        raise ValueError(f"{name} of {owner.type} must be the same everywhere, got a {value.type}")
+    return as_volume(owner, name, value)

@@ -1,0 +1,61 @@
+"""The interface between volumes and what reads them: media, phase functions and textures.
+
+A volume has two parts, as a material has: its `VolumeKind`, a hashable value that names the functions, and a table of its
+values, attached to its parameters. It is read at points in the world, inside of its bounds and outside.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torch_radbp.plugin import Volume
+from torch_radbp.tensors.vec import Vec3
+
+Table = Any  # a NamedTuple of columns
+
+
+@dataclass(frozen=True)
+class VolumeKind(ABC):
+    """The functions of one kind of volume; all tensors are (N,)."""
+
+    @abstractmethod
+    def values(self, table: Table, p: Vec3) -> tuple[Tensor, ...]:
+        """The values of all channels at points in the world; attached to the table and to the points."""
+
+    def eval(self, table: Table, p: Vec3) -> Vec3:
+        """The values of three channels at points in the world, or of one channel three times; attached likewise."""
+        values = self.values(table, p)
+        return Vec3(*(values * 3 if len(values) == 1 else values))
+
+
+class VolumeFunction(Volume):
+    """What a volume's plugin gives to those that read it."""
+
+    def kind(self) -> VolumeKind:
+        """The functions."""
+        raise TypeError(f"{type(self).__name__} does not define its kind")
+
+    def table(self, dtype: torch.dtype | None = None, device: torch.device | None = None) -> Table:
+        """The values: a record of columns, attached; None: as the parameters have them."""
+        raise TypeError(f"{type(self).__name__} does not define its table")
+
+    def channels(self) -> int:
+        """The number of channels."""
+        raise TypeError(f"{type(self).__name__} does not define its channels")
+
+    def entries(self) -> dict[str, Tensor]:
+        """The parameters whose entries are the values, by name, attached."""
+        raise TypeError(f"{type(self).__name__} does not define its entries")
+
+    def largest(self) -> Tensor:
+        """An upper bound of the values of all channels, (), detached: the interpolation of entries exceeds none of them."""
+        return torch.stack([values.detach().amax() for values in self.entries().values()]).amax()
+
+    def corners(self) -> Tensor | None:
+        """The corners of the box in the world outside of which the values only go on, (8, 3), detached; None: no box."""
+        return None
