@@ -7,6 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.connection.light import shadow_ray
+from torch_radbp.interface.medium import MediumWay
 from torch_radbp.interface.texture import TextureValue
 from torch_radbp.path.bounce import gathered
 from torch_radbp.path.state import Arrival, PathState, Position, Settings
@@ -35,13 +37,13 @@ class Verdict(NamedTuple):
 
     visible: Tensor  # (N,) bool: the shadow ray was free
     survives: Tensor  # (N,) bool: the path goes on
-    lengths: tuple[Tensor, ...] | None = None  # (N,) see `Step`
+    ways: tuple[MediumWay, ...] | None = None  # (N,) see `Step`
     following: Hit | None = None  # what the next ray meets, triangle -1: nothing; None: rays carry no derivatives
 
 
 def verdict_of(step: Step) -> Verdict:
     """The decisions at all vertices of a bounce that scatter."""
-    return Verdict(step.visible, step.survives, step.lengths)
+    return Verdict(step.visible, step.survives, step.ways)
 
 
 class BothCorners(NamedTuple):
@@ -66,7 +68,10 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, ver
     terms = kind.terms(scene, proposal, arrival, at, settings, texture_values, here)
     if verdict is None:
         return LocalMap(terms.Le, terms.Le.map(torch.zeros_like), None)
-    Ld = terms.Ld if verdict.lengths is None else let_through(scene, terms.Ld, state.ray, verdict.lengths)
+    Ld = terms.Ld
+    if verdict.ways is not None:
+        shadow, _ = shadow_ray(kind.origin(terms, terms.light.d.detach()), terms.light)
+        Ld = let_through(scene, Ld, shadow, verdict.ways)
     E = gathered(terms.Le, Ld, verdict.visible)
     if not settings.moving:
         return LocalMap(E, masked(verdict.survives, terms.weight * terms.thinning), None)

@@ -6,7 +6,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.connection.light import FAR, LightSample
+from torch_radbp.interface.medium import MediumWay
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.tensors.differentiated import settled
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot
 
 
@@ -21,16 +23,24 @@ def transmittance(scene: SceneTensors, ray: Ray, distance: Tensor) -> Vec3 | Non
     return scene.layout.media[number].transmittance(scene.media[number], ray, distance)
 
 
-def transmittance_of(scene: SceneTensors, ray: Ray, lengths: tuple[Tensor, ...]) -> Vec3:
+def transmittance_of(scene: SceneTensors, ray: Ray, ways: tuple[MediumWay, ...]) -> Vec3:
     """The share of light that all media together let through, (N,), attached to their tables.
+
+    The derivative of a transmittance T over a length l is - T l times that of the extinction at a point picked evenly on the
+    way, whatever T was estimated by. There is no division, so that an extinction of 0 has the right one.
 
     Args:
         ray: (N,).
-        lengths: (N,) of the ways along it in each of `Layout.media`.
+        ways: (N,) along it, through each of `Layout.media`.
     """
     through = Vec3.full(ray.d.x, 1.0)
-    for kind, table, length in zip(scene.layout.media, scene.media, lengths):
-        through = through * kind.transmittance(table, ray, length)
+    for kind, table, way in zip(scene.layout.media, scene.media, ways):
+        if not kind.tracked:
+            through = through * kind.transmittance(table, ray, way.length)
+            continue
+        extinction = kind.extinction(table, ray.o + ray.d * way.place)
+        through = through * Vec3(*(left * (1.0 - way.length * (sigma - settled(sigma)))
+                                   for left, sigma in zip(way.left, extinction)))
     return through
 
 
@@ -41,7 +51,7 @@ def attenuated(light: Vec3, through: Vec3 | None) -> Vec3:
 
 def transmittance_to_light(scene: SceneTensors, start: Vec3, light: LightSample) -> Vec3 | None:
     """`transmittance` from points to light samples, (N,); None: connections say what they pass, or nothing is there."""
-    if scene.layout.around is None or scene.layout.bounded:
+    if scene.layout.around is None or scene.layout.follows:
         return None
     reach = light.target - start
     distance = torch.sqrt(dot(reach, reach).clamp_min(TINY))

@@ -14,14 +14,36 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_radbp.tensors.vec import Ray, Vec3
 
-Table = Any  # a NamedTuple of columns of one row
+Table = Any  # a NamedTuple of columns
+
+
+class MediumWay(NamedTuple):
+    """The way of rays through one medium, (N,) each; detached."""
+
+    length: Tensor
+    # Of media that are followed by steps an estimate of what is left, by colour (where flights are sampled, as a multiple of
+    # what `Tracking.beyond` is of), and the distance from where the ray began to a point picked evenly on the way. Else None.
+    left: Vec3 | None = None
+    place: Tensor | None = None
+
+
+class Tracking(NamedTuple):
+    """Rays that are followed through one medium by steps, (N,) each; detached. Colours: the first that `left` and `beyond`
+    are of is up to the medium, but the same for both."""
+
+    t: Tensor  # distance to where they have come
+    end: Tensor  # distance to where they scatter; infinite: they have not
+    left: Vec3  # the share of light that is left, by colour
+    beyond: Vec3  # probability of coming so far, by the colour that decides; where they scatter the density of that
+    seed: Tensor  # int32, changes at every step
+    running: Tensor  # bool: they go on
 
 
 @dataclass(frozen=True)
@@ -29,8 +51,8 @@ class MediumKind(ABC):
     """The functions of one kind of medium; those behind `transmittance` are of media that scatter."""
 
     scatters: ClassVar[bool] = False
+    tracked: ClassVar[bool] = False  # rays are followed through it by steps; else `transmittance` is in closed form
 
-    @abstractmethod
     def transmittance(self, table: Table, ray: Ray, distance: Tensor) -> Vec3:
         """The share of light that is left after a distance along each ray, (N,), in [0, 1].
 
@@ -39,6 +61,7 @@ class MediumKind(ABC):
             ray: (N,) world, unit directions; attached where rays carry derivatives, as `distance` is.
             distance: (N,) length of the way through the medium; 1e10 where nothing ends it.
         """
+        raise TypeError(f"{type(self).__name__} has no transmittance in closed form")
 
     def sample_flight(self, table: Table, ray: Ray, way: Tensor, u: Tensor, v: Tensor) -> Tensor:
         """Distances at which paths scatter, (N,), sampled by two random numbers. Detached.
@@ -55,6 +78,31 @@ class MediumKind(ABC):
         """The density of `sample_flight` over distance, and the probability of flying farther, (N,) each: by each of the
         three colours, of which `v` chooses one with equal probability, from 0 to 1 in turn."""
         raise TypeError(f"{type(self).__name__} does not scatter")
+
+    def enter(self, table: Table, ray: Ray, leg: Tensor) -> tuple[Tensor, Tensor]:
+        """Distances between which rays are in the medium that is followed by steps, (N,); empty if the second is not more.
+
+        Args:
+            table, ray: as for `sample_flight`.
+            leg: (N,) to where the next surface is, or boundary; 1e10 where there is none.
+        """
+        raise TypeError(f"{type(self).__name__} is not followed by steps")
+
+    def track(self, table: Table, ray: Ray, leg: Tensor, v: Tensor, tracking: Tracking, flies: bool) -> Tracking:
+        """Follows rays by some steps.
+
+        Args:
+            table, ray, leg: as for `enter`.
+            v: (N,) chooses the colour that decides, as for `sample_flight`.
+            tracking: (N,) so far.
+            flies: rays may scatter; else they do not, and only what is left is estimated.
+        """
+        raise TypeError(f"{type(self).__name__} is not followed by steps")
+
+    def extinction(self, table: Table, p: Vec3) -> Vec3:
+        """The share of light that is lost per unit of length at points, (N,), by colour; attached. Of media that are
+        followed by steps."""
+        raise TypeError(f"{type(self).__name__} is not followed by steps")
 
     def scattering(self, table: Table, p: Vec3) -> Vec3:
         """The share of light that is scattered per unit of length at points, (N,), by colour; attached."""

@@ -56,6 +56,12 @@ class VolumeFunction(Volume):
         """An upper bound of the values of all channels, (), detached: the interpolation of entries exceeds none of them."""
         return torch.stack([values.detach().amax() for values in self.entries().values()]).amax()
 
+    def cells(self) -> tuple[Tensor | None, Tensor]:
+        """The largest entries of cells, (Z, Y, X), detached, between whose centres values are interpolated, and which go on
+        beyond the unit cube; None: values are not so. And (3, 4) the transform from the world to that cube."""
+        largest = self.largest()
+        return None, torch.eye(4, dtype=largest.dtype, device=largest.device)[:3]
+
     def corners(self) -> Tensor | None:
         """The corners of the box in the world outside of which the values only go on, (8, 3), detached; None: no box."""
         return None

@@ -38,7 +38,7 @@ class Vertex(NamedTuple):
     F: Vec3 | None
     shadow: Ray
     shadow_distance: Tensor  # 0: nothing to connect to
-    shadow_medium: Tensor | None  # int32, number of that in which it begins, -1: none; None: media have no boundaries
+    shadow_medium: Tensor | None  # int32, in which it begins, -1: none; None: rays are not followed
     next: PathState  # undefined where the path ends
     survives: Tensor  # bool: the path goes on
 
@@ -92,7 +92,7 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
     if state.vantage is not None:
         ahead = ahead._replace(vantage=kind.vantage(terms))
     of_shadow = None
-    if scene.layout.bounded:
+    if scene.layout.follows:
         of_shadow, of_ray = (kind.medium(scene, terms, arrival, ray.d) for ray in (shadow, ahead.ray))
         ahead = ahead._replace(medium=of_ray)
     shown = (terms.Le, terms.Ld, F) if settings.shown else (None, None, None)

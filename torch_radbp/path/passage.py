@@ -2,8 +2,10 @@
 
 A ray passes boundaries that are surfaces of BSDF `null` straight, from one medium into the next, until it meets a surface
 that scatters, or a flight ends in a medium. Passing is no bounce: the hit that is left is that of the last surface, as far
-from where the ray began as it is, and the way is told by its lengths in each of the media, which is all that the
-transmittance depends on, and its derivative. Connections to lights are followed in the same way.
+from where the ray began as it is, and the way is told by its lengths in each of the media. Of those that are the same
+everywhere that is all that the transmittance depends on, and its derivative. Others are followed by steps: what is left of
+the light is an estimate then, and a point that is picked evenly on the way tells the derivative (`MediumWay`). Connections
+to lights are followed in the same way.
 
 In each medium the same random number decides anew how far the path flies, of which passing has used up a part.
 
@@ -19,18 +21,19 @@ from torch import Tensor
 
 from torch_radbp.connection.light import FAR
 from torch_radbp.connection.media import transmittance, transmittance_of
-from torch_radbp.interface.medium import colour_chosen, mean_of_colours
+from torch_radbp.interface.medium import MediumWay, Tracking, colour_chosen, mean_of_colours
 from torch_radbp.path.state import Arrival, Flight, PathState, Position
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.sampling.sampler import bounce_key, uniform
+from torch_radbp.sampling.sampler import BounceKey, LaneKey, bounce_key, drawn, hash32, uniform
 from torch_radbp.scene.tables.scene_tensors import SAME, SceneTensors
 from torch_radbp.tensors.differentiated import detached, settled
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import stage
-from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, rows
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, rows, where
 from torch_radbp.vertex.interaction import surface_interaction
 
 SALT = 0x1B873593  # tells the random numbers of flights from those of bounces
+LEG = 0x2545F491  # added to seeds after a leg
 FLIGHT_U, FLIGHT_V = range(2)
 ALMOST_ONE = 1.0 - 1e-7
 
@@ -39,9 +42,9 @@ class PathPassage(NamedTuple):
     """A ray on its way through media, (N,) each, up to a boundary that it passes."""
 
     ahead: Ray  # how it goes on from there
-    come: Tensor  # distance from where it began
     u: Tensor  # what is left of the random number of distances
     v: Tensor  # the random number that chooses a colour
+    seed: Tensor  # int32, of the random numbers of steps
     beyond: Vec3  # probability of having come so far without scattering, by the colour that is chosen
     flight: Flight  # what is known of it so far
 
@@ -50,10 +53,10 @@ class ShadowPassage(NamedTuple):
     """Shadow rays on their way through media, (N,) each, up to a boundary that they pass."""
 
     ahead: Ray  # how they go on from there
-    come: Tensor  # distance from where they began
     medium: Tensor  # int32, number of that in which they are; -1: none
+    seed: Tensor  # int32, of the random numbers of steps
     free: Tensor  # bool: nothing has blocked them so far
-    lengths: tuple[Tensor, ...]  # of the ways in each of `Layout.media`
+    ways: tuple[MediumWay, ...]  # in each of `Layout.media`
 
 
 @stage("scene")
@@ -63,12 +66,100 @@ def way_begun(scene: SceneTensors, state: PathState, at: Position) -> PathPassag
     key, ray = bounce_key(state.key, at.counter + SALT), detached(state.ray)
     u, v = (uniform(key, dimension, state.pdf.dtype) for dimension in (FLIGHT_U, FLIGHT_V))
     none = torch.zeros_like(u)
-    flight = Flight(none, none, state.medium, (none,) * len(scene.layout.media))
-    return PathPassage(ray, none, u, v, Vec3.full(u, 1.0), flight)
+    flight = Flight(none, none, state.medium, ways_at_first(scene, none))
+    return PathPassage(ray, u, v, steps_seed(key), Vec3.full(u, 1.0), flight)
+
+
+def ways_at_first(scene: SceneTensors, none: Tensor) -> tuple[MediumWay, ...]:
+    """No ways in any medium; `none`: (N,) zeros."""
+    return tuple(MediumWay(none, Vec3.full(none, 1.0), none) if kind.tracked else MediumWay(none)
+                 for kind in scene.layout.media)
+
+
+@stage()
+def shadow_seed(key: LaneKey, at: Position) -> Tensor:
+    """(N,) int32, seeds of the steps of shadow rays at a depth."""
+    return steps_seed(bounce_key(key, at.counter + SALT + LEG))
+
+
+def steps_seed(key: BounceKey) -> Tensor:
+    """(N,) int32, a seed for each lane, of a bounce's key."""
+    return hash32(key.shift ^ hash32(key.first))
+
+
+@stage("scene")
+def tracking_begun(scene: SceneTensors, ahead: Ray, leg: Tensor, medium: Tensor, seed: Tensor) -> Tracking:
+    """Rays at the start of legs through media, of which those run that are followed by steps.
+
+    Args:
+        scene: detached; any part of it.
+        ahead: (N,) rays.
+        leg: (N,) to the next surface.
+        medium: (N,) int32, numbers of the media.
+        seed: (N,) int32.
+    """
+    first, last = torch.zeros_like(leg), torch.zeros_like(leg)
+    for number in scene.layout.tracked_media:
+        here, span = medium == number, scene.layout.media[number].enter(scene.media[number], ahead, leg)
+        first, last = (torch.where(here, new, old) for new, old in zip(span, (first, last)))
+    return Tracking(first, torch.full_like(leg, torch.inf), Vec3.full(leg, 1.0), Vec3.full(leg, 1.0), seed, first < last)
+
+
+@stage("scene", "ahead", "leg", "v", "tracking")
+def tracking_on(scene: SceneTensors, ahead: Ray, leg: Tensor, v: Tensor, tracking: Tracking, lanes: Tensor, number: int,
+                flies: bool) -> Tracking:
+    """Follows some rays by some steps, (M,); see `MediumKind.track`.
+
+    Args:
+        scene: detached; any part of it.
+        ahead, leg, v, tracking: (N,).
+        lanes: (M,) int32, those of N that are meant.
+        number: of the medium.
+        flies: rays may scatter.
+    """
+    ahead, leg, v, tracking = rows((ahead, leg, v, tracking), lanes)
+    return scene.layout.media[number].track(scene.media[number], ahead, leg, v, tracking, flies)
+
+
+@stage("scene", "ahead")
+def surface_ahead(scene: SceneTensors, ahead: Ray, hit: Hit, lanes: Tensor) -> Tensor:
+    """The distance along the next leg to the surface that a ray meets, (M,); 1e10 where there is none. Args as for
+    `next_leg`; `ahead`: that of the passage."""
+    ahead = rows(ahead, lanes)
+    return torch.where(hit.prim >= 0, dot(surface_interaction(scene, ahead, hit).p - ahead.o, ahead.d), FAR).clamp_min(0.0)
+
+
+def extended(scene: SceneTensors, ways: tuple[MediumWay, ...], medium: Tensor, leg: Leg) -> tuple[MediumWay, ...]:
+    """Ways with a leg more, in the media of these numbers, (N,)."""
+    extended_ways = []
+    for number, (kind, table, way) in enumerate(zip(scene.layout.media, scene.media, ways)):
+        here = medium == number
+        if not kind.tracked:
+            extended_ways.append(MediumWay(way.length + torch.where(here, leg.last, 0.0)))
+            continue
+        # Pick a point evenly on all of the way: on this leg with the probability of its share.
+        first, last = kind.enter(table, leg.ahead, leg.length)
+        length = torch.where(here, (torch.minimum(last, leg.last) - first).clamp_min(0.0), 0.0)
+        total = way.length + length
+        seed, on_leg = drawn(leg.tracking.seed, length.dtype)
+        _, share = drawn(seed, length.dtype)
+        place = torch.where(on_leg * total < length, leg.come + first + share * length, way.place)
+        extended_ways.append(MediumWay(total, where(here, way.left * leg.tracking.left, way.left), place))
+    return tuple(extended_ways)
+
+
+class Leg(NamedTuple):
+    """A leg of a way, (N,) each."""
+
+    ahead: Ray
+    come: Tensor  # distance from where the way began to where the leg does
+    length: Tensor  # to the next surface; 1e10 where there is none
+    last: Tensor  # to where it ends
+    tracking: Tracking | None  # where it ended in a medium that is followed by steps; None: there is none
 
 
 @stage("scene", "ray", "way")
-def next_leg(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, lanes: Tensor,
+def next_leg(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, tracking: Tracking | None, lanes: Tensor,
              flies: bool) -> tuple[Hit, PathPassage, Tensor]:
     """Takes the next legs of ways: to where paths scatter, to a surface, or through a boundary.
 
@@ -77,6 +168,7 @@ def next_leg(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, lanes: T
         ray: (N,) as they began.
         way: (N,) so far.
         hit: (M,) what `way.ahead` meets.
+        tracking: (M,) of those that were followed through media by steps.
         lanes: (M,) int32, those of N that are meant.
         flies: paths may scatter in media; else they go straight to the next surface.
 
@@ -84,31 +176,38 @@ def next_leg(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, lanes: T
         (M,) hits as seen from where rays began, ways, and whether they go on behind a boundary.
     """
     ray, way = rows((ray, way), lanes)
-    si, met, d = surface_interaction(scene, way.ahead, hit), hit.prim >= 0, way.ahead.d
-    t = torch.where(met, dot(si.p - ray.o, d), FAR)
-    leg = (t - way.come).clamp_min(0.0)
+    si, met, d, flight = surface_interaction(scene, way.ahead, hit), hit.prim >= 0, way.ahead.d, way.flight
+    come = dot(way.ahead.o - ray.o, d)
+    length = torch.where(met, dot(si.p - way.ahead.o, d), FAR).clamp_min(0.0)
     # Fly through the medium: the distance to where the path scatters, and the probabilities of all that.
-    flight, end, density, beyond = way.flight, torch.full_like(leg, torch.inf), Vec3.full(leg, 0.0), Vec3.full(leg, 1.0)
+    end, density, beyond = torch.full_like(length, torch.inf), Vec3.full(length, 0.0), Vec3.full(length, 1.0)
     for number in scene.layout.scattering_media if flies else ():
         kind, table, here = scene.layout.media[number], scene.media[number], flight.medium == number
-        distance = kind.sample_flight(table, way.ahead, leg, way.u, way.v)
-        of_flight, farther = kind.flight_pdf(table, way.ahead, leg, torch.minimum(distance, leg))
-        end = torch.where(here & (distance < leg), distance, end)
-        density = Vec3(*(torch.where(here, new, old) for new, old in zip(of_flight, density)))
-        beyond = Vec3(*(torch.where(here, new, old) for new, old in zip(farther, beyond)))
-    scatters, lasts = end < torch.inf, torch.minimum(end, leg)
-    lengths = tuple(length + torch.where(flight.medium == number, lasts, 0.0)
-                    for number, length in enumerate(flight.lengths))
+        if kind.tracked:
+            distance, of_flight, farther = tracking.end, tracking.beyond, tracking.beyond
+        else:
+            distance = kind.sample_flight(table, way.ahead, length, way.u, way.v)
+            of_flight, farther = kind.flight_pdf(table, way.ahead, length, torch.minimum(distance, length))
+        end = torch.where(here & (distance < length), distance, end)
+        density, beyond = where(here, of_flight, density), where(here, farther, beyond)
+    scatters = end < torch.inf
+    leg = Leg(way.ahead, come, length, torch.minimum(end, length), tracking)
+    ways = extended(scene, flight.ways, flight.medium, leg)
     # Go on behind the surface, if it is but a boundary.
     row = lookup(scene.triangles.boundary, si.prim)
     passes = met & ~scatters & lookup(scene.boundaries.invisible, row)
     medium = torch.where(passes, medium_beyond(scene, si.prim, si.cosine, flight.medium), flight.medium)
     used = 1.0 - colour_chosen(beyond, way.v)  # by flights that would have ended before
     u = ((way.u - used) / (1.0 - used).clamp_min(TINY)).clamp(0.0, ALMOST_ONE)
-    chance = mean_of_colours(way.beyond * Vec3(*(torch.where(scatters, new, old) for new, old in zip(density, beyond))))
-    flight = Flight(torch.where(scatters, way.come + end, torch.inf), chance, medium, lengths)
-    way = PathPassage(Ray(si.offset(d), d), t, u, way.v, way.beyond * beyond, flight)
-    return hit._replace(t=torch.where(met, t, hit.t)), way, passes
+    chance = mean_of_colours(way.beyond * where(scatters, density, beyond))
+    flight = Flight(torch.where(scatters, come + end, torch.inf), chance, medium, ways)
+    way = PathPassage(Ray(si.offset(d), d), u, way.v, next_seed(way.seed, tracking), way.beyond * beyond, flight)
+    return hit._replace(t=torch.where(met, come + length, hit.t)), way, passes
+
+
+def next_seed(seed: Tensor, tracking: Tracking | None) -> Tensor:
+    """(N,) int32, the seed of the next leg."""
+    return hash32((seed if tracking is None else tracking.seed) + LEG)
 
 
 @stage("scene")
@@ -130,7 +229,7 @@ def free_flight(scene: SceneTensors, state: PathState, hit: Hit, at: Position) -
 
 @stage("scene", "shadow", "distance", "passed")
 def next_shadow_leg(scene: SceneTensors, shadow: Ray, distance: Tensor, passed: ShadowPassage, hit: Hit,
-                    lanes: Tensor) -> tuple[ShadowPassage, Tensor]:
+                    tracking: Tracking | None, lanes: Tensor) -> tuple[ShadowPassage, Tensor]:
     """Takes the next legs of shadow rays: to the light, or to a surface that blocks it, or through a boundary.
 
     Args:
@@ -138,21 +237,31 @@ def next_shadow_leg(scene: SceneTensors, shadow: Ray, distance: Tensor, passed: 
         shadow, distance: (N,) as they began.
         passed: (N,) so far.
         hit: (M,) what `passed.ahead` meets.
+        tracking: (M,) of those that were followed through media by steps.
         lanes: (M,) int32, those of N that are meant.
 
     Returns:
         (M,) the same after that, and whether they go on behind a boundary.
     """
     shadow, distance, passed = rows((shadow, distance, passed), lanes)
-    si = surface_interaction(scene, passed.ahead, hit)
-    t = dot(si.p - shadow.o, shadow.d)
-    met = (hit.prim >= 0) & (t < distance)
-    end = torch.where(met, t, distance)
-    leg = (end - passed.come).clamp_min(0.0)
-    lengths = tuple(length + torch.where(passed.medium == number, leg, 0.0) for number, length in enumerate(passed.lengths))
+    si, come = surface_interaction(scene, passed.ahead, hit), dot(passed.ahead.o - shadow.o, shadow.d)
+    surface, left = dot(si.p - passed.ahead.o, shadow.d), distance - come
+    met = (hit.prim >= 0) & (surface < left)
+    length = torch.where(met, surface, left).clamp_min(0.0)
+    ways = extended(scene, passed.ways, passed.medium, Leg(passed.ahead, come, length, length, tracking))
     passes = met & lookup(scene.boundaries.invisible, lookup(scene.triangles.boundary, si.prim))
     medium = torch.where(passes, medium_beyond(scene, si.prim, si.cosine, passed.medium), passed.medium)
-    return ShadowPassage(Ray(si.offset(shadow.d), shadow.d), end, medium, ~met, lengths), passes
+    seed = next_seed(passed.seed, tracking)
+    return ShadowPassage(Ray(si.offset(shadow.d), shadow.d), medium, seed, ~met, ways), passes
+
+
+@stage("scene", "shadow", "distance", "ahead")
+def shadow_ahead(scene: SceneTensors, shadow: Ray, distance: Tensor, ahead: Ray, hit: Hit, lanes: Tensor) -> Tensor:
+    """The lengths of the next legs of shadow rays, (M,), args as for `next_shadow_leg`; `ahead`: that of the passage."""
+    shadow, distance, ahead = rows((shadow, distance, ahead), lanes)
+    left = distance - dot(ahead.o - shadow.o, ahead.d)
+    surface = torch.where(hit.prim >= 0, dot(surface_interaction(scene, ahead, hit).p - ahead.o, ahead.d), FAR)
+    return torch.minimum(left, surface).clamp_min(0.0)
 
 
 def medium_beyond(scene: SceneTensors, prim: Tensor, cosine: Tensor, medium: Tensor) -> Tensor:
@@ -176,8 +285,8 @@ def way_left(scene: SceneTensors, arrival: Arrival, distance: Tensor) -> Vec3 | 
         arrival: the paths, with their ways.
         distance: (N,) attached length of the whole way, where no medium has boundaries.
     """
-    if scene.layout.bounded:
-        return transmittance_of(scene, arrival.state.ray, arrival.flight.lengths)
+    if scene.layout.follows:
+        return transmittance_of(scene, arrival.state.ray, arrival.flight.ways)
     return transmittance(scene, arrival.state.ray, distance)
 
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.interface.medium import MediumWay
 from torch_radbp.jit.recording.lane_count import LaneCount, waited_for
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import LaneKey
@@ -51,7 +52,7 @@ class PathState(NamedTuple):
     vantage: Vantage | None = None  # where the ray starts; None if light selection does not depend on it
     followed: Tensor | None = None  # bool, see `Settings.following`; None without it
     cone: Cone | None = None  # around the ray; None if no texture asks how much of a surface a sample sees
-    medium: Tensor | None = None  # int32, number of that in which the ray starts, -1: none; None: media have no boundaries
+    medium: Tensor | None = None  # int32, in which the ray starts, -1: none; None: rays are not followed through media
     number: LaneCount | None = None  # of the lanes, of which the first are meant; None: all are
 
     @property
@@ -69,10 +70,10 @@ class Flight(NamedTuple):
 
     t: Tensor  # distance to where they scatter before they meet a surface; infinite: they do not
     chance: Tensor  # density of this distance over length, or the probability of getting as far as the surface
-    # Where media have boundaries the number of that in which the way ends, int32, -1: none; and the lengths of the ways in
-    # each of `Layout.media`. Else None and nothing: the whole way is in one medium.
+    # Where rays are followed through media the number of that in which the way ends, int32, -1: none; and the ways in each of
+    # `Layout.media`. Else None and nothing: the whole way is in one medium.
     medium: Tensor | None = None
-    lengths: tuple[Tensor, ...] = ()
+    ways: tuple[MediumWay, ...] = ()
 
 
 class Arrival(NamedTuple):
@@ -93,7 +94,7 @@ def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: boo
         ray, key, cone: of each lane.
         from_places: paths remember where their rays begin.
         following: as in `Settings`.
-        medium: the number of that in which they begin, -1: none; None: media have no boundaries.
+        medium: the number of that in which they begin, -1: none; None: rays are not followed through media.
     """
     beta = Vec3(torch.ones_like(ray.d.x), torch.ones_like(ray.d.x), torch.ones_like(ray.d.x))
     lane = torch.arange(len(ray.d.x), dtype=torch.int32, device=ray.d.x.device)

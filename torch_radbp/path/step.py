@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from torch_radbp.interface.medium import MediumWay
 from torch_radbp.interface.texture import TextureValue
 from torch_radbp.jit.order import chosen
 from torch_radbp.jit.recording.lane_count import LaneCount, waited_for
@@ -36,8 +37,7 @@ class Step(NamedTuple):
     flight: Flight | None = None  # (N,) see `Arrival`
     # Of each queue those of textures that are read outside; None: not computed. In a forward pass attached to the scene.
     texture_values: tuple[tuple[TextureValue, ...] | None, ...] = ()
-    # (K,) lengths of the ways of shadow rays in each of `Layout.media`; None: media have no boundaries.
-    lengths: tuple[Tensor, ...] | None = None
+    ways: tuple[MediumWay, ...] | None = None  # (K,) of shadow rays in each of `Layout.media`; None: rays are not followed
 
     @property
     def scattered(self) -> int:

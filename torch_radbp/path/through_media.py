@@ -1,4 +1,4 @@
-"""The loops that follow rays through the boundaries of media, leg by leg; `passage.py` has what happens on one."""
+"""The loops that follow rays through media, leg by leg from boundary to boundary; `passage.py` has what happens on one."""
 
 from __future__ import annotations
 
@@ -6,20 +6,34 @@ import torch
 from torch import Tensor
 
 from torch_radbp.connection.media import transmittance_of
+from torch_radbp.interface.medium import MediumWay, Tracking
 from torch_radbp.jit.order import chosen, inverted
 from torch_radbp.path.bounce import Vertex
 from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lanes import put_rows
-from torch_radbp.path.passage import ShadowPassage, free_flight, next_leg, next_shadow_leg, way_begun
+from torch_radbp.path.passage import (
+    PathPassage,
+    ShadowPassage,
+    free_flight,
+    next_leg,
+    next_shadow_leg,
+    shadow_ahead,
+    shadow_seed,
+    surface_ahead,
+    tracking_begun,
+    tracking_on,
+    way_begun,
+)
 from torch_radbp.path.state import Flight, PathState
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.scene.tables.scene_tensors import Layout, SceneTensors
 from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.record import mapped
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Ray, Vec3, rows
 
-Lengths = tuple[Tensor, ...]  # (N,) each, of the ways in each of `Layout.media`
+Ways = tuple[MediumWay, ...]  # (N,) each, through each of `Layout.media`
 
 
 def free_flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -> tuple[Hit, Flight | None]:
@@ -31,52 +45,98 @@ def free_flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -
         depth: of the bounce.
     """
     layout, flies = integrand.proposal.layout, not integrand.is_last(depth)
-    if not layout.bounded and not (layout.scattering_media and flies):
+    if not layout.follows and not (layout.scattering_media and flies):
         return hit, None
     part, at, state = integrand.part(Ends.SURROUNDINGS), integrand.at(depth), detached(state)
-    if not layout.bounded:
+    if not layout.follows:
         return hit, part.call(free_flight, state, hit, at)
-    lanes = torch.arange(len(hit.prim), dtype=torch.int32, device=hit.prim.device)
-    hit, way, passes = part.call(next_leg, state.ray, part.call(way_begun, state, at), hit, lanes, flies)
+    way = part.call(way_begun, state, at)
+
+    def flown(met: Hit, lanes: Tensor) -> tuple[Hit, PathPassage, Tensor]:
+        """Flies through media, to the next surface at most, and passes that if it is but a boundary; see `next_leg`."""
+        tracking = None
+        if layout.tracked_media:
+            length = part.call(surface_ahead, way.ahead, met, lanes)
+            tracking = tracked(integrand, *rows((way.ahead, way.flight.medium, way.seed, way.v), lanes), length, flies)
+        return part.call(next_leg, state.ray, way, met, tracking, lanes, flies)
+
+    hit, way, passes = flown(hit, torch.arange(len(hit.prim), dtype=torch.int32, device=hit.prim.device))
     lanes = chosen(passes)
+    hit, way = apart((hit, way)) if len(lanes) else (hit, way)
     while len(lanes):
-        beyond = integrand.caster.intersect(rows(way.ahead, lanes))
-        *leg, passes = part.call(next_leg, state.ray, way, beyond, lanes, flies)
+        *leg, passes = flown(integrand.caster.intersect(rows(way.ahead, lanes)), lanes)
         put_rows((hit, way), lanes, leg)
         lanes = rows(lanes, chosen(passes))
     return hit, way.flight
 
 
-def free_connections(integrand: Integrand, vertex: Vertex) -> tuple[Tensor, Lengths | None]:
-    """Which shadow rays are free, (N,) bool, and the lengths of their ways in media; None: media have no boundaries."""
-    if not integrand.proposal.layout.bounded:
+def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[Tensor, Ways | None]:
+    """Which shadow rays are free, (N,) bool, and their ways through media; None: rays are not followed."""
+    layout = integrand.proposal.layout
+    if not layout.follows:
         return inverted(integrand.caster.occluded(vertex.shadow, vertex.shadow_distance)), None
     part, shadow, distance = integrand.part(Ends.SURROUNDINGS), detached(vertex.shadow), vertex.shadow_distance
-    passed = passed_at_first(part.proposal, shadow, vertex.shadow_medium)
-    lanes = chosen(distance > 0)
+    seed = integrand.stages(shadow_seed)(vertex.next.key, integrand.at(depth)) if layout.tracked_media else vertex.shadow_medium
+    passed, lanes = shadows_begun(layout, shadow, vertex.shadow_medium, seed), chosen(distance > 0)
     while len(lanes):
-        hit = integrand.caster.intersect(rows(passed.ahead, lanes))
-        leg, passes = part.call(next_shadow_leg, shadow, distance, passed, hit, lanes)
-        put_rows(passed, lanes, leg)
+        met, tracking = integrand.caster.intersect(rows(passed.ahead, lanes)), None
+        if layout.tracked_media:
+            length = part.call(shadow_ahead, shadow, distance, passed.ahead, met, lanes)
+            ahead, medium, seed = rows((passed.ahead, passed.medium, passed.seed), lanes)
+            tracking = tracked(integrand, ahead, medium, seed, length, length, False)
+        on, passes = part.call(next_shadow_leg, shadow, distance, passed, met, tracking, lanes)
+        put_rows(passed, lanes, on)
         lanes = rows(lanes, chosen(passes))
-    return passed.free, passed.lengths
+    return passed.free, passed.ways
 
 
-def passed_at_first(scene: SceneTensors, shadow: Ray, medium: Tensor) -> ShadowPassage:
+def tracked(integrand: Integrand, ahead: Ray, medium: Tensor, seed: Tensor, v: Tensor, length: Tensor,
+            flies: bool) -> Tracking:
+    """Follows rays by steps through those media that vary in space, until they scatter or leave, (N,).
+
+    Args:
+        ahead: (N,) rays.
+        medium: (N,) int32, numbers of the media.
+        seed: (N,) int32, of random numbers.
+        v: (N,) the random number that chooses a colour.
+        length: (N,) to the next surface.
+        flies: rays may scatter; else what is left on the whole way is estimated.
+    """
+    part = integrand.part(Ends.SURROUNDINGS)
+    tracking = apart(part.call(tracking_begun, ahead, length, medium, seed))
+    for number in integrand.proposal.layout.tracked_media:
+        lanes = chosen(tracking.running & (medium == number))
+        while len(lanes):
+            on = part.call(tracking_on, ahead, length, v, tracking, lanes, number, flies)
+            put_rows(tracking, lanes, on)
+            lanes = rows(lanes, chosen(on.running))
+    return tracking
+
+
+def shadows_begun(layout: Layout, shadow: Ray, medium: Tensor, seed: Tensor) -> ShadowPassage:
     """Shadow rays where they begin, in media of these numbers; of tensors that may be written into."""
-    come = torch.zeros_like(shadow.d.x)
-    return ShadowPassage(Ray(shadow.o.map(Tensor.clone), shadow.d.map(Tensor.clone)), come, medium.clone(),
-                  torch.ones_like(medium, dtype=torch.bool), tuple(torch.zeros_like(come) for _ in scene.layout.media))
+    def none() -> Tensor:
+        return torch.zeros_like(shadow.d.x)
+
+    ways = tuple(MediumWay(none(), Vec3(none() + 1.0, none() + 1.0, none() + 1.0), none()) if kind.tracked
+                 else MediumWay(none()) for kind in layout.media)
+    ahead = Ray(shadow.o.map(Tensor.clone), shadow.d.map(Tensor.clone))
+    return ShadowPassage(ahead, medium.clone(), seed.clone(), torch.ones_like(medium, dtype=torch.bool), ways)
+
+
+def apart(record):
+    """A copy of a record to write into: results of stages that are equal may be one and the same tensor."""
+    return mapped(record, lambda leaf: None if leaf is None else leaf.clone())
 
 
 @stage("scene")
-def let_through(scene: SceneTensors, light: Vec3, shadow: Ray, lengths: Lengths) -> Vec3:
+def let_through(scene: SceneTensors, light: Vec3, shadow: Ray, ways: Ways) -> Vec3:
     """What media let through of light along connections, (N,), attached to it and to the media.
 
     Args:
         scene: any part of it.
         light: that comes if nothing is on the way.
         shadow: the connections.
-        lengths: of their ways in media.
+        ways: theirs through media.
     """
-    return light * transmittance_of(scene, shadow, lengths)
+    return light * transmittance_of(scene, shadow, ways)

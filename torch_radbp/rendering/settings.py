@@ -95,7 +95,7 @@ def settings_of_integrand(renderer: nn.Module, scene: SceneTensors, cameras: Seq
     sampling = renderer.sampling
     moving = sampling == "attached" or any_differentiated((scene.triangles, cameras)) or (
         sampling == "hybrid" and scene.layout.bending)
-    if moving and scene.layout.bounded:
+    if moving and scene.layout.follows:
         moves = [f"{place}.{name}" for place, module in renderer.scene.named_modules() if isinstance(module, (Shape, Sensor))
                  for name, parameter in module.named_parameters(recurse=False) if parameter.requires_grad]
         raise ValueError(f"derivatives by {', '.join(moves) or 'what moves'} are not there for scenes in which surfaces are "

@@ -38,6 +38,7 @@ SCRAMBLERS = (0x21F0AAAD, -0x2CA5D269)  # of `hash32`
 LATTICE = (182667, 469891)  # of the third and fourth dimension
 HALVES = ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF), (16, 0x0000FFFF))  # distance and lower one
 SPREAD = ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555))
+INCREMENT = -0x61C88647  # of seeds, 2^32 over the golden ratio
 APART = 1 << 31  # samples of a pixel with which each has a sequence of its own
 DIMENSIONS_PER_BOUNCE = len(MULTIPLIERS)
 
@@ -243,3 +244,9 @@ def fine_unit(bits: Tensor) -> Tensor:
 def uniform(key: BounceKey, dimension: int, dtype: torch.dtype) -> Tensor:
     """Uniform numbers in [0, 1), one per lane: `unit` of `random_bits`."""
     return unit(random_bits(key, dimension), dtype)
+
+
+def drawn(seed: Tensor, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    """The next seed of a lane, int32, and a number uniform in [0, 1), (N,) each; where it is open how many are drawn."""
+    seed = hash32(seed + INCREMENT)
+    return seed, unit(seed, dtype)

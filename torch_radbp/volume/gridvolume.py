@@ -149,6 +149,10 @@ class GridVolume(VolumeFunction):
         return GridTable(columns_of_rows(rows), size, tuple(
             (Vec3.of(row[None, :3]), row[3:].clone()) for row in to_local.unbind()))
 
+    def cells(self) -> tuple[Tensor | None, Tensor]:
+        to_local = torch.linalg.inv(self.from_unit_cube()).to(self.data)[:3]
+        return (self.data.detach().amax(3) if self.wrap_mode == "clamp" else None), to_local
+
     def corners(self) -> Tensor:
         unit = torch.tensor(list(product((0.0, 1.0), repeat=3)), dtype=torch.float64, device=self.data.device)
         return transform_points(self.from_unit_cube(), unit).to(self.data.dtype)

@@ -91,7 +91,7 @@ def pack(scene: Scene, cache: PackCache | None = None, light_choice: str | None 
     textures = tuple(bank_of_textures(cache, number, group, objects) for number, group in enumerate(materials.textures))
     check_networks(cache, (*layout.readers, *layout.lit), (*textures, *lit_banks), dtype, device)
     media = cache.part("media", tables_of_media, scene, inventory.reach(objects.media), objects)
-    boundaries = cache.part("boundaries", boundary_table, scene, settled, objects) if layout.bounded else None
+    boundaries = cache.part("boundaries", boundary_table, scene, settled, objects) if layout.follows else None
     return SceneTensors(triangles, materials.table, textures, lights, bank, lit_banks, media, boundaries, layout)
 
 
@@ -139,7 +139,7 @@ def _columns_of(cache: PackCache, objects: Objects, layout: Layout, aovs: bool) 
                    tuple(row[id(shape.bsdf)] for shape in objects.shapes),
                    tuple(shape.emitter is not None for shape in objects.shapes), plain_shapes(objects),
                    _numbers_of(objects) if aovs else None,
-                   boundaries_of(objects)[1] if layout.bounded else None)
+                   boundaries_of(objects)[1] if layout.follows else None)
 
 
 def triangles_of(cache: PackCache, objects: Objects, placed: tuple[PlacedShape, ...], columns: Columns) -> TriangleTable:
@@ -181,7 +181,8 @@ def sides_of(objects: Objects) -> dict[str, Any]:
     """What `Layout` says of boundaries between media."""
     around = objects.scene.around
     return {"around": None if around is None else objects.media.index(around),
-            "bounded": any(shape.bounds_media for shape in objects.shapes)}
+            "follows": any(shape.bounds_media for shape in objects.shapes) or any(
+                medium.kind().tracked for medium in objects.media)}
 
 
 def boundaries_of(objects: Objects) -> tuple[tuple[tuple[int, int, bool], ...], tuple[int, ...]]:

@@ -39,7 +39,7 @@ class Layout:
     lights: tuple[LightKind, ...]  # kinds of light
     media: tuple[MediumKind, ...] = ()  # that light travels through, by their numbers
     around: int | None = None  # the number of the medium in which the sensors stand; None: empty space
-    bounded: bool = False  # surfaces are boundaries of media, so that each ray has to know in which it is
+    follows: bool = False  # rays are followed through media, since surfaces are boundaries of some, or some vary in space
     lit: tuple[OutsideReader, ...] = ()  # of those textures of emitters that are read outside
     scatterer: Appearance | None = None  # of a part of a scene, what light is scattered by; None: nothing
     vertex: Any = None  # of a part of a scene, the `path.vertex.VertexKind` of its lanes; hashable
@@ -71,6 +71,11 @@ class Layout:
     def scattering_media(self) -> tuple[int, ...]:
         """The numbers of the media that scatter light."""
         return tuple(number for number, kind in enumerate(self.media) if kind.scatters)
+
+    @property
+    def tracked_media(self) -> tuple[int, ...]:
+        """The numbers of the media that rays are followed through by steps."""
+        return tuple(number for number, kind in enumerate(self.media) if kind.tracked)
 
     @property
     def surface_lights(self) -> dict[int, LightKind]:
@@ -118,7 +123,7 @@ class TriangleTable(NamedTuple):
     numbers: tuple[Tensor, Tensor] | None = None  # (T,) int32: of the triangle in its shape, of the shape from 1; for AOVs
     instances: InstanceTable | None = None  # of groups; None: there are none
     plain: Tensor | None = None  # (T,) bool: reflected light is discontinuous only at shadow borders; None: of no triangle
-    boundary: Tensor | None = None  # (T,) int32, row of `BoundaryTable`; None: media have no boundaries
+    boundary: Tensor | None = None  # (T,) int32, row of `BoundaryTable`; None: rays are not followed through media
 
     @property
     def casting_instances(self) -> Instances | None:

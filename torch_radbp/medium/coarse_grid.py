@@ -1,0 +1,85 @@
+"""A coarse grid over a volume with a bound of the values in each of its cells, and rays through it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn.functional import max_pool3d, pad
+
+from torch_radbp.interface.volume import VolumeFunction
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot
+
+COARSER = 8  # cells of the volume to a cell of the coarse grid, along each axis
+NUDGE = 1e-3  # by which a ray is in the next cell when it is at the border, in cells; bounds hold as far beyond borders
+ABOVE = 1.0 + 1e-5  # over the largest value, against rounding
+
+
+class CoarseGrid(NamedTuple):
+    """K cells, x fastest; the other columns have one entry."""
+
+    bound: Tensor  # (K,) no value in the cell is larger
+    size: tuple[Tensor, Tensor, Tensor]  # int32, along x, y and z
+    to_cells: tuple[tuple[Vec3, Tensor], ...]  # the rows of the transform from the world, with its shift; in cells
+    low: Vec3  # corners of the box in the world that the volume fills
+    high: Vec3
+
+
+def coarse_grid(volume: VolumeFunction) -> CoarseGrid:
+    """The coarse grid of a volume, detached. A constant volume fills the unit cube."""
+    with torch.no_grad():
+        bound, size, to_unit = bounds_of(volume)
+        corners = volume.corners()
+        corners = torch.stack([bound.new_zeros(3), bound.new_ones(3)]) if corners is None else corners
+        low, high = (Vec3.of(each[None]) for each in (corners.amin(0), corners.amax(0)))
+        counts = [torch.tensor([count], dtype=torch.int32, device=bound.device) for count in size]
+        rows = tuple((Vec3.of(row[None, :3] * count), (row[3] * count)[None]) for row, count in zip(to_unit.unbind(), size))
+        return CoarseGrid(bound.reshape(-1) * ABOVE, tuple(counts), rows, low, high)
+
+
+def bounds_of(volume: VolumeFunction) -> tuple[Tensor, tuple[int, int, int], Tensor]:
+    """Bounds by cells (Z, Y, X), their numbers along x, y and z, and (3, 4) the transform from the world to the unit cube
+    that they divide."""
+    cells, to_unit = volume.cells()
+    if cells is None:
+        return volume.largest().reshape(1, 1, 1), (1, 1, 1), to_unit
+    # The largest of the cells between whose centres points of a coarse cell are, a half and the nudge beyond its borders.
+    over = [-count % COARSER for count in cells.shape]
+    padded = pad(cells[None, None], [1, 1 + over[2], 1, 1 + over[1], 1, 1 + over[0]], mode="replicate")
+    bound = max_pool3d(padded, COARSER + 2, stride=COARSER)[0, 0]
+    scale = torch.tensor([count / (COARSER * of) for count, of in zip(cells.shape[::-1], bound.shape[::-1])])
+    return bound, bound.shape[::-1], to_unit * scale.to(to_unit)[:, None]
+
+
+def cell_of(grid: CoarseGrid, ray: Ray, t: Tensor) -> Tensor:
+    """The cells in which rays are at distances t, or just ahead of them, (N,) int32."""
+    size, place, change = along(grid, ray, t)
+    x, y, z = (torch.floor(at + torch.copysign(torch.full_like(at, NUDGE), d)).clamp_min(0.0) for at, d in zip(place, change))
+    x, y, z = (torch.minimum(at, (count - 1).to(at.dtype)).to(torch.int32) for at, count in zip((x, y, z), size))
+    return (z * size[1] + y) * size[0] + x
+
+
+def distance_to_next_cell(grid: CoarseGrid, ray: Ray, t: Tensor) -> Tensor:
+    """How far rays at distances t are from leaving the cell that `cell_of` tells, (N,); infinite: they never do."""
+    size, place, change = along(grid, ray, t)
+    nearest = torch.full_like(t, torch.inf)
+    for at, d, count in zip(place, change, size):
+        inside = torch.floor(at + torch.copysign(torch.full_like(at, NUDGE), d))
+        border = torch.minimum(inside.clamp_min(0.0), (count - 1).to(at.dtype)) + (d > 0).to(at.dtype)
+        # Cells at the rim have no border there, but go on.
+        leaves = (d.abs() > TINY) & (border > 0) & (border < count.to(at.dtype))
+        reach = (border - at) / torch.where(leaves, d, 1.0)
+        nearest = torch.where(leaves, torch.minimum(nearest, torch.maximum(reach, NUDGE / torch.where(leaves, d.abs(), 1.0))),
+                              nearest)
+    return nearest
+
+
+def along(grid: CoarseGrid, ray: Ray, t: Tensor) -> tuple[tuple[Tensor, ...], list[Tensor], list[Tensor]]:
+    """The size of the grid, the places of rays at distances t in units of cells, and their change with distance."""
+    only = torch.zeros_like(t, dtype=torch.int32)
+    size, to_cells = lookup(grid.size, only), lookup(grid.to_cells, only)
+    change = [dot(row, ray.d) for row, _ in to_cells]
+    place = [dot(row, ray.o) + shift + d * t for (row, shift), d in zip(to_cells, change)]
+    return size, place, change

@@ -1,0 +1,164 @@
+"""A medium whose extinction varies in space, such as smoke and clouds.
+
+Rays fly through it from tentative collision to tentative collision, as dense as a bound of the extinction in the cell of a
+coarse grid around them. One is real with the probability of extinction over bound; else the ray goes on. The bound is that
+of the cell, so that empty ones are passed in one step.
+
+Where flights are sampled by more extinction than there is (`floor`), they count by the quotient. With colours the extinction
+of one of them, chosen at random, decides, and flights are weighted against the chance that any of them would have had.
+
+References: Woodcock 1965 (tentative collisions); Novak, Selle and Jarosz 2014, "Residual Ratio Tracking" (what is left);
+Miller, Georgiev and Jarosz 2019, "A Null-Scattering Path Integral Formulation of Light Transport" (colours); Pharr, Jakob
+and Humphreys 2023, "Physically Based Rendering", section 14.2.2 (the coarse grid).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.interface.medium import MediumKind, Tracking, colour_chosen
+from torch_radbp.interface.phase import PhaseKind
+from torch_radbp.interface.volume import VolumeKind
+from torch_radbp.medium.coarse_grid import CoarseGrid, cell_of, coarse_grid, distance_to_next_cell
+from torch_radbp.phase.isotropic import Isotropic
+from torch_radbp.plugin import Medium, Phase, Texture, Volume, finite, register
+from torch_radbp.plugin.domain import AMOUNT, FRACTION, NUMBER, Domain
+from torch_radbp.sampling.sampler import drawn
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, where
+from torch_radbp.volume.constvolume import as_volume
+
+STEPS = 4  # that are taken at a time
+THINNEST = 0.05  # the least optical thickness across the medium by which flights are sampled
+
+
+class HeterogeneousTable(NamedTuple):
+    """The volumes, attached, and what is known of them."""
+
+    sigma_t: Any  # of its volume
+    albedo: Any  # of its volume
+    scale: Tensor  # (1,)
+    phase: Any
+    grid: CoarseGrid  # bounds of the extinction, detached
+    floor: Tensor  # (1,) the least extinction by which flights are sampled, detached
+
+
+@dataclass(frozen=True)
+class HeterogeneousKind(MediumKind):
+    """Extinction and albedo are read at every point."""
+
+    scatters: ClassVar[bool] = True
+    tracked: ClassVar[bool] = True
+    sigma_t: VolumeKind
+    albedo: VolumeKind
+    phase_function: PhaseKind
+
+    def extinction(self, table: HeterogeneousTable, p: Vec3) -> Vec3:
+        return self.sigma_t.eval(table.sigma_t, p) * only(table.scale, p.x)
+
+    def scattering(self, table: HeterogeneousTable, p: Vec3) -> Vec3:
+        return self.extinction(table, p) * self.albedo.eval(table.albedo, p)
+
+    def phase(self, table: HeterogeneousTable, p: Vec3, wi: Vec3, wo: Vec3) -> tuple[Tensor, Tensor]:
+        return self.phase_function.eval_pdf(table.phase, p, wi, wo)
+
+    def sample_phase(self, table: HeterogeneousTable, p: Vec3, wi: Vec3, u: Tensor, v: Tensor) -> Vec3:
+        return self.phase_function.sample(table.phase, p, wi, u, v)
+
+    def enter(self, table: HeterogeneousTable, ray: Ray, leg: Tensor) -> tuple[Tensor, Tensor]:
+        low, high = lookup(table.grid.low, index(leg)), lookup(table.grid.high, index(leg))
+        first, last = torch.zeros_like(leg), leg
+        for o, d, a, b in zip(ray.o, ray.d, low, high):
+            # A ray along a face is inside or outside all the way.
+            inverse = 1.0 / torch.where(d.abs() > TINY, d, TINY)
+            near, far = (a - o) * inverse, (b - o) * inverse
+            first, last = torch.maximum(first, torch.minimum(near, far)), torch.minimum(last, torch.maximum(near, far))
+        return first, last
+
+    def track(self, table: HeterogeneousTable, ray: Ray, leg: Tensor, v: Tensor, tracking: Tracking, flies: bool) -> Tracking:
+        _, last = self.enter(table, ray, leg)
+        floor = only(table.floor, leg)
+        for _ in range(STEPS):
+            t, end, left, beyond, seed, running = tracking
+            # The next tentative collision in this cell of the coarse grid; or, if there is none, the next cell.
+            cell = cell_of(table.grid, ray, t)
+            bound = torch.maximum(lookup(table.grid.bound, cell) * only(table.scale, leg), floor)
+            seed, u = drawn(seed, leg.dtype)
+            collision, border = t - torch.log1p(-u) / bound, t + distance_to_next_cell(table.grid, ray, t)
+            collides, t = running & (collision < torch.minimum(border, last)), torch.minimum(collision, border)
+            # Is it real? The extinction of the colour that decides says with which probability.
+            sigma = self.extinction(table, ray.o + ray.d * t)
+            seed, u = drawn(seed, leg.dtype)
+            if flies:
+                decides = sigma.map(lambda each: torch.minimum(torch.maximum(each, floor), bound))
+                chance = colour_chosen(decides, v)
+                real = collides & (u * bound < chance)
+                passed = 1.0 / torch.where(bound - chance > 0, bound - chance, 1.0)
+                goes_on = collides & ~real
+                left = where(goes_on, left * Vec3(*((bound - each) * passed for each in sigma)), left)
+                change = where(real, decides, Vec3(*((bound - each) * passed for each in decides)))
+                beyond, end = where(collides, beyond * change, beyond), torch.where(real, t, end)
+                running = running & ~real
+            else:
+                left = where(collides, left * Vec3(*((1.0 - each / bound) for each in sigma)), left)
+            t = torch.where(tracking.running, t, tracking.t)
+            seed = torch.where(tracking.running, seed, tracking.seed)
+            tracking = Tracking(t, end, left, beyond, seed, running & (t < last))
+        return tracking
+
+
+@register("medium", "heterogeneous")
+class Heterogeneous(Medium):
+    """A medium that absorbs and scatters light differently from point to point, such as smoke.
+
+    Parameters: those of `sigma_t` and `albedo`, `scale`, and those of the phase function. Derivatives: with respect to all of
+    them, also where extinction or albedo are 0. It fills the box in the world around the grid of `sigma_t`; outside of that
+    there is nothing, and what is inside of the box, but not of the grid, reads the nearest values. A constant `sigma_t` fills
+    the unit cube [0, 1]^3, as in Mitsuba 3.9.1.
+
+    Args:
+        albedo: the share of the extinction that is scattered, in [0, 1].
+        sigma_t: extinction, by colour or of all alike, 1 / length.
+        scale: a factor of `sigma_t`.
+        sample_emitters: whether light is looked for from vertices in the medium; must be true.
+        phase_function: the directions of scattered light; `isotropic` by default.
+
+    Raises:
+        ValueError: if a value is out of range.
+    """
+
+    def __init__(self, *, albedo: Volume | Texture | float = 0.75, sigma_t: Volume | Texture | float = 1.0,
+                 scale: float = 1.0, sample_emitters: bool = True, phase_function: Phase | None = None):
+        super().__init__()
+        if not sample_emitters:
+            raise ValueError("sample_emitters must be true: Renderer(nee=False) turns next-event estimation off everywhere")
+        self.sample_emitters = True
+        self.albedo, self.sigma_t = as_volume(self, "albedo", albedo), as_volume(self, "sigma_t", sigma_t)
+        self.freeze("scale", finite("scale", scale, ()).to(torch.get_default_dtype()))
+        self.phase_function = Isotropic() if phase_function is None else phase_function
+
+    def domains(self) -> dict[str, Domain]:
+        return {"albedo": FRACTION, "sigma_t": AMOUNT._replace(floor=0.0), "scale": NUMBER._replace(low=0.0, floor=0.0)}
+
+    def kind(self) -> HeterogeneousKind:
+        return HeterogeneousKind(self.sigma_t.kind(), self.albedo.kind(), self.phase_function.kind())
+
+    def row(self) -> HeterogeneousTable:
+        grid = coarse_grid(self.sigma_t)
+        diagonal = sum((b - a).square() for a, b in zip(grid.low, grid.high)).sqrt()
+        return HeterogeneousTable(self.sigma_t.table(), self.albedo.table(), self.scale, self.phase_function.row(), grid,
+                                  THINNEST / diagonal)
+
+
+def index(like: Tensor) -> Tensor:
+    """(N,) int32, the only row of a table for every lane."""
+    return torch.zeros_like(like, dtype=torch.int32)
+
+
+def only(column: Tensor, like: Tensor) -> Tensor:
+    """The only entry of a column, for every lane."""
+    return lookup(column, index(like))
