@@ -91,6 +91,7 @@ class GridVolume(VolumeFunction):
         raw: that values are no colours. Of no effect here, where colours are linear.
         to_world: the pose of the cube, or of the box.
         accel: whether Mitsuba reads it by the texture units of a GPU. Of no effect here.
+        max_value: the bound of values that Mitsuba uses. Of no effect here, where it is the largest entry.
 
     Raises:
         ValueError: on unknown modes, a wrong shape, and values that are not finite, or negative, but of 6 channels.
@@ -100,7 +101,7 @@ class GridVolume(VolumeFunction):
 
     def __init__(self, *, filename: Filename | None = None, grid: Tensor | None = None, data: Tensor | None = None,
                  use_grid_bbox: bool = False, filter_type: str = "trilinear", wrap_mode: str = "clamp", raw: bool = False,
-                 to_world: Matrix4 | None = None, accel: bool = True):
+                 to_world: Matrix4 | None = None, accel: bool = True, max_value: float | None = None):
         super().__init__()
         for name, value, supported in (("filter_type", filter_type, FILTERS), ("wrap_mode", wrap_mode, WRAP_MODES)):
             if value not in supported:
@@ -113,6 +114,7 @@ class GridVolume(VolumeFunction):
             raise ValueError("use_grid_bbox needs a filename: only files have a box; give to_world")
         self.filename, self.filter_type, self.wrap_mode = filename, filter_type, wrap_mode
         self.use_grid_bbox, self.raw, self.accel = boolean("use_grid_bbox", use_grid_bbox), raw, accel
+        self.max_value = max_value
         (name, values), = given.items()
         self.box = UNIT_BOX
         if filename is not None:
