@@ -112,10 +112,3 @@ def test_a_saved_volume_looks_the_same(tmp_path):
 def test_what_makes_no_sense_is_refused_by_name(described, category, message):
     with pytest.raises(ValueError, match=message):
         build_plugin(described, category)
-
-
-def test_bumps_are_not_read_from_volumes():
-    scene = load(torch.float64, camera=overhead(2, 4.0, 1.0), sky={"type": "constant"}, floor=rectangle(
-        (0, 0, 0), 3.0, bsdf={"type": "bumpmap", "heights": {"type": "volume"}, "nested": {"type": "diffuse"}}))
-    with pytest.raises(TypeError, match="a volume has no slope along surfaces"):
-        rb.render(scene, spp=1)

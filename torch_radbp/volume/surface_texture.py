@@ -13,7 +13,7 @@ from torch_radbp.interface.texture import LUMINANCE, TableReader, TexturePoint
 from torch_radbp.interface.volume import VolumeKind
 from torch_radbp.plugin import Texture, Volume, register
 from torch_radbp.plugin.domain import Domain
-from torch_radbp.tensors.vec import Vec2, Vec3, where
+from torch_radbp.tensors.vec import Vec2, Vec3, dot, where
 from torch_radbp.texture.mesh_attribute import luminance
 from torch_radbp.volume.constvolume import as_volume
 
@@ -43,7 +43,15 @@ class VolumeReader(TableReader):
         return value
 
     def rise(self, bank: tuple[Any, ...], row: Tensor, point: TexturePoint) -> Vec2:
-        raise TypeError("a volume has no slope along surfaces: bumps are read from a bitmap, or from a network of positions")
+        slope = self.slope(bank[0], point.p)
+        for number, table in enumerate(bank[1:], 1):
+            slope = where(row == number, self.slope(table, point.p), slope)
+        return Vec2(*(dot(slope, edge) for edge in point.edges.p))
+
+    def slope(self, table: Any, p: Vec3) -> Vec3:
+        """The derivative of the number by the point, or that of the first channel."""
+        slopes = self.volume.slopes(table, p)
+        return slopes[0] if len(slopes) == 1 or not self.as_number else Vec3(*map(luminance, map(Vec3._make, zip(*slopes))))
 
 
 @register("texture", "volume")
@@ -52,7 +60,7 @@ class VolumeTexture(Texture):
 
     Parameters: those of the volume, such as `volume.data`. Derivatives: with respect to them, and through the point to
     whatever moves the surface, but for the jumps of a `gridvolume` whose filter is nearest. It stands in materials, not in
-    emitters, and not in a `bumpmap`.
+    emitters; in Mitsuba not in a `bumpmap`, either.
 
     Args:
         volume: one of one channel or three, such as a `gridvolume`; or a colour.
