@@ -127,6 +127,10 @@ TEXTURES = {
     "rgb": wall("The same red everywhere.", "rgb", value=[0.6, 0.12, 0.08]),
     "srgb": wall("The same green everywhere.", "srgb", color=[0.15, 0.5, 0.1]),
     "uniform": wall("The same grey everywhere.", "uniform", value=0.5),
+    "volume": Example("A ball that is bright where it meets a puff of smoke.", {"ball": {
+        "type": "sphere", "bsdf": {"type": "diffuse", "reflectance": {"type": "volume", "volume": {
+            "type": "gridvolume", "filename": Asset("shapes/puff.vol"),
+            "to_world": Placed((3, 3, 3), (-1.5, -1.5, -1.5))}}}}}),
 }
 EMITTERS = {
     "area": Example("A square lamp: soft shadows, and its reflection on the ball.", {

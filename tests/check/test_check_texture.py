@@ -15,6 +15,7 @@ TEXTURES = {
     "blackbody": {"temperature": 4000.0},
     "regular": {"wavelength_min": 400.0, "wavelength_max": 700.0, "values": "0.2, 0.8, 0.5"},
     "irregular": {"wavelengths": "400, 500, 700", "values": "0.2, 0.8, 0.5"},
+    "volume": {"volume": {"type": "gridvolume", "data": IMAGE[None], "wrap_mode": "mirror"}},
 }
 
 

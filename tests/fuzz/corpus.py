@@ -312,7 +312,11 @@ FOG = """<scene version="3.0.0">
     </medium>
   </sensor>
   <emitter type="point"><point name="position" x="0" y="2" z="3"/></emitter>
-  <shape type="sphere"/>
+  <shape type="sphere">
+    <bsdf type="diffuse"><texture name="reflectance" type="volume">
+      <volume type="gridvolume"><string name="filename" value="smoke.vol"/></volume>
+    </texture></bsdf>
+  </shape>
 </scene>
 """
 SMOKE = """<volume name="{}" type="gridvolume"><string name="filename" value="{}"/><string name="wrap_mode" value="{}"/>

@@ -1,4 +1,4 @@
-"""Every attribute that Mitsuba 3.9.1's textures and emitters take is taken here, and by Mitsuba itself if it is there.
+"""Every attribute that Mitsuba 3.9.1's textures, volumes and emitters take is taken here, and by Mitsuba if it is there.
 
 The names are those of Mitsuba's documentation and of its binaries. Meshes' attributes and media are left out.
 """
@@ -9,9 +9,10 @@ import torch
 
 import torch_radbp as rb
 from torch_radbp.formats.image import save_image
+from torch_radbp.formats.volume import write_volume
 from torch_radbp.plugin import REGISTRY
 
-IMAGE, POSE = "the name of an image", "a matrix"
+IMAGE, GRID, POSE = "the name of an image", "the name of a grid", "a matrix"
 COLOUR = {"type": "rgb", "value": [0.2, 0.3, 0.4]}
 TEXTURE = {"type": "checkerboard"}
 WEIGHT = {"sampling_weight": 0.5}
@@ -24,6 +25,12 @@ TEXTURES = {
     "srgb": ({"color": [0.1, 0.2, 0.3]}, {"unbounded": True}),
     "uniform": ({"value": 0.3}, {"wavelength_min": 400.0, "wavelength_max": 700.0}),
     "rawconstant": ({}, {"value": 0.3}),
+    "volume": ({}, {"volume": {"type": "constvolume"}}),
+}
+VOLUMES = {
+    "constvolume": ({}, {"value": COLOUR}),
+    "gridvolume": ({"filename": GRID}, {"use_grid_bbox": True, "filter_type": "nearest", "wrap_mode": "mirror", "raw": True,
+                                        "to_world": POSE, "accel": False, "max_value": 1.0}),
 }
 EMITTERS = {
     "constant": ({}, WEIGHT | {"radiance": COLOUR}),
@@ -42,20 +49,23 @@ EMITTERS = {
     "area": ({}, WEIGHT | {"radiance": TEXTURE}),
     "directionalarea": ({}, WEIGHT | {"radiance": TEXTURE}),
 }
-CASES = [(category, plugin, name) for category, plugins in (("texture", TEXTURES), ("emitter", EMITTERS))
+KINDS = {"texture": TEXTURES, "volume": VOLUMES, "emitter": EMITTERS}
+CASES = [(category, plugin, name) for category, plugins in KINDS.items()
          for plugin, (_, attributes) in plugins.items() for name in attributes]
 
 
 def scene_with(category: str, plugin: str, name: str, image: str, matrix) -> dict:
     """A scene in which a plugin has an attribute, or several that need each other."""
-    needed, attributes = (TEXTURES if category == "texture" else EMITTERS)[plugin]
+    needed, attributes = KINDS[category][plugin]
     value = attributes[name]
     together = value if isinstance(value, dict) and "type" not in value else {name: value}
     subject = {"type": plugin, **needed, **together}
-    subject = {key: image if value is IMAGE else matrix(np.eye(4)) if value is POSE else value
-               for key, value in subject.items()}
+    subject = {key: image if value is IMAGE else image.replace(".exr", ".vol") if value is GRID else
+               matrix(np.eye(4)) if value is POSE else value for key, value in subject.items()}
     lamp = {"type": "constant"}
-    if category == "texture":
+    if category == "volume":
+        subject = {"type": "volume", "volume": subject}
+    if category in ("texture", "volume"):
         objects = {"wall": {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": subject}}, "lamp": lamp}
     elif plugin in ("area", "directionalarea"):
         objects = {"wall": {"type": "rectangle", "emitter": subject}}
@@ -68,6 +78,7 @@ def scene_with(category: str, plugin: str, name: str, image: str, matrix) -> dic
 def image(tmp_path) -> str:
     path = tmp_path / "image.exr"
     save_image(path, torch.rand(3, 4, 6, generator=torch.Generator().manual_seed(1)))
+    write_volume(path.with_suffix(".vol"), np.full((2, 2, 2, 3), 0.5, "f4"))
     return str(path)
 
 
@@ -85,3 +96,4 @@ def test_mitsuba_takes_the_same(mi, image):
 def test_every_texture_and_emitter_that_both_have_is_in_the_list():
     spectra = {"blackbody", "regular", "irregular", "rgb", "mesh_attribute"}  # their own tests have them
     assert set(TEXTURES) == set(REGISTRY["texture"]) - spectra and set(EMITTERS) == set(REGISTRY["emitter"])
+    assert set(VOLUMES) == set(REGISTRY["volume"])

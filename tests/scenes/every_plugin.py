@@ -149,6 +149,12 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "named constants": metal(type="conductor", eta={"type": "d65", "color": [0.2, 0.9, 1.1], "scale": 1.1},
                              k={"type": "srgb", "color": [3.9, 2.4, 2.2], "unbounded": True},
                              specular_reflectance={"type": "uniform", "value": 0.7}),
+    "volume": metal(type="roughplastic", distribution="ggx", alpha=0.3, diffuse_reflectance=squares(
+        {"type": "volume", "volume": grid(3)}, {"type": "volume", "volume": grid(3, 4, wrap_mode="mirror")}),
+        specular_reflectance={"type": "volume", "volume": 0.7}),
+    "volume of roughness": metal(type="roughconductor", alpha={"type": "volume", "volume": grid(3)}, **ROUGH_METAL),
+    "volume on a mesh": shape(**quadrilateral(bsdf={
+        "type": "diffuse", "reflectance": {"type": "volume", "volume": grid(3)}})),
     "raw constant": metal(type="diffuse", reflectance={"type": "rawconstant", "value": [0.7, 0.4, 0.6]}),
     "rough metal beckmann": metal(type="roughconductor", distribution="beckmann", alpha=0.3, **ROUGH_METAL),
     "rough metal ggx": metal(type="roughconductor", distribution="ggx", alpha=0.3, **ROUGH_METAL),

@@ -32,7 +32,7 @@ MATERIALS = ("diffuse", "conductor", "pane", "rough metal beckmann", "brushed me
 SHAPES = ("rectangle", "disk", "sphere", "cylinder", "cube", "mesh", "obj", "ply", "serialized", "distances")
 LIGHTS = ("directional", "point", "projector", "spot")
 TEXTURES = ("spectra", "metal by spectra", "named constants", "raw constant", "checkerboard", "rough checkerboard",
-            "trilinear", "trilinear bumps")
+            "trilinear", "trilinear bumps", "volume of roughness")
 
 
 def objects(name: str) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import torch_radbp as rb
 from tests.deep import deep_but
 from tests.gradients import assert_informative, relative_error
 from tests.scenes import SKY, load, rectangle, rgb, sensor, texels
+from tests.scenes.every_plugin import grid
 from tests.scenes.mesh_attributes import add_attributes, panel
 from tests.scenes.parts import TO_UV
 from tests.texture.slots import OTHERS, SLOTS, WHITE
@@ -21,6 +22,7 @@ TEXTURES = {
     "trilinear": BOARD["color1"] | {"data": 0.5 + 0.4 * texels(9, 7), "filter_type": "trilinear", "to_uv": TO_UV},
     "of vertices": {"type": "mesh_attribute", "name": "vertex_color"},
     "of faces": {"type": "mesh_attribute", "name": "face_amount", "scale": 0.9},
+    "volume": {"type": "volume", "volume": grid(3) | {"data": 0.5 + 0.4 * texels(2, 6).reshape(2, 2, 3, 3)}},
     "checkerboard of attributes": BOARD | {"color0": {"type": "mesh_attribute", "name": "vertex_color"}},
 }
 ALSO = OTHERS | {

@@ -75,6 +75,18 @@ def test_derivatives_by_values_and_by_the_point_are_those_of_differences(wrap_mo
     assert torch.autograd.gradcheck(values, [volume.data.requires_grad_(), p.requires_grad_()], check_forward_ad=True)
 
 
+@pytest.mark.parametrize("filter_type, wrap_mode", MODES)
+@pytest.mark.parametrize("channels", [1, 3])
+def test_slopes_are_the_derivatives_of_values(filter_type, wrap_mode, channels):
+    volume = made(data=random(3, 4, 2, channels), to_world=POSE, filter_type=filter_type, wrap_mode=wrap_mode)
+    p, table = places(50).stack().requires_grad_(), volume.table()
+    slopes = volume.kind().slopes(table, Vec3.of(p))
+    for value, slope in zip(volume.kind().values(table, Vec3.of(p)), slopes, strict=True):
+        assert filter_type == "trilinear" or not value.requires_grad
+        expected = torch.autograd.grad(value.sum(), p, retain_graph=True)[0] if value.requires_grad else torch.zeros_like(p)
+        torch.testing.assert_close(slope.stack(), expected)
+
+
 class Read(torch.nn.Module):
     """The table of a volume, as the result of a module."""
 

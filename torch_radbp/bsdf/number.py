@@ -67,7 +67,7 @@ class NumberOf(Texture):
         return replace(self.texture.function(), as_number=True)
 
     def __getattr__(self, name: str):
-        if name in ("to_uv", "wrap_mode", "filter_type"):
+        if name in ("to_uv", "wrap_mode", "filter_type", "volume"):
             return getattr(self.texture, name)
         return super().__getattr__(name)
 

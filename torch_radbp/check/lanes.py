@@ -109,7 +109,7 @@ def texture_at(texture: Texture, p: Vec3) -> Vec3:
     of_mesh = {name: Vec3.full(p.x, ATTRIBUTE) for name in reader.attributes}
     level = {name: (Vec3.full(p.x, 0.0),) * 2 for name in reader.attributes}
     point = TexturePoint(uv, of_mesh, TriangleEdges((across, along), (Vec2(one, zero), Vec2(zero, one)), level,
-                                                    (across, along)), torch.full_like(p.x, FINE))
+                                                    (across, along)), torch.full_like(p.x, FINE), p)
     if reader.outside:
         return reader.value(Vec3.of(texture.function()(reader.place(p, uv).stack())), point)
     return reader.read(reader.bank([texture], dtype, device), torch.zeros_like(p.x, dtype=torch.int32), point)

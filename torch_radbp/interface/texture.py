@@ -36,6 +36,7 @@ class TexturePoint(NamedTuple):
     attributes: dict[str, Vec3]  # mesh attributes that textures read, by name
     edges: TriangleEdges | None = None  # None if no texture needs them
     footprint: Tensor | None = None  # natural logarithm of a footprint's width in `uv`; None if no texture is filtered
+    p: Vec3 | None = None  # world space; None if no texture reads it
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ class Reader(ABC):
     needs_uv: ClassVar[bool] = True  # values depend on surface coordinates
     needs_edges: ClassVar[bool] = False  # values depend on how uv or attributes change along the surface
     needs_footprint: ClassVar[bool] = False  # values depend on the footprint of a sample
+    needs_position: ClassVar[bool] = False  # values depend on the point in the world
     attributes: ClassVar[tuple[str, ...]] = ()  # mesh attributes that values depend on
     outside: ClassVar[bool] = False  # values are computed outside of compiled code, by an `OutsideReader`
 

@@ -27,6 +27,10 @@ class VolumeKind(ABC):
     def values(self, table: Table, p: Vec3) -> tuple[Tensor, ...]:
         """The values of all channels at points in the world; attached to the table and to the points."""
 
+    @abstractmethod
+    def slopes(self, table: Table, p: Vec3) -> tuple[Vec3, ...]:
+        """The derivatives of all channels by the points, attached."""
+
     def eval(self, table: Table, p: Vec3) -> Vec3:
         """The values of three channels at points in the world, or of one channel three times; attached likewise."""
         values = self.values(table, p)

@@ -17,7 +17,6 @@ for category, reasons in {
     "shape": {"bsplinecurve": CURVES, "linearcurve": CURVES, "ellipsoids": EVEN, "ellipsoidsmesh": EVEN,
               "merge": "it is not needed, meshes are one already: put its shapes directly into the scene",
               "blender": "it is read from Blender's memory; save the mesh as PLY or OBJ, or the scene as glTF"},
-    "texture": {"volume": EVEN},
     "sensor": {"distant": NO_IMAGE, "irradiancemeter": NO_IMAGE, "radiancemeter": NO_IMAGE},
     "film": {"specfilm": "light has three colours and no spectrum; use hdrfilm"},
     "medium": {"heterogeneous": EVEN},

@@ -86,6 +86,7 @@ class Plugin(nn.Module):
 class Texture(Plugin):
     category = "texture"
     tabulated = True  # its values are entries of a table, `texels`
+    on_lights = True  # an emitter may read it
     entries: str | None = None  # the parameter that has these entries; None: they are computed
     of_module: typing.ClassVar[type[Texture]]  # class that makes a texture of a plain module: `NeuralTexture`
 

@@ -44,6 +44,10 @@ class CheckerboardReader(TableReader):
         return self.colours.needs_footprint
 
     @property
+    def needs_position(self) -> bool:
+        return self.colours.needs_position
+
+    @property
     def attributes(self) -> tuple[str, ...]:
         return self.colours.attributes
 

@@ -39,6 +39,10 @@ class MixedReader(TableReader):
         return any(reader.needs_footprint for reader in self.readers)
 
     @property
+    def needs_position(self) -> bool:
+        return any(reader.needs_position for reader in self.readers)
+
+    @property
     def attributes(self) -> tuple[str, ...]:
         return tuple(sorted({name for reader in self.readers for name in reader.attributes}))
 

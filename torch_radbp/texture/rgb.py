@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from torch_radbp.plugin import Plugin, Texture, finite, no_module, register, with_article
+from torch_radbp.plugin import Emitter, Plugin, Texture, finite, no_module, register, with_article
 from torch_radbp.plugin.domain import Domain
 from torch_radbp.texture.colour import Colour
 from torch_radbp.texture.neural import NeuralTexture
@@ -44,6 +44,11 @@ class RGB(Colour):
         return self.value
 
 
+def on_lights(texture: Texture) -> bool:
+    """True if an emitter may read a texture, and all that it is made of."""
+    return texture.on_lights and all(map(on_lights, texture.parts()))
+
+
 def as_texture(owner: Plugin, name: str, value: Texture | nn.Module | Samples | Tensor | float) -> Texture:
     """Makes the texture for the attribute `name` of a plugin, from a texture, a module, a spectrum, one number or three.
 
@@ -65,6 +70,8 @@ def as_texture(owner: Plugin, name: str, value: Texture | nn.Module | Samples | 
     texture = value if isinstance(value, Texture) else RGB(value=value)
     if isinstance(texture, Spectrum):
         texture.assign(role_of(owner, domain))
+    if isinstance(owner, Emitter) and not on_lights(texture):
+        raise ValueError(f"{name} of {with_article(owner.type)} must not vary in space, got a {texture.type}")
     if texture.tabulated:
         filename = getattr(texture, "filename", None)
         texture.check(name if filename is None else f"{name}, read from {filename},", domain)

@@ -38,6 +38,10 @@ class SlopeReader(TableReader):
         return self.reader.needs_footprint
 
     @property
+    def needs_position(self) -> bool:
+        return self.reader.needs_position
+
+    @property
     def attributes(self) -> tuple[str, ...]:
         return self.reader.attributes
 

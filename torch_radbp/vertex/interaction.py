@@ -120,6 +120,8 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     if scatterer is not None and scatterer.needs_footprint:
         come, change = torch.where(valid, t, 0.0), along_edges(uv_corners)
         point = point._replace(footprint=footprint(cone, come, cosine, (e1, e2), change))
+    if scatterer is not None and any(reader.needs_position for reader in scatterer.readers):
+        point = point._replace(p=p)
     wi = LocalVec3(frame, ray.d, backwards=True, z=-shading_cosine)
     return SurfaceInteraction(valid, prim, material, emitter, p, n, frame, in_front, wi, point, t, cosine,
                               clearance_at(scene, hit, corners))

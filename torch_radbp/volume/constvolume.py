@@ -22,6 +22,9 @@ class ConstKind(VolumeKind):
     def values(self, table: tuple[Tensor, ...], p: Vec3) -> tuple[Tensor, ...]:
         return lookup(table, torch.zeros_like(p.x, dtype=torch.int32))
 
+    def slopes(self, table: tuple[Tensor, ...], p: Vec3) -> tuple[Vec3, ...]:
+        return (Vec3.full(p.x, 0.0),) * len(table)
+
 
 @register("volume", "constvolume")
 class ConstVolume(VolumeFunction):

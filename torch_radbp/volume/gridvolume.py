@@ -1,78 +1,26 @@
-"""Values on a grid."""
+"""The plugin of values on a grid."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import product
 from math import inf
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_radbp.formats.volume import UNIT_BOX, read_volume
-from torch_radbp.interface.volume import VolumeFunction, VolumeKind
+from torch_radbp.interface.volume import VolumeFunction
 from torch_radbp.plugin import Filename, Matrix4, boolean, finite, nearest, register
 from torch_radbp.plugin.domain import LARGEST_AMOUNT, Domain
 from torch_radbp.tensors.interleaved import columns_of_rows
-from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import Vec3, dot
+from torch_radbp.tensors.vec import Vec3
 from torch_radbp.transforms import affine, transform_points
+from torch_radbp.volume.grid import GridKind, GridTable
 
 FILTERS = ("trilinear", "nearest")
 WRAP_MODES = ("clamp", "repeat", "mirror")
 CHANNELS = (1, 3, 6)
 LARGEST_GRID = 2**31 - 1  # cells, which are numbered in int32
-
-
-class GridTable(NamedTuple):
-    """A grid of K cells; the other columns have one entry."""
-
-    cells: tuple[Tensor, ...]  # (K,) for each channel, x fastest; attached
-    size: tuple[Tensor, Tensor, Tensor]  # int32, along x, y and z
-    to_local: tuple[tuple[Vec3, Tensor], ...]  # the rows of the transform from the world into the unit cube, with its shift
-
-
-@dataclass(frozen=True)
-class GridKind(VolumeKind):
-    """Interpolates between the centres of cells, or reads the cell that a point is in."""
-
-    filter_type: str
-    wrap_mode: str
-
-    def values(self, table: GridTable, p: Vec3) -> tuple[Tensor, ...]:
-        only = torch.zeros_like(p.x, dtype=torch.int32)
-        size, to_local = lookup(table.size, only), lookup(table.to_local, only)
-        place = [(dot(row, p) + shift) * count for (row, shift), count in zip(to_local, size)]
-        if self.filter_type == "nearest":
-            x, y, z = (self.inside(torch.floor(at.detach()), count) for at, count in zip(place, size))
-            return lookup(table.cells, (z * size[1] + y) * size[0] + x)
-        (x, fx), (y, fy), (z, fz) = (self.neighbours(at - 0.5, count) for at, count in zip(place, size))
-        rows = [(k * size[1] + j) * size[0] for k in z for j in y]
-        edges = [between(lookup(table.cells, row + x[0]), lookup(table.cells, row + x[1]), fx) for row in rows]
-        return between(between(edges[0], edges[1], fy), between(edges[2], edges[3], fy), fz)
-
-    def neighbours(self, place: Tensor, count: Tensor) -> tuple[tuple[Tensor, Tensor], Tensor]:
-        """The two cells around a place along one axis, and how far it is between their centres, attached."""
-        if self.wrap_mode == "clamp":  # also places so far away that they are no integers
-            place = torch.minimum(place.clamp_min(0.0), (count - 1).to(place.dtype))
-        first = torch.floor(place.detach())
-        return (self.inside(first, count), self.inside(first + 1.0, count)), place - first
-
-    def inside(self, place: Tensor, count: Tensor) -> Tensor:
-        """The integers, int32, of [0, count) for those anywhere, as float, that the wrap mode maps to them."""
-        if self.wrap_mode == "clamp":
-            return torch.minimum(torch.minimum(place, count.to(place.dtype)).to(torch.int32).clamp_min(0), count - 1)
-        cell = place.to(torch.int32)
-        if self.wrap_mode == "repeat":
-            return torch.remainder(cell, count)
-        folded = torch.remainder(cell, 2 * count)
-        return torch.minimum(folded, 2 * count - 1 - folded)
-
-
-def between(first: tuple[Tensor, ...], second: tuple[Tensor, ...], share: Tensor) -> tuple[Tensor, ...]:
-    """Interpolates linearly between the channels of two places."""
-    return tuple(a + (b - a) * share for a, b in zip(first, second))
 
 
 @register("volume", "gridvolume")
@@ -91,6 +39,7 @@ class GridVolume(VolumeFunction):
         raw: that values are no colours. Of no effect here, where colours are linear.
         to_world: the pose of the cube, or of the box.
         accel: whether Mitsuba reads it by the texture units of a GPU. Of no effect here.
+        max_value: the bound of values that Mitsuba uses. Of no effect here, where it is the largest entry.
 
     Raises:
         ValueError: on unknown modes, a wrong shape, and values that are not finite, or negative, but of 6 channels.
@@ -100,7 +49,7 @@ class GridVolume(VolumeFunction):
 
     def __init__(self, *, filename: Filename | None = None, grid: Tensor | None = None, data: Tensor | None = None,
                  use_grid_bbox: bool = False, filter_type: str = "trilinear", wrap_mode: str = "clamp", raw: bool = False,
-                 to_world: Matrix4 | None = None, accel: bool = True):
+                 to_world: Matrix4 | None = None, accel: bool = True, max_value: float | None = None):
         super().__init__()
         for name, value, supported in (("filter_type", filter_type, FILTERS), ("wrap_mode", wrap_mode, WRAP_MODES)):
             if value not in supported:
@@ -113,6 +62,7 @@ class GridVolume(VolumeFunction):
             raise ValueError("use_grid_bbox needs a filename: only files have a box; give to_world")
         self.filename, self.filter_type, self.wrap_mode = filename, filter_type, wrap_mode
         self.use_grid_bbox, self.raw, self.accel = boolean("use_grid_bbox", use_grid_bbox), raw, accel
+        self.max_value = max_value
         (name, values), = given.items()
         self.box = UNIT_BOX
         if filename is not None:
