@@ -220,7 +220,14 @@ INTEGRATORS = {
     **{name: lone("The image of `path`.", "integrator", name, max_depth=8, like="path")
        for name in ("prb", "prb_basic", "prb_projective", "prbvolpath", "ptracer", "volpath", "volpathmis")},
 }
-MEDIA = {"homogeneous": foggy("A ball in fog, which the lamp above it lights.", {})}
+MEDIA = {
+    "heterogeneous": Example("A puff of smoke in an invisible box.", {"ball": {
+        "type": "cube", "to_world": Placed((1, 1, 1), (0, 0, 1)), "bsdf": {"type": "null"},
+        "interior": {"type": "heterogeneous", "scale": 12.0, "albedo": 0.9, "sigma_t": {
+            "type": "gridvolume", "filename": Asset("shapes/puff.vol"),
+            "to_world": Placed((2, 2, 2), (-1, -1, 0))}}}}, samples=MANY),
+    "homogeneous": foggy("A ball in fog, which the lamp above it lights.", {}),
+}
 PHASES = {
     "blendphase": foggy("Air with drops in it: they light up around the lamp.", {"phase": {
         "type": "blendphase", "weight": 0.5, "phase_0": {"type": "rayleigh"}, "phase_1": {"type": "hg", "g": 0.9}}}),

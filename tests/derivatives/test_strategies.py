@@ -20,7 +20,7 @@ ORACLE, TRANSPOSED = 1e-10, 1e-12
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 # Eager, as most scenes here are like no other and would be compiled for a single test.
 SETTINGS = {"spp": 2, "max_depth": 4, "rr_depth": 2, "compile": False}
-SPP = {"materials": 4, "shapes": 2, "textures": 4, "lamps": 4, "fog": 4}  # by which paths find every parameter
+SPP = {"materials": 4, "shapes": 2, "textures": 4, "lamps": 4, "fog": 4, "smoke": 16}  # by which paths find every parameter
 SAMPLINGS = ("detached", "hybrid", "attached")
 STRATEGIES = (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint(2), rb.MemoizedAdjoint(3), rb.MemoizedAdjoint("sqrt"),
               rb.MemoizedAdjoint("log"), rb.MemoizedAdjoint(2, keep_hits=False), rb.ReplayAdjoint(), rb.QuadraticAdjoint())

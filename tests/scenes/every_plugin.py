@@ -78,6 +78,15 @@ def grid(channels: int = 1, seed: int = 3, **attributes: Any) -> dict[str, Any]:
     return {"type": "gridvolume", "data": data, "to_world": to_world} | attributes
 
 
+def smoke(g: float, channels: int = 1) -> dict[str, Any]:
+    """A medium that varies in an invisible box, between a lamp and a floor."""
+    box = {"type": "cube", "to_world": translate((0, 0, 1)) @ scale((0.8, 0.8, 0.8)), "bsdf": {"type": "null"},
+           "interior": {"type": "ref", "id": SUBJECT}}
+    return {"sensor": camera(), "lamp": lamp(), "floor": floor(), "box": box, SUBJECT: {
+        "type": "heterogeneous", "scale": 1.5, "sigma_t": grid(channels), "albedo": grid(3, seed=5),
+        "phase": {"type": "hg", "g": g}}}
+
+
 HAZE = {"type": "homogeneous", "sigma_t": rgb(0.2, 0.3, 0.4), "albedo": rgb(0.9, 0.6, 0.3)}
 METAL = {"eta": rgb(0.2, 0.9, 1.1), "k": rgb(3.9, 2.4, 2.2), "specular_reflectance": rgb(0.9, 0.6, 0.8)}
 ROUGH_METAL = {"eta": 0.9, "k": 2.4, "specular_reflectance": 0.8}
@@ -123,6 +132,8 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
         bsdf={"type": "ref", "id": "dark"}, emitter={"type": "area", "radiance": ATTRIBUTE | {"scale": 9.0}}),
     "homogeneous": fog(type="homogeneous", sigma_t=rgb(0.2, 0.3, 0.4), albedo=rgb(0.9, 0.6, 0.3), scale=1.5,
                        phase={"type": "hg", "g": 0.4}),
+    "heterogeneous": lambda: smoke(0.4),
+    "smoke of three colours": lambda: smoke(0.4, 3),
     "fog by a table": fog(**HAZE, phase={"type": "tabphase", "values": "0.3, 0.2, 0.5, 1.1"}),
     "fog of flakes": fog(**HAZE, phase={"type": "sggx", "S": [0.9, 0.3, 0.5, 0.2, -0.1, 0.15]}),
     "fog of two kinds": fog(**HAZE, phase={

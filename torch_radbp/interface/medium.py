@@ -12,7 +12,6 @@ In a medium that scatters the flight of a path may end before the next surface, 
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -28,15 +27,17 @@ class MediumWay(NamedTuple):
     """The way of rays through one medium, (N,) each; detached."""
 
     length: Tensor
-    # Of media that are followed by steps an estimate of what is left, by colour (where flights are sampled, as a multiple of
-    # what `Tracking.beyond` is of), and the distance from where the ray began to a point picked evenly on the way. Else None.
+    # Of media that are followed by steps an estimate of what is left, by colour (where flights are sampled, divided by the
+    # same as `Tracking.beyond`), and the distance from where the ray began to a point picked evenly on the way. Else None.
     left: Vec3 | None = None
     place: Tensor | None = None
 
 
 class Tracking(NamedTuple):
-    """Rays that are followed through one medium by steps, (N,) each; detached. Colours: the first that `left` and `beyond`
-    are of is up to the medium, but the same for both."""
+    """Rays that are followed through one medium by steps, (N,) each; detached.
+
+    `left` and `beyond` may be divided by any one number of each lane, such as the probability of what the lane has done.
+    """
 
     t: Tensor  # distance to where they have come
     end: Tensor  # distance to where they scatter; infinite: they have not
@@ -47,7 +48,7 @@ class Tracking(NamedTuple):
 
 
 @dataclass(frozen=True)
-class MediumKind(ABC):
+class MediumKind:
     """The functions of one kind of medium; those behind `transmittance` are of media that scatter."""
 
     scatters: ClassVar[bool] = False

@@ -35,7 +35,8 @@ def coarse_grid(volume: VolumeFunction) -> CoarseGrid:
         corners = torch.stack([bound.new_zeros(3), bound.new_ones(3)]) if corners is None else corners
         low, high = (Vec3.of(each[None]) for each in (corners.amin(0), corners.amax(0)))
         counts = [torch.tensor([count], dtype=torch.int32, device=bound.device) for count in size]
-        rows = tuple((Vec3.of(row[None, :3] * count), (row[3] * count)[None]) for row, count in zip(to_unit.unbind(), size))
+        to_cells = to_unit * to_unit.new_tensor(size)[:, None]
+        rows = tuple((Vec3.of(row[None, :3]), row[3:].clone()) for row in to_cells.unbind())
         return CoarseGrid(bound.reshape(-1) * ABOVE, tuple(counts), rows, low, high)
 
 
@@ -55,28 +56,32 @@ def bounds_of(volume: VolumeFunction) -> tuple[Tensor, tuple[int, int, int], Ten
 
 def cell_of(grid: CoarseGrid, ray: Ray, t: Tensor) -> Tensor:
     """The cells in which rays are at distances t, or just ahead of them, (N,) int32."""
-    size, place, change = along(grid, ray, t)
-    x, y, z = (torch.floor(at + torch.copysign(torch.full_like(at, NUDGE), d)).clamp_min(0.0) for at, d in zip(place, change))
-    x, y, z = (torch.minimum(at, (count - 1).to(at.dtype)).to(torch.int32) for at, count in zip((x, y, z), size))
+    size, place, change = in_cells(grid, ray, t)
+    x, y, z = (cell_along(at, d, count).to(torch.int32) for at, d, count in zip(place, change, size))
     return (z * size[1] + y) * size[0] + x
 
 
 def distance_to_next_cell(grid: CoarseGrid, ray: Ray, t: Tensor) -> Tensor:
     """How far rays at distances t are from leaving the cell that `cell_of` tells, (N,); infinite: they never do."""
-    size, place, change = along(grid, ray, t)
+    size, place, change = in_cells(grid, ray, t)
     nearest = torch.full_like(t, torch.inf)
     for at, d, count in zip(place, change, size):
-        inside = torch.floor(at + torch.copysign(torch.full_like(at, NUDGE), d))
-        border = torch.minimum(inside.clamp_min(0.0), (count - 1).to(at.dtype)) + (d > 0).to(at.dtype)
+        border = cell_along(at, d, count) + (d > 0).to(at.dtype)
         # Cells at the rim have no border there, but go on.
         leaves = (d.abs() > TINY) & (border > 0) & (border < count.to(at.dtype))
-        reach = (border - at) / torch.where(leaves, d, 1.0)
-        nearest = torch.where(leaves, torch.minimum(nearest, torch.maximum(reach, NUDGE / torch.where(leaves, d.abs(), 1.0))),
-                              nearest)
+        speed = torch.where(leaves, d, 1.0)
+        reach = torch.maximum((border - at) / speed, NUDGE / speed.abs())
+        nearest = torch.where(leaves, torch.minimum(nearest, reach), nearest)
     return nearest
 
 
-def along(grid: CoarseGrid, ray: Ray, t: Tensor) -> tuple[tuple[Tensor, ...], list[Tensor], list[Tensor]]:
+def cell_along(place: Tensor, change: Tensor, count: Tensor) -> Tensor:
+    """The number of the cell along one axis in which rays are, or just ahead of them, (N,) as float."""
+    ahead = torch.floor(place + torch.copysign(torch.full_like(place, NUDGE), change))
+    return torch.minimum(ahead.clamp_min(0.0), (count - 1).to(place.dtype))
+
+
+def in_cells(grid: CoarseGrid, ray: Ray, t: Tensor) -> tuple[tuple[Tensor, ...], list[Tensor], list[Tensor]]:
     """The size of the grid, the places of rays at distances t in units of cells, and their change with distance."""
     only = torch.zeros_like(t, dtype=torch.int32)
     size, to_cells = lookup(grid.size, only), lookup(grid.to_cells, only)

@@ -27,7 +27,7 @@ from torch_radbp.medium.coarse_grid import CoarseGrid, cell_of, coarse_grid, dis
 from torch_radbp.phase.isotropic import Isotropic
 from torch_radbp.plugin import Medium, Phase, Texture, Volume, finite, register
 from torch_radbp.plugin.domain import AMOUNT, FRACTION, NUMBER, Domain
-from torch_radbp.sampling.sampler import drawn
+from torch_radbp.sampling.sampler import next_number
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, where
 from torch_radbp.volume.constvolume import as_volume
@@ -79,46 +79,48 @@ class HeterogeneousKind(MediumKind):
             first, last = torch.maximum(first, torch.minimum(near, far)), torch.minimum(last, torch.maximum(near, far))
         return first, last
 
-    def track(self, table: HeterogeneousTable, ray: Ray, leg: Tensor, v: Tensor, tracking: Tracking, flies: bool) -> Tracking:
+    def track(self, table: HeterogeneousTable, ray: Ray, leg: Tensor, v: Tensor, tracking: Tracking,
+              flies: bool) -> Tracking:
         _, last = self.enter(table, ray, leg)
-        floor = only(table.floor, leg)
         for _ in range(STEPS):
-            t, end, left, beyond, seed, running = tracking
-            # The next tentative collision in this cell of the coarse grid; or, if there is none, the next cell.
-            cell = cell_of(table.grid, ray, t)
-            bound = torch.maximum(lookup(table.grid.bound, cell) * only(table.scale, leg), floor)
-            seed, u = drawn(seed, leg.dtype)
-            collision, border = t - torch.log1p(-u) / bound, t + distance_to_next_cell(table.grid, ray, t)
-            collides, t = running & (collision < torch.minimum(border, last)), torch.minimum(collision, border)
-            # Is it real? The extinction of the colour that decides says with which probability.
-            sigma = self.extinction(table, ray.o + ray.d * t)
-            seed, u = drawn(seed, leg.dtype)
-            if flies:
-                decides = sigma.map(lambda each: torch.minimum(torch.maximum(each, floor), bound))
-                chance = colour_chosen(decides, v)
-                real = collides & (u * bound < chance)
-                passed = 1.0 / torch.where(bound - chance > 0, bound - chance, 1.0)
-                goes_on = collides & ~real
-                left = where(goes_on, left * Vec3(*((bound - each) * passed for each in sigma)), left)
-                change = where(real, decides, Vec3(*((bound - each) * passed for each in decides)))
-                beyond, end = where(collides, beyond * change, beyond), torch.where(real, t, end)
-                running = running & ~real
-            else:
-                left = where(collides, left * Vec3(*((1.0 - each / bound) for each in sigma)), left)
-            t = torch.where(tracking.running, t, tracking.t)
-            seed = torch.where(tracking.running, seed, tracking.seed)
-            tracking = Tracking(t, end, left, beyond, seed, running & (t < last))
+            tracking = self.step(table, ray, last, v, tracking, flies)
         return tracking
+
+    def step(self, table: HeterogeneousTable, ray: Ray, last: Tensor, v: Tensor, tracking: Tracking,
+             flies: bool) -> Tracking:
+        """Follows rays to the next tentative collision, or the next cell of the coarse grid; `last`: where they leave."""
+        t, end, left, beyond, seed, running = tracking
+        floor = only(table.floor, last)
+        bound = torch.maximum(lookup(table.grid.bound, cell_of(table.grid, ray, t)) * only(table.scale, last), floor)
+        seed, u = next_number(seed, last.dtype)
+        collision, border = t - torch.log1p(-u) / bound, t + distance_to_next_cell(table.grid, ray, t)
+        collides, t = running & (collision < torch.minimum(border, last)), torch.minimum(collision, border)
+        sigma = self.extinction(table, ray.o + ray.d * t)
+        seed, u = next_number(seed, last.dtype)
+        if flies:
+            # Is it real? The extinction of the colour that decides says with which probability.
+            decides = sigma.map(lambda each: torch.minimum(torch.maximum(each, floor), bound))
+            chance = colour_chosen(decides, v)
+            real = collides & (u * bound < chance)
+            # All colours count by their probabilities over that of what has happened.
+            over = 1.0 / torch.where(bound - chance > 0, bound - chance, 1.0)
+            left = where(collides & ~real, left * sigma.map(lambda each: (bound - each) * over), left)
+            change = where(real, decides, decides.map(lambda each: (bound - each) * over))
+            beyond, end = where(collides, beyond * change, beyond), torch.where(real, t, end)
+        else:
+            real, left = torch.zeros_like(running), where(collides, left * sigma.map(lambda each: 1.0 - each / bound), left)
+        t, seed = torch.where(running, t, tracking.t), torch.where(running, seed, tracking.seed)
+        return Tracking(t, end, left, beyond, seed, running & ~real & (t < last))
 
 
 @register("medium", "heterogeneous")
 class Heterogeneous(Medium):
     """A medium that absorbs and scatters light differently from point to point, such as smoke.
 
-    Parameters: those of `sigma_t` and `albedo`, `scale`, and those of the phase function. Derivatives: with respect to all of
-    them, also where extinction or albedo are 0. It fills the box in the world around the grid of `sigma_t`; outside of that
-    there is nothing, and what is inside of the box, but not of the grid, reads the nearest values. A constant `sigma_t` fills
-    the unit cube [0, 1]^3, as in Mitsuba 3.9.1.
+    Parameters: those of `sigma_t` and `albedo`, `scale`, and those of the phase function. Derivatives: with respect to all
+    of them, also where extinction or albedo are 0. It fills the box in the world around the grid of `sigma_t`; outside of
+    that there is nothing, and what is inside of the box, but not of the grid, reads the nearest values. A constant `sigma_t`
+    fills the unit cube [0, 1]^3, as in Mitsuba 3.9.1.
 
     Args:
         albedo: the share of the extinction that is scattered, in [0, 1].

@@ -14,7 +14,7 @@ from torch_radbp.phase.isotropic import Isotropic
 from torch_radbp.plugin import Medium, Phase, Texture, Volume, finite, register
 from torch_radbp.plugin.domain import AMOUNT, FRACTION, NUMBER, Domain
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot
+from torch_radbp.tensors.vec import TINY, Ray, Vec3
 from torch_radbp.volume.constvolume import as_constant
 
 THINNEST = 0.05  # the least optical thickness of a way by which distances are sampled

@@ -24,7 +24,7 @@ from torch_radbp.connection.media import transmittance, transmittance_of
 from torch_radbp.interface.medium import MediumWay, Tracking, colour_chosen, mean_of_colours
 from torch_radbp.path.state import Arrival, Flight, PathState, Position
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.sampling.sampler import BounceKey, LaneKey, bounce_key, drawn, hash32, uniform
+from torch_radbp.sampling.sampler import BounceKey, LaneKey, bounce_key, hash32, next_number, uniform
 from torch_radbp.scene.tables.scene_tensors import SAME, SceneTensors
 from torch_radbp.tensors.differentiated import detached, settled
 from torch_radbp.tensors.lookup import lookup
@@ -129,7 +129,7 @@ def surface_ahead(scene: SceneTensors, ahead: Ray, hit: Hit, lanes: Tensor) -> T
     return torch.where(hit.prim >= 0, dot(surface_interaction(scene, ahead, hit).p - ahead.o, ahead.d), FAR).clamp_min(0.0)
 
 
-def extended(scene: SceneTensors, ways: tuple[MediumWay, ...], medium: Tensor, leg: Leg) -> tuple[MediumWay, ...]:
+def with_leg(scene: SceneTensors, ways: tuple[MediumWay, ...], medium: Tensor, leg: Leg) -> tuple[MediumWay, ...]:
     """Ways with a leg more, in the media of these numbers, (N,)."""
     extended_ways = []
     for number, (kind, table, way) in enumerate(zip(scene.layout.media, scene.media, ways)):
@@ -141,8 +141,8 @@ def extended(scene: SceneTensors, ways: tuple[MediumWay, ...], medium: Tensor, l
         first, last = kind.enter(table, leg.ahead, leg.length)
         length = torch.where(here, (torch.minimum(last, leg.last) - first).clamp_min(0.0), 0.0)
         total = way.length + length
-        seed, on_leg = drawn(leg.tracking.seed, length.dtype)
-        _, share = drawn(seed, length.dtype)
+        seed, on_leg = next_number(leg.tracking.seed, length.dtype)
+        _, share = next_number(seed, length.dtype)
         place = torch.where(on_leg * total < length, leg.come + first + share * length, way.place)
         extended_ways.append(MediumWay(total, where(here, way.left * leg.tracking.left, way.left), place))
     return tuple(extended_ways)
@@ -192,7 +192,7 @@ def next_leg(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, tracking
         density, beyond = where(here, of_flight, density), where(here, farther, beyond)
     scatters = end < torch.inf
     leg = Leg(way.ahead, come, length, torch.minimum(end, length), tracking)
-    ways = extended(scene, flight.ways, flight.medium, leg)
+    ways = with_leg(scene, flight.ways, flight.medium, leg)
     # Go on behind the surface, if it is but a boundary.
     row = lookup(scene.triangles.boundary, si.prim)
     passes = met & ~scatters & lookup(scene.boundaries.invisible, row)
@@ -248,7 +248,7 @@ def next_shadow_leg(scene: SceneTensors, shadow: Ray, distance: Tensor, passed: 
     surface, left = dot(si.p - passed.ahead.o, shadow.d), distance - come
     met = (hit.prim >= 0) & (surface < left)
     length = torch.where(met, surface, left).clamp_min(0.0)
-    ways = extended(scene, passed.ways, passed.medium, Leg(passed.ahead, come, length, length, tracking))
+    ways = with_leg(scene, passed.ways, passed.medium, Leg(passed.ahead, come, length, length, tracking))
     passes = met & lookup(scene.boundaries.invisible, lookup(scene.triangles.boundary, si.prim))
     medium = torch.where(passes, medium_beyond(scene, si.prim, si.cosine, passed.medium), passed.medium)
     seed = next_seed(passed.seed, tracking)

@@ -70,8 +70,8 @@ class Flight(NamedTuple):
 
     t: Tensor  # distance to where they scatter before they meet a surface; infinite: they do not
     chance: Tensor  # density of this distance over length, or the probability of getting as far as the surface
-    # Where rays are followed through media the number of that in which the way ends, int32, -1: none; and the ways in each of
-    # `Layout.media`. Else None and nothing: the whole way is in one medium.
+    # Where rays are followed through media the number of that in which the way ends, int32, -1: none; and the ways in each
+    # of `Layout.media`. Else None and nothing: the whole way is in one medium.
     medium: Tensor | None = None
     ways: tuple[MediumWay, ...] = ()
 

@@ -76,7 +76,7 @@ def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[
     if not layout.follows:
         return inverted(integrand.caster.occluded(vertex.shadow, vertex.shadow_distance)), None
     part, shadow, distance = integrand.part(Ends.SURROUNDINGS), detached(vertex.shadow), vertex.shadow_distance
-    seed = integrand.stages(shadow_seed)(vertex.next.key, integrand.at(depth)) if layout.tracked_media else vertex.shadow_medium
+    seed = integrand.stages(shadow_seed)(vertex.next.key, integrand.at(depth))
     passed, lanes = shadows_begun(layout, shadow, vertex.shadow_medium, seed), chosen(distance > 0)
     while len(lanes):
         met, tracking = integrand.caster.intersect(rows(passed.ahead, lanes)), None

@@ -246,7 +246,7 @@ def uniform(key: BounceKey, dimension: int, dtype: torch.dtype) -> Tensor:
     return unit(random_bits(key, dimension), dtype)
 
 
-def drawn(seed: Tensor, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
-    """The next seed of a lane, int32, and a number uniform in [0, 1), (N,) each; where it is open how many are drawn."""
+def next_number(seed: Tensor, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    """The next seed of a lane, int32, and a number uniform in [0, 1), (N,) each; where it is open how many are next_number."""
     seed = hash32(seed + INCREMENT)
     return seed, unit(seed, dtype)

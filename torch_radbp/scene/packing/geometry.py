@@ -54,7 +54,7 @@ class Columns(NamedTuple):
     emitting: tuple[bool, ...]  # whether each shape belongs to an emitter
     plain: tuple[bool, ...]  # of each shape, see `TriangleTable`
     numbers: tuple[TriangleNumbering, ...] | None = None  # of each shape, for AOVs
-    boundary: tuple[int, ...] | None = None  # of each shape, row of `BoundaryTable`; None: rays are not followed through media
+    boundary: tuple[int, ...] | None = None  # of each shape, row of `BoundaryTable`; None: as for `TriangleTable`
 
 
 def placed_shape(cache: PackCache, shape: Surface, instanced: bool, dtype: torch.dtype) -> PlacedShape:

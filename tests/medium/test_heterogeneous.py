@@ -1,0 +1,179 @@
+"""Media that vary in space: rays are followed by steps.
+
+Where extinction is the same everywhere they are homogeneous media; a furnace; bounds that hold; the gradient of every
+strategy, stride and way of running against the tape's; forward mode; differences, also where extinction is 0.
+"""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.gradients import EXACT, REPLAY, assert_informative, cotangent, image_and_gradients, relative_error
+from tests.scenes import diffuse, load, overhead, rectangle, rgb
+from tests.scenes.media import BLACK
+
+NULL = {"type": "null"}
+SETTINGS = {"spp": 8, "max_depth": 4, "rr_depth": 2}
+CHANNELS = (1, 3)
+
+
+def grid(channels: int = 1, size: tuple[int, ...] = (9, 5, 12), scale: float = 1.0) -> torch.Tensor:
+    """Values in [0, 1], of which some are 0; no side is a multiple of what a cell of the coarse grid holds."""
+    generator = torch.Generator().manual_seed(channels)
+    values = torch.rand(*size, channels, generator=generator, dtype=torch.float64).square()
+    values[:3] = 0.0
+    return values * scale
+
+
+def placed(half: float = 1.0, height: float = 1.5) -> torch.Tensor:
+    """The pose of a unit cube that fills a cube of this half side, with its middle at a height."""
+    pose = torch.eye(4, dtype=torch.float64) * 2 * half
+    pose[:3, 3] = torch.tensor([-half, -half, height - half])
+    pose[3, 3] = 1.0
+    return pose
+
+
+def smoke(data=None, albedo=(0.9, 0.6, 0.3), scale: float = 2.0, g: float = 0.4, **more) -> dict:
+    data = grid() if data is None else data
+    return {"type": "heterogeneous", "scale": scale, "albedo": rgb(*albedo) if isinstance(albedo, tuple) else albedo,
+            "sigma_t": {"type": "gridvolume", "data": data, "to_world": placed()}, "phase": {"type": "hg", "g": g}, **more}
+
+
+def box(medium: dict, half: float = 1.0, bsdf: dict = NULL) -> dict:
+    pose = torch.diag(torch.tensor([half, half, half, 1.0]))
+    pose[2, 3] = 1.5
+    return {"type": "cube", "to_world": pose, "bsdf": bsdf, "interior": medium}
+
+
+def room(medium: dict, bsdf: dict = NULL, **more):
+    """A box of smoke with a stone in it over a floor, under a lamp, a point light and a sky."""
+    return load(torch.float64, camera=overhead(4, 4.0, 1.0), floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)),
+                box=box(medium, bsdf=bsdf), stone={"type": "sphere", "center": [0.3, 0.2, 1.2], "radius": 0.4},
+                lamp=rectangle((0.3, -0.8, 3.0), 0.4, (1, 0, 0), 170, bsdf=BLACK,
+                               emitter={"type": "area", "radiance": rgb(3, 2, 1)}),
+                bulb={"type": "point", "position": [-0.5, 0.6, 3.5], "intensity": rgb(2, 3, 4)},
+                sky={"type": "constant", "radiance": rgb(0.2, 0.3, 0.4)}, **more)
+
+
+NAMES = ["box.interior.sigma_t.data", "box.interior.albedo.data", "box.interior.scale", "box.interior.phase_function.g",
+         "stone.bsdf.reflectance.value", "lamp.emitter.radiance.value", "sky.radiance.value"]
+
+
+def varied(channels: int = 1) -> dict:
+    return smoke(grid(channels), {"type": "gridvolume", "data": 0.9 - 0.7 * grid(3, (4, 3, 2)), "to_world": placed()})
+
+
+@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+@pytest.mark.parametrize("channels", CHANNELS)
+def test_where_extinction_is_even_the_medium_is_homogeneous(compile, channels):
+    """In a boundary of glass, too, and in as many cells as the coarse grid has."""
+    colour = (0.5, 0.5, 0.5) if channels == 1 else (0.3, 0.5, 0.9)
+    even = torch.tensor(colour[:channels], dtype=torch.float64).expand(20, 9, 17, channels).contiguous()
+    other = {"type": "homogeneous", "scale": 2.0, "albedo": rgb(0.9, 0.6, 0.3), "sigma_t": rgb(*colour),
+             "phase": {"type": "hg", "g": 0.4}}
+    for bsdf in (NULL, {"type": "dielectric", "int_ior": 1.3}):
+        samples = torch.stack([torch.stack([rb.render(room(medium, bsdf), spp=1024, max_depth=4, seed=seed, compile=compile)
+                                            .mean((0, 2, 3)) for seed in range(8)]) for medium in (smoke(even), other)])
+        difference, error = samples.mean(1).diff(dim=0)[0], (samples.var(1) / 8).sum(0).sqrt()
+        assert (difference.abs() < 4 * error).all() and (error < 0.02 * samples.mean((0, 1))).all()
+
+
+@pytest.mark.parametrize("channels", CHANNELS)
+def test_in_a_furnace_radiance_is_1(channels):
+    scene = load(torch.float64, camera=overhead(4, 4.0, 1.0), sky={"type": "constant"},
+                 box=box(smoke(grid(channels), (1, 1, 1), 4.0)),
+                 stone={"type": "sphere", "radius": 0.4, "bsdf": diffuse(1, 1, 1)})
+    image = rb.render(scene, spp=4096, max_depth=64, rr_depth=100, nee=False, seed=1)
+    error = image.mean((0, 1)).flatten() - 1.0
+    assert abs(float(error.mean())) < 4 * float(error.std()) / math.sqrt(len(error)) < 0.01
+
+
+def test_around_the_sensors_it_is_the_same_as_in_its_boundary():
+    """Outside of its box there is nothing."""
+    pair = []
+    for around in (False, True):
+        camera, more = overhead(4, 4.0, 1.0), {}
+        if around:
+            camera["medium"] = smoke()
+        else:
+            more["box"] = box(smoke(), 1.2)
+        scene = load(torch.float64, camera=camera, floor=rectangle((0, 0, 1.0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)),
+                     sky={"type": "constant"}, **more)
+        pair.append(torch.stack([rb.render(scene, spp=1024, max_depth=4, seed=seed).mean((0, 2, 3)) for seed in range(8)]))
+    difference, error = pair[0].mean(0) - pair[1].mean(0), ((pair[0].var(0) + pair[1].var(0)) / 8).sqrt()
+    assert (difference.abs() < 4 * error).all() and (error < 0.01 * pair[0].mean(0)).all()
+
+
+@pytest.mark.parametrize("channels", CHANNELS)
+@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, channels):
+    image, expected = image_and_gradients(room(varied(channels)), NAMES, **SETTINGS | {"adjoint": rb.TapeAdjoint()})
+    assert_informative(image, expected)
+    for adjoint in (*EXACT[:-1], *REPLAY):
+        found, gradients = image_and_gradients(room(varied(channels)), NAMES, compile=compile,
+                                               **SETTINGS | {"adjoint": adjoint})
+        assert relative_error(found, image) < 1e-12
+        for name, gradient, wanted in zip(NAMES, gradients, expected):
+            assert relative_error(gradient, wanted) < 1e-10, (adjoint, name)
+
+
+@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+@pytest.mark.parametrize("name", NAMES[:4])
+def test_forward_mode_is_the_transpose_of_backward(compile, name):
+    scene, settings = room(varied()), SETTINGS | {"compile": compile}
+    tangent = torch.linspace(0.5, 1.0, scene.get_parameter(name).numel(), dtype=torch.float64)
+    tangent = tangent.view_as(scene.get_parameter(name))
+    forward = rb.jvp(scene, {name: tangent}, seed=1, **settings)
+    w = cotangent(forward)
+    _, (gradient,) = image_and_gradients(scene, [name], seed=1, adj_image=w, **settings)
+    assert float((gradient * tangent).sum()) == pytest.approx(float((w * forward).sum()), rel=1e-9)
+
+
+def before_a_lamp(medium: dict):
+    """Smoke before a floor that sends light."""
+    return load(torch.float64, camera=overhead(2, 4.0, 0.9), box=box(medium),
+                floor=rectangle((0, 0, 0), 1.5, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0}))
+
+
+@pytest.mark.parametrize("channels", CHANNELS)
+@pytest.mark.parametrize("name, step", zip(NAMES[:4], (0.1, 0.1, 0.3, 0.2)))
+def test_derivatives_are_those_of_differences(name, step, channels):
+    found = rb.check_gradient(before_a_lamp(varied(channels)), name, step=step, spp=1 << 13, max_depth=4, seed=3).comparison
+    wanted, error = found.difference.mean(), found.standard_error.square().sum().sqrt() / found.standard_error.numel()
+    assert 0 < error < 0.1 * wanted.abs() and (found.jvp.mean() - wanted).abs() < 4 * error
+
+
+def test_where_extinction_is_0_derivatives_are_those_of_one_sided_differences():
+    """Of the cells that are empty, alone, beside others that are not."""
+    empty = grid() == 0
+    assert empty.any() and not empty.all()
+
+    def image(extinction: float, seed: int) -> torch.Tensor:
+        data = torch.where(empty, extinction, grid())
+        return rb.render(before_a_lamp(smoke(data)), spp=1 << 13, max_depth=4, seed=seed).mean()
+
+    step, found, wanted = 0.05, [], []
+    for seed in range(12):
+        scene = before_a_lamp(smoke())
+        _, (gradient,) = image_and_gradients(scene, NAMES[:1], seed=seed, spp=1 << 13, max_depth=4,
+                                             adj_image=torch.full((1, 3, 2, 2), 1 / 12, dtype=torch.float64))
+        found.append((gradient * empty).sum())
+        at = [image(extinction, seed + 100) for extinction in (0.0, step, 2 * step)]
+        wanted.append((4 * at[1] - 3 * at[0] - at[2]) / (2 * step))
+    found, wanted = torch.stack(found), torch.stack(wanted)
+    error = ((found.var() + wanted.var()) / 12).sqrt()
+    assert 0 < error < 0.1 * wanted.mean().abs() and (found.mean() - wanted.mean()).abs() < 4 * error
+
+
+def test_boundaries_and_grids_are_read_and_written(tmp_path):
+    scene = room(varied()).float()
+    rb.save(scene, tmp_path / "scene.xml")
+    again = rb.load(tmp_path / "scene.xml")
+    for name, value in scene.named_parameters():
+        torch.testing.assert_close(dict(again.named_parameters())[name], value)
+    image, other = (rb.render(each, spp=4, max_depth=3, seed=1) for each in (scene, again))
+    assert image.max() > 0 and torch.equal(image, other)
