@@ -29,7 +29,7 @@ from torch_radbp.plugin import Medium, Phase, Texture, Volume, finite, register
 from torch_radbp.plugin.domain import AMOUNT, FRACTION, NUMBER, Domain
 from torch_radbp.sampling.sampler import next_number
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import TINY, Ray, Vec3, where
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, where
 from torch_radbp.volume.constvolume import as_volume
 
 STEPS = 4  # that are taken at a time
@@ -151,7 +151,8 @@ class Heterogeneous(Medium):
 
     def row(self) -> HeterogeneousTable:
         grid = coarse_grid(self.sigma_t)
-        diagonal = sum((b - a).square() for a, b in zip(grid.low, grid.high)).sqrt()
+        across = grid.high - grid.low
+        diagonal = dot(across, across).sqrt()
         return HeterogeneousTable(self.sigma_t.table(), self.albedo.table(), self.scale, self.phase_function.row(), grid,
                                   THINNEST / diagonal)
 

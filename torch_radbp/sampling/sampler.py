@@ -247,6 +247,6 @@ def uniform(key: BounceKey, dimension: int, dtype: torch.dtype) -> Tensor:
 
 
 def next_number(seed: Tensor, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
-    """The next seed of a lane, int32, and a number uniform in [0, 1), (N,) each; where it is open how many are next_number."""
+    """The next seeds of lanes, int32, and numbers uniform in [0, 1), (N,) each; where it is open how many it takes."""
     seed = hash32(seed + INCREMENT)
     return seed, unit(seed, dtype)
