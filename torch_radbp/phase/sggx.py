@@ -81,8 +81,9 @@ def area_seen(rows: Vec3, wi: Vec3) -> Tensor:
 class SGGX(PhaseFunction):
     """Scattering by flakes that reflect, whose normals are distributed as those of an ellipsoid: fibres, or sheets.
 
-    Parameters: `S.data`, (Z, Y, X, 6). Derivatives: with respect to it. Reference: Heitz, Dupuy, Crassin and Dachsbacher
-    2015, "The SGGX Microflake Distribution", with its listings.
+    Parameters: `S.data`, (Z, Y, X, 6). Derivatives: with respect to it. Mitsuba multiplies the extinction of the medium by
+    the area of the flakes as seen along a ray, which media here do not do yet; it is 1 where S is the identity. Reference:
+    Heitz, Dupuy, Crassin and Dachsbacher 2015, "The SGGX Microflake Distribution", with its listings.
 
     Args:
         S: the symmetric positive definite matrix of the ellipsoid, by xx, yy, zz, xy, xz and yz: six numbers, or a
