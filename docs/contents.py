@@ -71,7 +71,8 @@ PAGES = {
     "medium": Category("Media", "What light travels through. A medium fills the whole scene: it is that of the sensors. The "
                        "pictures show a ball in each."),
     "phase": Category("Phase functions", "The directions in which media scatter light. The pictures show a ball in fog."),
-    "volume": Category("Volumes", "What a medium is made of at each point. The picture shows a ball in a fog."),
+    "volume": Category("Volumes", "Values at each point of space, of which media and materials are made. "
+                       "The pictures show a ball in fog."),
 }
 
 

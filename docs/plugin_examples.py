@@ -130,7 +130,7 @@ TEXTURES = {
     "volume": Example("A ball that is bright where it meets a puff of smoke.", {"ball": {
         "type": "sphere", "bsdf": {"type": "diffuse", "reflectance": {"type": "volume", "volume": {
             "type": "gridvolume", "filename": Asset("shapes/puff.vol"),
-            "to_world": Placed((3, 3, 3), (-1.5, -1.5, -1.5))}}}}}),
+            "to_world": Placed((2.4, 2.4, 2.4), (-1.2, -2, -1.1))}}}}}),
 }
 EMITTERS = {
     "area": Example("A square lamp: soft shadows, and its reflection on the ball.", {

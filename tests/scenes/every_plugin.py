@@ -165,7 +165,8 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
         specular_reflectance={"type": "volume", "volume": 0.7}),
     "volume of roughness": metal(type="roughconductor", alpha={"type": "volume", "volume": grid(3)}, **ROUGH_METAL),
     "volume on a mesh": shape(**quadrilateral(bsdf={
-        "type": "diffuse", "reflectance": {"type": "volume", "volume": grid(3)}})),
+        "type": "roughplastic", "alpha": 0.4, "diffuse_reflectance": {"type": "volume", "volume": grid(3)},
+        "specular_reflectance": bitmap()})),
     "raw constant": metal(type="diffuse", reflectance={"type": "rawconstant", "value": [0.7, 0.4, 0.6]}),
     "rough metal beckmann": metal(type="roughconductor", distribution="beckmann", alpha=0.3, **ROUGH_METAL),
     "rough metal ggx": metal(type="roughconductor", distribution="ggx", alpha=0.3, **ROUGH_METAL),

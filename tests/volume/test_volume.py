@@ -63,6 +63,12 @@ def test_values_are_those_of_mitsuba(filter_type, wrap_mode, channels, mi):
         np.testing.assert_allclose(np.array(theirs.eval(interaction)), value.detach().numpy(), rtol=0, atol=1e-5)
 
 
+@pytest.mark.parametrize("channels", [1, 3, 6])
+def test_a_grid_that_mitsuba_has_made_is_taken(channels, mi):
+    values = random(4, 3, 5, channels).float()
+    assert torch.equal(made(grid=mi.VolumeGrid(values.numpy())).data, values.double())
+
+
 @pytest.mark.parametrize("wrap_mode", ["clamp", "repeat", "mirror"])
 def test_derivatives_by_values_and_by_the_point_are_those_of_differences(wrap_mode):
     """Backwards and forwards, in and outside of the grid."""

@@ -13,7 +13,7 @@ from torch_radbp.interface.volume import VolumeKind
 from torch_radbp.plugin import Phase, Texture, Volume, register
 from torch_radbp.plugin.domain import FRACTION, Domain
 from torch_radbp.tensors.differentiated import settled
-from torch_radbp.tensors.vec import Vec3, attached, where
+from torch_radbp.tensors.vec import Vec3, where
 from torch_radbp.volume.constvolume import as_volume
 
 LEAST_CHANCE = 0.02  # of either: one of weight 0 is sampled, so that the weight has its derivative
@@ -39,7 +39,8 @@ class BlendPhaseKind(PhaseKind):
     def share(self, table: BlendTable, p: Vec3) -> tuple[Tensor, Tensor]:
         """The weight, kept in [0, 1] with its derivative, and the probability by which the second is sampled."""
         weight = self.weight.eval(table.weight, p).x
-        return attached(weight.detach().clamp(0.0, 1.0), weight), weight.clamp(LEAST_CHANCE, 1.0 - LEAST_CHANCE)
+        kept = weight + (weight.detach().clamp(0.0, 1.0) - weight.detach())
+        return kept, weight.clamp(LEAST_CHANCE, 1.0 - LEAST_CHANCE)
 
     def eval_pdf(self, table: BlendTable, p: Vec3, wi: Vec3, wo: Vec3) -> tuple[Tensor, Tensor]:
         weight, chance = self.share(table, p)

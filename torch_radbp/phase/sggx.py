@@ -18,6 +18,7 @@ from torch_radbp.volume.constvolume import as_volume
 from torch_radbp.volume.gridvolume import GridVolume
 
 LEAST = 1e-12  # area of an ellipsoid
+Rows = tuple[Vec3, ...]  # of a matrix
 ROWS = ((0, 3, 4), (3, 1, 5), (4, 5, 2))  # of the matrix, by the numbers of channels
 
 
@@ -36,8 +37,8 @@ class SGGXKind(PhaseKind):
     def eval_pdf(self, table: Any, p: Vec3, wi: Vec3, wo: Vec3) -> tuple[Tensor, Tensor]:
         s, h = self.rows_at(table, p), normalize(wi + wo)
         # S^-1 h has the cross products of the rows over the determinant.
-        cofactors = Vec3(cross(s.y, s.z), cross(s.z, s.x), cross(s.x, s.y))
-        determinant = dot(s.x, cofactors.x).clamp_min(TINY)
+        cofactors = cross(s[1], s[2]), cross(s[2], s[0]), cross(s[0], s[1])
+        determinant = dot(s[0], cofactors[0]).clamp_min(TINY)
         squared = dot(h, times(cofactors, h)) / determinant
         value = 0.25 / (math.pi * torch.sqrt(determinant) * squared * squared * area_seen(s, wi))
         return value, value
@@ -61,18 +62,18 @@ class SGGXKind(PhaseKind):
     def projected_area(self, table: Any, p: Vec3, wi: Vec3) -> Tensor:
         return area_seen(self.rows_at(table, p), wi)
 
-    def rows_at(self, table: Any, p: Vec3) -> Vec3:
+    def rows_at(self, table: Any, p: Vec3) -> Rows:
         """The rows of S at points."""
         channels = self.matrix.values(table, p)
-        return Vec3(*(Vec3(*(channels[number] for number in row)) for row in ROWS))
+        return tuple(Vec3(*(channels[number] for number in row)) for row in ROWS)
 
 
-def times(rows: Vec3, v: Vec3) -> Vec3:
+def times(rows: Rows, v: Vec3) -> Vec3:
     """The product of a matrix, by its rows, and a vector."""
-    return Vec3(dot(rows.x, v), dot(rows.y, v), dot(rows.z, v))
+    return Vec3(*(dot(row, v) for row in rows))
 
 
-def area_seen(rows: Vec3, wi: Vec3) -> Tensor:
+def area_seen(rows: Rows, wi: Vec3) -> Tensor:
     """The area of flakes as seen along a direction."""
     return torch.sqrt(dot(wi, times(rows, wi)).clamp_min(LEAST))
 
@@ -81,8 +82,9 @@ def area_seen(rows: Vec3, wi: Vec3) -> Tensor:
 class SGGX(PhaseFunction):
     """Scattering by flakes that reflect, whose normals are distributed as those of an ellipsoid: fibres, or sheets.
 
-    Parameters: `S.data`, (Z, Y, X, 6). Derivatives: with respect to it. Reference: Heitz, Dupuy, Crassin and Dachsbacher
-    2015, "The SGGX Microflake Distribution", with its listings.
+    Parameters: `S.data`, (Z, Y, X, 6). Derivatives: with respect to it. Mitsuba multiplies the extinction of the medium by
+    the area of the flakes as seen along a ray, which media here do not do yet; it is 1 where S is the identity. Reference:
+    Heitz, Dupuy, Crassin and Dachsbacher 2015, "The SGGX Microflake Distribution", with its listings.
 
     Args:
         S: the symmetric positive definite matrix of the ellipsoid, by xx, yy, zz, xy, xz and yz: six numbers, or a

@@ -79,6 +79,7 @@ def as_volume(owner: Plugin, name: str, value: Volume | Texture | float, channel
 
 def as_constant(owner: Plugin, name: str, value: Volume | Texture | float) -> ConstVolume:
     """The same where the value must be the same everywhere."""
-    if isinstance(value, Volume) and not isinstance(value, ConstVolume):
-        raise ValueError(f"{name} of {owner.type} must be the same everywhere, got a {value.type}")
-    return as_volume(owner, name, value)
+    volume = as_volume(owner, name, value)
+    if not isinstance(volume, ConstVolume):
+        raise ValueError(f"{name} of {owner.type} must be the same everywhere, got a {volume.type}")
+    return volume

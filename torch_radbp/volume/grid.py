@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ class GridTable(NamedTuple):
     """A grid of K cells; the other columns have one entry."""
 
     cells: tuple[Tensor, ...]  # (K,) for each channel, x fastest; attached
-    size: tuple[Tensor, Tensor, Tensor]  # int32, along x, y and z
+    size: tuple[Tensor, ...]  # int32, along x, y and z
     to_local: tuple[tuple[Vec3, Tensor], ...]  # the rows of the transform from the world into the unit cube, with its shift
 
 
@@ -42,8 +43,8 @@ class GridKind(VolumeKind):
             x, y, z = (self.inside(torch.floor(at.detach()), count) for at, count in zip(place, size))
             return lookup(table.cells, (z * size[1] + y) * size[0] + x)
         cells, (fx, fy, fz), _ = self.around(table, p)
-        lower, upper = ([between(*(lookup(table.cells, cell) for cell in row), fx) for row in layer] for layer in cells)
-        return between(between(*lower, fy), between(*upper, fy), fz)
+        lower, upper = ([between([lookup(table.cells, cell) for cell in row], fx) for row in layer] for layer in cells)
+        return between((between(lower, fy), between(upper, fy)), fz)
 
     def slopes(self, table: GridTable, p: Vec3) -> tuple[Vec3, ...]:
         if self.filter_type == "nearest":
@@ -52,11 +53,11 @@ class GridKind(VolumeKind):
         slopes = []
         for column in table.cells:
             (a, b), (c, d) = ([tuple(lookup((column,), cell) for cell in row) for row in layer] for layer in cells)
-            rows = [between(*row, fx) for row in (a, b, c, d)]
+            rows = [between(row, fx) for row in (a, b, c, d)]
             along_x = [difference(*row) for row in (a, b, c, d)]
-            by_x, = between(between(*along_x[:2], fy), between(*along_x[2:], fy), fz)
-            by_y, = between(difference(*rows[:2]), difference(*rows[2:]), fz)
-            by_z, = between(difference(rows[0], rows[2]), difference(rows[1], rows[3]), fy)
+            by_x, = between((between(along_x[:2], fy), between(along_x[2:], fy)), fz)
+            by_y, = between((difference(*rows[:2]), difference(*rows[2:])), fz)
+            by_z, = between((difference(rows[0], rows[2]), difference(rows[1], rows[3])), fy)
             slopes.append(by_point[0] * by_x + by_point[1] * by_y + by_point[2] * by_z)
         return tuple(slopes)
 
@@ -94,9 +95,9 @@ class GridKind(VolumeKind):
         return torch.minimum(folded, 2 * count - 1 - folded)
 
 
-def between(first: tuple[Tensor, ...], second: tuple[Tensor, ...], share: Tensor) -> tuple[Tensor, ...]:
+def between(ends: Sequence[tuple[Tensor, ...]], share: Tensor) -> tuple[Tensor, ...]:
     """Interpolates linearly between the channels of two places."""
-    return tuple(a + (b - a) * share for a, b in zip(first, second))
+    return tuple(a + (b - a) * share for a, b in zip(*ends))
 
 
 def difference(first: tuple[Tensor, ...], second: tuple[Tensor, ...]) -> tuple[Tensor, ...]:

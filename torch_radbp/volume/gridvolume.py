@@ -64,7 +64,7 @@ class GridVolume(VolumeFunction):
         self.use_grid_bbox, self.raw, self.accel = boolean("use_grid_bbox", use_grid_bbox), raw, accel
         self.max_value = max_value
         (name, values), = given.items()
-        self.box = UNIT_BOX
+        self.box: tuple[float, ...] = UNIT_BOX
         if filename is not None:
             file = read_volume(filename, CHANNELS)
             name, values, self.box = "data", torch.from_numpy(file.values), file.box
@@ -81,7 +81,8 @@ class GridVolume(VolumeFunction):
 
     def domains(self) -> dict[str, Domain]:
         shape = (("Z", "Y", "X", 6),) if self.signed else (("Z", "Y", "X", 1), ("Z", "Y", "X", 3))
-        return {"data": Domain(shapes=shape, limit=LARGEST_AMOUNT, **{} if self.signed else {"low": 0.0, "floor": 0.0})}
+        least = -inf if self.signed else 0.0
+        return {"data": Domain(shapes=shape, low=least, limit=LARGEST_AMOUNT, floor=least)}
 
     def kind(self) -> GridKind:
         return GridKind(self.filter_type, self.wrap_mode)

@@ -34,15 +34,17 @@ class VolumeReader(TableReader):
         return tuple(texture.volume.table(dtype, device) for texture in textures)
 
     def read(self, bank: tuple[Any, ...], row: Tensor, point: TexturePoint) -> Vec3:
+        assert point.p is not None
         value = self.volume.eval(bank[0], point.p)
         for number, table in enumerate(bank[1:], 1):
             value = where(row == number, self.volume.eval(table, point.p), value)
         if self.as_number:
-            number = luminance(value)
-            value = Vec3(number, number, number)
+            grey = luminance(value)
+            value = Vec3(grey, grey, grey)
         return value
 
     def rise(self, bank: tuple[Any, ...], row: Tensor, point: TexturePoint) -> Vec2:
+        assert point.p is not None and point.edges is not None
         slope = self.slope(bank[0], point.p)
         for number, table in enumerate(bank[1:], 1):
             slope = where(row == number, self.slope(table, point.p), slope)
