@@ -34,10 +34,10 @@ def coarse_grid(volume: VolumeFunction) -> CoarseGrid:
         corners = volume.corners()
         corners = torch.stack([bound.new_zeros(3), bound.new_ones(3)]) if corners is None else corners
         low, high = (Vec3.of(each[None]) for each in (corners.amin(0), corners.amax(0)))
-        counts = [torch.tensor([count], dtype=torch.int32, device=bound.device) for count in size]
+        x, y, z = (torch.tensor([count], dtype=torch.int32, device=bound.device) for count in size)
         to_cells = to_unit * to_unit.new_tensor(size)[:, None]
         rows = tuple((Vec3.of(row[None, :3]), row[3:].clone()) for row in to_cells.unbind())
-        return CoarseGrid(bound.reshape(-1) * ABOVE, tuple(counts), rows, low, high)
+        return CoarseGrid(bound.reshape(-1) * ABOVE, (x, y, z), rows, low, high)
 
 
 def bounds_of(volume: VolumeFunction) -> tuple[Tensor, tuple[int, int, int], Tensor]:
@@ -51,7 +51,8 @@ def bounds_of(volume: VolumeFunction) -> tuple[Tensor, tuple[int, int, int], Ten
     padded = pad(cells[None, None], [1, 1 + over[2], 1, 1 + over[1], 1, 1 + over[0]], mode="replicate")
     bound = max_pool3d(padded, COARSER + 2, stride=COARSER)[0, 0]
     scale = torch.tensor([count / (COARSER * of) for count, of in zip(cells.shape[::-1], bound.shape[::-1])])
-    return bound, bound.shape[::-1], to_unit * scale.to(to_unit)[:, None]
+    z, y, x = bound.shape
+    return bound, (x, y, z), to_unit * scale.to(to_unit)[:, None]
 
 
 def cell_of(grid: CoarseGrid, ray: Ray, t: Tensor) -> Tensor:

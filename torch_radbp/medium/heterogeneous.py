@@ -150,7 +150,7 @@ class Heterogeneous(Medium):
         return HeterogeneousKind(self.sigma_t.kind(), self.albedo.kind(), self.phase_function.kind())
 
     def row(self) -> HeterogeneousTable:
-        grid = coarse_grid(self.sigma_t)
+        grid = coarse_grid(self.sigma_t)  # type: ignore[arg-type]
         across = grid.high - grid.low
         diagonal = dot(across, across).sqrt()
         return HeterogeneousTable(self.sigma_t.table(), self.albedo.table(), self.scale, self.phase_function.row(), grid,
