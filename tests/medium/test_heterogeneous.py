@@ -68,10 +68,11 @@ def varied(channels: int = 1) -> dict:
 
 
 @pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+@pytest.mark.parametrize("thickness", [1.0, 0.01], ids=["thick", "thinner than flights are sampled by"])
 @pytest.mark.parametrize("channels", CHANNELS)
-def test_where_extinction_is_even_the_medium_is_homogeneous(compile, channels):
+def test_where_extinction_is_even_the_medium_is_homogeneous(compile, channels, thickness):
     """In a boundary of glass, too, and in as many cells as the coarse grid has."""
-    colour = (0.5, 0.5, 0.5) if channels == 1 else (0.3, 0.5, 0.9)
+    colour = [thickness * each for each in ((0.5, 0.5, 0.5) if channels == 1 else (0.3, 0.5, 0.9))]
     even = torch.tensor(colour[:channels], dtype=torch.float64).expand(20, 9, 17, channels).contiguous()
     other = {"type": "homogeneous", "scale": 2.0, "albedo": rgb(0.9, 0.6, 0.3), "sigma_t": rgb(*colour),
              "phase": {"type": "hg", "g": 0.4}}
@@ -177,3 +178,16 @@ def test_boundaries_and_grids_are_read_and_written(tmp_path):
         torch.testing.assert_close(dict(again.named_parameters())[name], value)
     image, other = (rb.render(each, spp=4, max_depth=3, seed=1) for each in (scene, again))
     assert image.max() > 0 and torch.equal(image, other)
+
+
+def test_smoke_so_thin_that_flights_are_sampled_by_more_scatters_as_much_as_it_should():
+    """What it adds to a black scene grows with its extinction: by the same share in a box of even smoke and of fog."""
+    def light(medium: dict) -> torch.Tensor:
+        scene = load(torch.float64, camera=overhead(2, 4.0, 0.9), box=box(medium),
+                     bulb={"type": "point", "position": [0, 0, 4.0], "intensity": 30.0})
+        return torch.stack([rb.render(scene, spp=1 << 12, max_depth=2, seed=seed).mean() for seed in range(8)])
+
+    even = light(smoke(torch.full((3, 3, 3, 1), 0.002, dtype=torch.float64), (0.9, 0.9, 0.9)))
+    fog = light({"type": "homogeneous", "sigma_t": 0.002, "scale": 2.0, "albedo": 0.9, "phase": {"type": "hg", "g": 0.4}})
+    error = ((even.var() + fog.var()) / 8).sqrt()
+    assert 0 < error < 0.05 * fog.mean() and (even.mean() - fog.mean()).abs() < 4 * error

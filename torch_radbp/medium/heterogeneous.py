@@ -91,7 +91,8 @@ class HeterogeneousKind(MediumKind):
         """Follows rays to the next tentative collision, or the next cell of the coarse grid; `last`: where they leave."""
         t, end, left, beyond, seed, running = tracking
         floor = only(table.floor, last)
-        bound = torch.maximum(lookup(table.grid.bound, cell_of(table.grid, ray, t)) * only(table.scale, last), floor)
+        # Above what flights are sampled by, so that tentative collisions may be passed wherever light passes.
+        bound = torch.maximum(lookup(table.grid.bound, cell_of(table.grid, ray, t)) * only(table.scale, last), 2.0 * floor)
         seed, u = next_number(seed, last.dtype)
         collision, border = t - torch.log1p(-u) / bound, t + distance_to_next_cell(table.grid, ray, t)
         collides, t = running & (collision < torch.minimum(border, last)), torch.minimum(collision, border)
