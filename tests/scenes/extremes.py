@@ -91,9 +91,10 @@ def spectra(share: float) -> Callable[[torch.dtype], rb.Scene]:
     """The crowd with all textures that are no image, at the ends of their ranges."""
     dark = {"type": "regular", "wavelength_min": 400.0, "wavelength_max": 700.0, "values": [share] * 3}
     light = {"type": "irregular", "wavelengths": [300.0, 555.0, 900.0], "values": [1 - share] * 3}
+    ends = {"type": "volume", "volume": {"type": "gridvolume", "data": torch.tensor([0.0, share]).reshape(1, 1, 2)}}
     metal = {"type": "conductor", "eta": {"type": "rawconstant", "value": 1.0 + share},
              "k": {"type": "srgb", "color": share}, "specular_reflectance": {"type": "checkerboard", "color0": {
-                 "type": "uniform", "value": 1.0 - share}, "color1": share}}
+                 "type": "uniform", "value": 1.0 - share}, "color1": ends}}
     glow = {"type": "blackbody", "temperature": 100.0 if share else 1e6}
     shared = {"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "vertex_share"}}
 

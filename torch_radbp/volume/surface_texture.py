@@ -62,7 +62,7 @@ class VolumeTexture(Texture):
 
     Parameters: those of the volume, such as `volume.data`. Derivatives: with respect to them, and through the point to
     whatever moves the surface, but for the jumps of a `gridvolume` whose filter is nearest. It stands in materials, not in
-    emitters; in Mitsuba not in a `bumpmap`, either.
+    emitters; in Mitsuba not in a `bumpmap`, a `plastic` or a `roughplastic`, either.
 
     Args:
         volume: one of one channel or three, such as a `gridvolume`; or a colour.
