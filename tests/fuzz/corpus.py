@@ -312,6 +312,12 @@ FOG = """<scene version="3.0.0">
     </medium>
   </sensor>
   <emitter type="point"><point name="position" x="0" y="2" z="3"/></emitter>
+  <shape type="cube">
+    <bsdf type="null"/>
+    <medium name="interior" type="heterogeneous">
+      <volume name="sigma_t" type="gridvolume"><string name="filename" value="smoke.vol"/></volume> <phase type="hg"/>
+    </medium>
+  </shape>
   <shape type="sphere">
     <bsdf type="diffuse"><texture name="reflectance" type="volume">
       <volume type="gridvolume"><string name="filename" value="smoke.vol"/></volume>

@@ -38,7 +38,7 @@ def transmittance_of(scene: SceneTensors, ray: Ray, ways: tuple[MediumWay, ...])
         if not kind.tracked:
             through = through * kind.transmittance(table, ray, way.length)
             continue
-        extinction = kind.extinction(table, ray.o + ray.d * way.place)
+        extinction = kind.extinction(table, ray.o + ray.d * way.place, ray.d)
         through = through * Vec3(*(left * (1.0 - way.length * (sigma - settled(sigma)))
                                    for left, sigma in zip(way.left, extinction)))
     return through

@@ -100,13 +100,13 @@ class MediumKind:
         """
         raise TypeError(f"{type(self).__name__} is not followed by steps")
 
-    def extinction(self, table: Table, p: Vec3) -> Vec3:
-        """The share of light that is lost per unit of length at points, (N,), by colour; attached. Of media that are
-        followed by steps."""
+    def extinction(self, table: Table, p: Vec3, wi: Vec3) -> Vec3:
+        """The share of light that is lost per unit of length at points, (N,), along directions, by colour; attached. Of
+        media that are followed by steps."""
         raise TypeError(f"{type(self).__name__} is not followed by steps")
 
-    def scattering(self, table: Table, p: Vec3) -> Vec3:
-        """The share of light that is scattered per unit of length at points, (N,), by colour; attached."""
+    def scattering(self, table: Table, p: Vec3, wi: Vec3) -> Vec3:
+        """The share of light that is scattered per unit of length at points, (N,), along directions, by colour; attached."""
         raise TypeError(f"{type(self).__name__} does not scatter")
 
     def phase(self, table: Table, p: Vec3, wi: Vec3, wo: Vec3) -> tuple[Tensor, Tensor]:

@@ -65,6 +65,14 @@ class CosineKind(PhaseKind):
 class PhaseFunction(Phase):
     """What a phase function's plugin gives to media."""
 
+    def largest_area(self) -> Tensor | float:
+        """An upper bound of `PhaseKind.projected_area`, detached."""
+        return 1.0
+
+    def even_area(self) -> bool:
+        """True if `PhaseKind.projected_area` is the same at all points."""
+        return True
+
     def kind(self) -> PhaseKind:
         """The functions."""
         raise TypeError(f"{type(self).__name__} does not define its kind")

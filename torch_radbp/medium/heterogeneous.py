@@ -57,11 +57,13 @@ class HeterogeneousKind(MediumKind):
     albedo: VolumeKind
     phase_function: PhaseKind
 
-    def extinction(self, table: HeterogeneousTable, p: Vec3) -> Vec3:
-        return self.sigma_t.eval(table.sigma_t, p) * only(table.scale, p.x)
+    def extinction(self, table: HeterogeneousTable, p: Vec3, wi: Vec3) -> Vec3:
+        area = self.phase_function.projected_area(table.phase, p, wi)
+        scale = only(table.scale, p.x)
+        return self.sigma_t.eval(table.sigma_t, p) * (scale if area is None else scale * area)
 
-    def scattering(self, table: HeterogeneousTable, p: Vec3) -> Vec3:
-        return self.extinction(table, p) * self.albedo.eval(table.albedo, p)
+    def scattering(self, table: HeterogeneousTable, p: Vec3, wi: Vec3) -> Vec3:
+        return self.extinction(table, p, wi) * self.albedo.eval(table.albedo, p)
 
     def phase(self, table: HeterogeneousTable, p: Vec3, wi: Vec3, wo: Vec3) -> tuple[Tensor, Tensor]:
         return self.phase_function.eval_pdf(table.phase, p, wi, wo)
@@ -96,7 +98,7 @@ class HeterogeneousKind(MediumKind):
         seed, u = next_number(seed, last.dtype)
         collision, border = t - torch.log1p(-u) / bound, t + distance_to_next_cell(table.grid, ray, t)
         collides, t = running & (collision < torch.minimum(border, last)), torch.minimum(collision, border)
-        sigma = self.extinction(table, ray.o + ray.d * t)
+        sigma = self.extinction(table, ray.o + ray.d * t, ray.d)
         seed, u = next_number(seed, last.dtype)
         if flies:
             # Is it real? The extinction of the colour that decides says with which probability.
@@ -154,6 +156,7 @@ class Heterogeneous(Medium):
         grid = coarse_grid(self.sigma_t)  # type: ignore[arg-type]
         across = grid.high - grid.low
         diagonal = dot(across, across).sqrt()
+        grid = grid._replace(bound=grid.bound * self.phase_function.largest_area())
         return HeterogeneousTable(self.sigma_t.table(), self.albedo.table(), self.scale, self.phase_function.row(), grid,
                                   THINNEST / diagonal)
 

@@ -36,20 +36,24 @@ class HomogeneousKind(MediumKind):
     phase_function: PhaseKind
 
     def transmittance(self, table: HomogeneousTable, ray: Ray, distance: Tensor) -> Vec3:
-        return everywhere(table.sigma_t, distance).map(lambda sigma: torch.exp(-sigma * distance))
+        return self.extinction(table, ray.o, ray.d).map(lambda sigma: torch.exp(-sigma * distance))
 
     def sample_flight(self, table: HomogeneousTable, ray: Ray, way: Tensor, u: Tensor, v: Tensor) -> Tensor:
         # The exponential distribution of one of the three colours.
-        sigma = at_least(everywhere(table.sigma_t, u), way)
+        sigma = at_least(self.extinction(table, ray.o, ray.d), way)
         return -torch.log1p(-u) / colour_chosen(sigma, v)
 
     def flight_pdf(self, table: HomogeneousTable, ray: Ray, way: Tensor, distance: Tensor) -> tuple[Vec3, Vec3]:
-        sigma = at_least(everywhere(table.sigma_t, distance), way)
+        sigma = at_least(self.extinction(table, ray.o, ray.d), way)
         through = sigma.map(lambda each: torch.exp(-each * distance))
         return sigma * through, through
 
-    def scattering(self, table: HomogeneousTable, p: Vec3) -> Vec3:
-        return everywhere(table.sigma_t, p.x) * everywhere(table.albedo, p.x)
+    def extinction(self, table: HomogeneousTable, p: Vec3, wi: Vec3) -> Vec3:
+        sigma, area = everywhere(table.sigma_t, p.x), self.phase_function.projected_area(table.phase, p, wi)
+        return sigma if area is None else sigma * area
+
+    def scattering(self, table: HomogeneousTable, p: Vec3, wi: Vec3) -> Vec3:
+        return self.extinction(table, p, wi) * everywhere(table.albedo, p.x)
 
     def phase(self, table: HomogeneousTable, p: Vec3, wi: Vec3, wo: Vec3) -> tuple[Tensor, Tensor]:
         return self.phase_function.eval_pdf(table.phase, p, wi, wo)
@@ -86,6 +90,9 @@ class Homogeneous(Medium):
         self.albedo, self.sigma_t = as_constant(self, "albedo", albedo), as_constant(self, "sigma_t", sigma_t)
         self.freeze("scale", finite("scale", scale, ()).to(torch.get_default_dtype()))
         self.phase_function = Isotropic() if phase_function is None else phase_function
+        if not self.phase_function.even_area():
+            raise ValueError(f"{self.phase_function.type} of homogeneous must be the same everywhere, since the extinction "
+                             "depends on it; take a heterogeneous medium")
 
     def domains(self) -> dict[str, Domain]:
         return {"albedo": FRACTION, "sigma_t": AMOUNT._replace(floor=0.0),

@@ -76,7 +76,7 @@ class FlightVertex(VertexKind):
         t, longer = distance_flown(scene, arrival, settings, here)
         p, wi = point_along(state.ray, t), -state.ray.d
         chance = longer / settled(arrival.flight.chance).clamp_min(TINY)
-        scattered = way_left(scene, arrival, t) * kind.scattering(table, p) * chance
+        scattered = way_left(scene, arrival, t) * kind.scattering(table, p, wi) * chance
 
         # Ld: the light of one point on a light, as the phase function scatters it.
         none, there = Vec3.full(state.pdf, 0.0), torch.ones_like(state.pdf, dtype=torch.bool)

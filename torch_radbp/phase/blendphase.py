@@ -14,7 +14,7 @@ from torch_radbp.plugin import Phase, Texture, Volume, register
 from torch_radbp.plugin.domain import FRACTION, Domain
 from torch_radbp.tensors.differentiated import settled
 from torch_radbp.tensors.vec import Vec3, where
-from torch_radbp.volume.constvolume import as_volume
+from torch_radbp.volume.constvolume import ConstVolume, as_volume
 
 LEAST_CHANCE = 0.02  # of either: one of weight 0 is sampled, so that the weight has its derivative
 LARGEST_NUMBER = 1.0 - 2.0**-24
@@ -99,3 +99,10 @@ class BlendPhase(PhaseFunction):
 
     def row(self) -> BlendTable:
         return BlendTable(self.weight.table(), self.phase_0.row(), self.phase_1.row())
+
+    def largest_area(self) -> Tensor | float:
+        return max(part.largest_area() for part in self.phase)
+
+    def even_area(self) -> bool:
+        same = all(part.largest_area() is 1.0 for part in self.phase)  # 1 of both
+        return same or (isinstance(self.weight, ConstVolume) and all(part.even_area() for part in self.phase))

@@ -82,9 +82,9 @@ def area_seen(rows: Rows, wi: Vec3) -> Tensor:
 class SGGX(PhaseFunction):
     """Scattering by flakes that reflect, whose normals are distributed as those of an ellipsoid: fibres, or sheets.
 
-    Parameters: `S.data`, (Z, Y, X, 6). Derivatives: with respect to it. Mitsuba multiplies the extinction of the medium by
-    the area of the flakes as seen along a ray, which media here do not do yet; it is 1 where S is the identity. Reference:
-    Heitz, Dupuy, Crassin and Dachsbacher 2015, "The SGGX Microflake Distribution", with its listings.
+    Parameters: `S.data`, (Z, Y, X, 6). Derivatives: with respect to it. The extinction of the medium is multiplied by the
+    area of the flakes as seen along a ray, which is 1 where S is the identity. Reference: Heitz, Dupuy, Crassin and
+    Dachsbacher 2015, "The SGGX Microflake Distribution", with its listings.
 
     Args:
         S: the symmetric positive definite matrix of the ellipsoid, by xx, yy, zz, xy, xz and yz: six numbers, or a
@@ -112,3 +112,12 @@ class SGGX(PhaseFunction):
 
     def row(self) -> Any:
         return self.S.table()
+
+    def largest_area(self) -> Tensor:
+        # The root of the largest eigenvalue, which is not more than the trace; interpolation does not exceed it.
+        entries, = self.S.entries().values()
+        return entries.detach()[..., :3].sum(-1).amax().clamp_min(LEAST).sqrt()
+
+    def even_area(self) -> bool:
+        entries, = self.S.entries().values()
+        return entries[..., 0].numel() == 1
