@@ -45,6 +45,7 @@ def room(bsdf=NULL, **more):
                 sky={"type": "constant", "radiance": rgb(0.2, 0.3, 0.4)}, **more)
 
 
+MOVING = ["ball.to_world", "core.to_world", "floor.to_world", "camera.to_world", "bulb.position"]
 NAMES = ["ball.interior.sigma_t.value.value", "ball.interior.albedo.value.value", "ball.interior.phase_function.g",
          "ball.interior.scale", "core.interior.sigma_t.value.value", "core.interior.albedo.value.value",
          "floor.bsdf.reflectance.value", "lamp.emitter.radiance.value", "sky.radiance.value"]
@@ -136,10 +137,56 @@ def test_derivatives_are_those_of_differences(name, step, bsdf):
     assert 0 < error < 0.1 * wanted.abs() and (found.jvp.mean() - wanted).abs() < 4 * error
 
 
-def test_what_moves_is_refused_by_name():
-    scene = room()
+@pytest.mark.parametrize("sampling", ["detached", "hybrid", "attached"])
+@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+@pytest.mark.parametrize("bsdf", [NULL, GLASS, ROUGH], ids=["null", "glass", "rough"])
+def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, bsdf, sampling):
+    """Of boundaries, surfaces behind them, lamps and the camera, and of a boundary's roughness."""
+    names = [*MOVING, NAMES[0], *(["ball.bsdf.alpha.value"] if bsdf is ROUGH else [])]
+    settings = SETTINGS | {"sampling": sampling}
+    image, expected = image_and_gradients(room(bsdf), names, **settings | {"adjoint": rb.TapeAdjoint()})
+    assert_informative(image, [each for name, each in zip(names, expected) if name != "bulb.position" or bsdf is NULL])
+    for adjoint in (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint("log", keep_hits=False), rb.QuadraticAdjoint(), *REPLAY):
+        found, gradients = image_and_gradients(room(bsdf), names, compile=compile, **settings | {"adjoint": adjoint})
+        assert relative_error(found, image) < 1e-12
+        for name, gradient, wanted in zip(names, gradients, expected):
+            assert (gradient - wanted).abs().max() <= 1e-10 * wanted.abs().max(), (adjoint, name)
+
+
+@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+@pytest.mark.parametrize("name", MOVING[:4])
+def test_forward_mode_is_the_transpose_of_backward_of_what_moves(compile, name):
+    scene, settings = room(), SETTINGS | {"terms": ("interior",), "compile": compile}
+    tangent = torch.linspace(0.5, 1.0, scene.get_parameter(name).numel(), dtype=torch.float64)
+    tangent = tangent.view_as(scene.get_parameter(name))
+    forward = rb.jvp(scene, {name: tangent}, seed=1, **settings)
+    w = cotangent(forward)
+    _, (gradient,) = image_and_gradients(scene, [name], seed=1, adj_image=w, **settings)
+    assert float((gradient * tangent).sum()) == pytest.approx(float((w * forward).sum()), rel=1e-9)
+
+
+@pytest.mark.parametrize("depth", [1, 3])
+@pytest.mark.parametrize("name", ["ball.to_world", "core.to_world", "camera.to_world"])
+def test_derivatives_by_boundaries_that_move_are_those_of_differences(name, depth):
+    """Of light that passes them straight, and of light that is scattered; projected on the derivative itself."""
+    scene = load(torch.float64, air=haze((0.6, 0.8, 1.0), (0.5, 0.4, 0.3), 0.4), camera=overhead(2, 4.0, 1.3),
+                 floor=rectangle((0, 0, 0), 9.0, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0}),
+                 ball=ball(0.9, bsdf=NULL, interior={"type": "ref", "id": "air"}),
+                 core=ball(0.6, bsdf=NULL, interior=haze((1, 2, 1.5), (0.3, 0.6, 0.5), -0.3),
+                           exterior={"type": "ref", "id": "air"}))
+    with pytest.warns(rb.SilhouetteWarning, match=f"`{name}` lack what edges and shadows contribute, since surf"):
+        found = rb.check_gradient(scene, name, step=0.05, spp=1 << 15, max_depth=depth, seed=3).comparison
+    along = found.jvp / found.jvp.norm()
+    error = float((found.standard_error * along).norm())
+    wanted = float((found.difference * along).sum())
+    assert 0 < error < 0.05 * abs(wanted) and abs(float((found.jvp * along).sum()) - wanted) < 4 * error
+
+
+def test_what_moves_in_smoke_is_refused_by_name():
+    smoke = {"type": "heterogeneous", "sigma_t": {"type": "gridvolume", "data": torch.ones(2, 2, 2)}}
+    scene = room(smoke=ball(0.1, bsdf=NULL, interior=smoke))
     scene.get_parameter("floor.to_world").requires_grad_()
-    with pytest.raises(ValueError, match="floor.to_world.*boundaries of media"):
+    with pytest.raises(ValueError, match="derivatives by floor.to_world are not there for scenes with heterogeneous media"):
         rb.render(scene, spp=1)
 
 

@@ -13,6 +13,7 @@ from torch_radbp.path.queues import Queue
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Onward, Step, surviving
 from torch_radbp.path.texture_networks import texture_values_at
+from torch_radbp.path.through_media import free_flights
 from torch_radbp.path.trace import Visit, trace
 from torch_radbp.path.vertices import room_for_vertices
 from torch_radbp.path.wavefront import bounced, brighten, take_step
@@ -37,8 +38,12 @@ def bounced_twice(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | No
     fixed, stages, state = integrand.still(), integrand.stages, onward.packed(integrand)
     vertex, _, step = take_step(fixed, detached(state), depth, hit=onward.hit, with_light=False)
     alive = surviving(step)
-    hit = None if integrand.is_last(depth) else fixed.caster.intersect(stages(rows)(vertex.next.ray, alive))
-    E, ahead = attached_vertices(integrand, state, depth, step, _spread(hit, alive, step.scattered))
+    hit = following = None
+    if not integrand.is_last(depth):
+        ahead = stages(rows)(vertex.next, alive)
+        hit = fixed.caster.intersect(ahead.ray)
+        following, _ = free_flights(fixed, ahead, hit, depth + 1)
+    E, ahead = attached_vertices(integrand, state, depth, step, _spread(following, alive, step.scattered))
     if E is not None:
         brighten(integrand, L, state, step.order[:step.scattered], vertex.next.lane, E)
         ahead = ahead._replace(vantage=vertex.next.vantage, medium=vertex.next.medium)

@@ -7,11 +7,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.connection.light import shadow_ray
-from torch_radbp.interface.medium import MediumWay
+from torch_radbp.connection.light import connection_of, shadow_ray
 from torch_radbp.interface.texture import TextureValue
 from torch_radbp.path.bounce import gathered
-from torch_radbp.path.state import Arrival, PathState, Position, Settings
+from torch_radbp.path.state import Arrival, PathState, Position, Settings, ShadowWay
 from torch_radbp.path.step import Step
 from torch_radbp.path.through_media import let_through
 from torch_radbp.raycast.protocol import Hit
@@ -37,13 +36,13 @@ class Verdict(NamedTuple):
 
     visible: Tensor  # (N,) bool: the shadow ray was free
     survives: Tensor  # (N,) bool: the path goes on
-    ways: tuple[MediumWay, ...] | None = None  # (N,) see `Step`
+    shadow_way: ShadowWay | None = None  # (N,) see `Step`
     following: Hit | None = None  # what the next ray meets, triangle -1: nothing; None: rays carry no derivatives
 
 
 def verdict_of(step: Step) -> Verdict:
     """The decisions at all vertices of a bounce that scatter."""
-    return Verdict(step.visible, step.survives, step.ways)
+    return Verdict(step.visible, step.survives, step.shadow_way)
 
 
 class BothCorners(NamedTuple):
@@ -69,9 +68,10 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, ver
     if verdict is None:
         return LocalMap(terms.Le, terms.Le.map(torch.zeros_like), None)
     Ld = terms.Ld
-    if verdict.ways is not None:
-        shadow, _ = shadow_ray(kind.origin(terms, terms.light.d.detach()), terms.light)
-        Ld = let_through(scene, Ld, shadow, verdict.ways)
+    if verdict.shadow_way is not None:
+        o = kind.origin(terms, terms.light.d.detach())
+        shadow, length = connection_of(o, terms.light) if settings.moving else shadow_ray(o, terms.light)
+        Ld = let_through(scene, Ld, shadow, length, verdict.shadow_way)
     E = gathered(terms.Le, Ld, verdict.visible)
     if not settings.moving:
         return LocalMap(E, masked(verdict.survives, terms.weight * terms.thinning), None)

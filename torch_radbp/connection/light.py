@@ -118,6 +118,15 @@ def strength(aim: Aim) -> Tensor | None:
     return torch.ones_like(aim.pdf) if aim.strength is None and aim.radiance is None else aim.strength
 
 
+def connection_of(start: Vec3, light: LightSample) -> tuple[Ray, Tensor]:
+    """The ray from a point to a light sample, and its length, attached to both."""
+    reach = light.target - start
+    length = torch.sqrt(dot(reach, reach).clamp_min(TINY))
+    if light.distant is not None:
+        length = torch.where(light.distant, FAR, length)
+    return Ray(start, light.d), length
+
+
 def shadow_ray(start: Vec3, light: LightSample) -> tuple[Ray, Tensor]:
     """The shadow ray to a light sample, and its length; 0 where the sample cannot be used. Detached if `start` is.
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
-from torch_radbp.connection.light import FAR, LightSample
+from torch_radbp.connection.light import LightSample, connection_of
 from torch_radbp.interface.medium import MediumWay
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.differentiated import settled
-from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot
+from torch_radbp.tensors.vec import Ray, Vec3
 
 
 def transmittance(scene: SceneTensors, ray: Ray, distance: Tensor) -> Vec3 | None:
@@ -53,8 +52,4 @@ def transmittance_to_light(scene: SceneTensors, start: Vec3, light: LightSample)
     """`transmittance` from points to light samples, (N,); None: connections say what they pass, or nothing is there."""
     if scene.layout.around is None or scene.layout.follows:
         return None
-    reach = light.target - start
-    distance = torch.sqrt(dot(reach, reach).clamp_min(TINY))
-    if light.distant is not None:
-        distance = torch.where(light.distant, FAR, distance)
-    return transmittance(scene, Ray(start, light.d), distance)
+    return transmittance(scene, *connection_of(start, light))

@@ -25,7 +25,7 @@ from torch_radbp.connection.light import light_aims, sample_light, sample_places
 from torch_radbp.interface.medium import MediumKind
 from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.light_connection import connected_to_light, light_numbers
-from torch_radbp.path.passage import way_left
+from torch_radbp.path.passage import moved_distance, way_left
 from torch_radbp.path.state import BSDF_U, BSDF_V, ROULETTE, Arrival, Position, Settings
 from torch_radbp.path.surface import surface_met
 from torch_radbp.path.vertex import Terms, VertexKind
@@ -131,14 +131,19 @@ class FlightVertex(VertexKind):
 
 def distance_flown(scene: SceneTensors, arrival: Arrival, settings: Settings,
                    here: Corners | None = None) -> tuple[Tensor, Tensor | float]:
-    """The distances of flights, (N,), and how much longer the way to the surface is than it was, of value 1; attached if
+    """The distances of flights, (N,), and how much longer the way through the medium is than it was, of value 1; attached if
     that moves. Args as for `VertexKind.terms`."""
+    flight = arrival.flight
     if not settings.moving:
-        return arrival.flight.t, 1.0
-    si = surface_met(scene, arrival, settings, here)
-    way = torch.where(si.valid, si.t, 1.0)
+        return flight.t, 1.0
+    # From the last boundary that was passed to the next surface, of which the flight has come a share.
+    si, begins = surface_met(scene, arrival, settings, here), torch.zeros_like(flight.t)
+    for crossing in flight.crossings or ():
+        passed = crossing.hit.t + moved_distance(scene, arrival.state.ray, crossing.hit)
+        begins = torch.where(crossing.hit.prim >= 0, passed, begins)
+    way = torch.where(si.valid, si.t - begins, 1.0)
     longer = way / settled(way)
-    return arrival.flight.t * longer, longer
+    return begins + (flight.t - settled(begins)) * longer, longer
 
 
 def point_along(ray: Ray, t: Tensor) -> Vec3:

@@ -22,15 +22,17 @@ from torch import Tensor
 from torch_radbp.connection.light import FAR
 from torch_radbp.connection.media import transmittance, transmittance_of
 from torch_radbp.interface.medium import MediumWay, Tracking, colour_chosen, mean_of_colours
-from torch_radbp.path.state import Arrival, Flight, PathState, Position
+from torch_radbp.path.state import Arrival, BoundaryCrossing, Flight, PathState, Position
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import BounceKey, LaneKey, bounce_key, hash32, next_number, uniform
+from torch_radbp.scene.tables.placement import points_in_world
 from torch_radbp.scene.tables.scene_tensors import SAME, SceneTensors
+from torch_radbp.scene.tables.triangle_corners import at_corners, edges
 from torch_radbp.tensors.differentiated import detached, settled
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import stage
-from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, rows, where
-from torch_radbp.vertex.interaction import surface_interaction
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, cross, dot, rows, where
+from torch_radbp.vertex.interaction import corner_rows, surface_interaction
 
 SALT = 0x1B873593  # tells the random numbers of flights from those of bounces
 LEG = 0x2545F491  # added to seeds after a leg
@@ -278,15 +280,52 @@ def medium_beyond(scene: SceneTensors, prim: Tensor, cosine: Tensor, medium: Ten
     return torch.where(side == SAME, medium, side)
 
 
+def moved_ways(scene: SceneTensors, ray: Ray, ways: tuple[MediumWay, ...], crossings: tuple[BoundaryCrossing, ...],
+               medium: Tensor, distance: Tensor) -> tuple[MediumWay, ...]:
+    """Ways whose lengths follow what moves: the rays, the boundaries that they pass, and where they end.
+
+    Args:
+        scene, ray: attached.
+        ways: through each of `Layout.media`, (N,).
+        crossings: of the boundaries, in turn.
+        medium: (N,) int32, numbers of the media in which they end.
+        distance: (N,) attached, to the end.
+    """
+    changes = [(medium, distance - settled(distance))]  # of lengths, by the numbers of media
+    for crossing in crossings:
+        change = moved_distance(scene, ray, crossing.hit)
+        changes += [(crossing.before, change), (crossing.after, -change)]
+    moved = []
+    for number, way in enumerate(ways):
+        length = way.length
+        for of_medium, change in changes:
+            length = length + torch.where(of_medium == number, change, 0.0)
+        moved.append(way._replace(length=length))
+    return tuple(moved)
+
+
+def moved_distance(scene: SceneTensors, ray: Ray, hit: Hit) -> Tensor:
+    """How the distances change at which rays pass the planes of triangles, (N,), of value 0; attached to both."""
+    p0, e1, e2 = edges(*points_in_world(scene, hit, at_corners(scene.triangles.vertices.p, corner_rows(scene, hit))))
+    n = cross(e1, e2)
+    facing = dot(n, ray.d)
+    passes = (hit.prim >= 0) & (facing.abs() > TINY)
+    distance = dot(n, p0 - ray.o) / torch.where(passes, facing, 1.0)
+    return torch.where(passes, distance - settled(distance), 0.0)
+
+
 def way_left(scene: SceneTensors, arrival: Arrival, distance: Tensor) -> Vec3 | None:
     """The share of light that media let through on the ways of paths, (N,), attached; None: there are no media.
 
     Args:
         arrival: the paths, with their ways.
-        distance: (N,) attached length of the whole way, where no medium has boundaries.
+        distance: (N,) attached length of the whole way.
     """
     if scene.layout.follows:
-        return transmittance_of(scene, arrival.state.ray, arrival.flight.ways)
+        flight, ways = arrival.flight, arrival.flight.ways
+        if flight.crossings is not None:
+            ways = moved_ways(scene, arrival.state.ray, ways, flight.crossings, flight.medium, distance)
+        return transmittance_of(scene, arrival.state.ray, ways)
     return transmittance(scene, arrival.state.ray, distance)
 
 

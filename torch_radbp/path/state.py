@@ -65,6 +65,22 @@ class PathState(NamedTuple):
         return self if self.number is None else rows_between(self._replace(number=None), 0, waited_for(self.number))
 
 
+class BoundaryCrossing(NamedTuple):
+    """Where rays pass a boundary, (N,) each; detached."""
+
+    hit: Hit  # as seen from where they began; triangle -1: they pass no more
+    before: Tensor  # int32, numbers of the media on both sides; -1: none
+    after: Tensor
+
+
+class ShadowWay(NamedTuple):
+    """The way of shadow rays through media, (N,) each; detached."""
+
+    ways: tuple[MediumWay, ...]  # in each of `Layout.media`
+    medium: Tensor  # int32, number of that in which they end; -1: none
+    crossings: tuple[BoundaryCrossing, ...] | None = None  # in turn; None: rays carry no derivatives
+
+
 class Flight(NamedTuple):
     """How far paths come in media, (N,) each; detached."""
 
@@ -74,6 +90,7 @@ class Flight(NamedTuple):
     # of `Layout.media`. Else None and nothing: the whole way is in one medium.
     medium: Tensor | None = None
     ways: tuple[MediumWay, ...] = ()
+    crossings: tuple[BoundaryCrossing, ...] | None = None  # in turn; None: rays are not followed, or carry no derivatives
 
 
 class Arrival(NamedTuple):

@@ -6,14 +6,13 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torch_radbp.interface.medium import MediumWay
 from torch_radbp.interface.texture import TextureValue
 from torch_radbp.jit.order import chosen
 from torch_radbp.jit.recording.lane_count import LaneCount, waited_for
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lane_room import ASKED, power_of_2
 from torch_radbp.path.queues import EMPTY, Queue
-from torch_radbp.path.state import Arrival, Flight, PathState
+from torch_radbp.path.state import Arrival, Flight, PathState, ShadowWay
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.light_choice import LightPick
 from torch_radbp.tensors.record import rows_between
@@ -37,7 +36,7 @@ class Step(NamedTuple):
     flight: Flight | None = None  # (N,) see `Arrival`
     # Of each queue those of textures that are read outside; None: not computed. In a forward pass attached to the scene.
     texture_values: tuple[tuple[TextureValue, ...] | None, ...] = ()
-    ways: tuple[MediumWay, ...] | None = None  # (K,) of shadow rays in each of `Layout.media`; None: rays are not followed
+    shadow_way: ShadowWay | None = None  # (K,) None: rays are not followed through media
 
     @property
     def scattered(self) -> int:

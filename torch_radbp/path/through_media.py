@@ -11,11 +11,13 @@ from torch_radbp.jit.order import chosen, inverted
 from torch_radbp.path.bounce import Vertex
 from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.lane_room import power_of_2
 from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.passage import (
     PathPassage,
     ShadowPassage,
     free_flight,
+    moved_ways,
     next_leg,
     next_shadow_leg,
     shadow_ahead,
@@ -25,15 +27,13 @@ from torch_radbp.path.passage import (
     tracking_on,
     way_begun,
 )
-from torch_radbp.path.state import Flight, PathState
+from torch_radbp.path.state import BoundaryCrossing, Flight, PathState, ShadowWay
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.scene_tensors import Layout, SceneTensors
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import mapped
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Ray, Vec3, rows
-
-Ways = tuple[MediumWay, ...]  # (N,) each, through each of `Layout.media`
 
 
 def free_flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -> tuple[Hit, Flight | None]:
@@ -60,17 +60,58 @@ def free_flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -
             tracking = tracked(integrand, *rows((way.ahead, way.flight.medium, way.seed, way.v), lanes), length, flies)
         return part.call(next_leg, state.ray, way, met, tracking, lanes, flies)
 
-    hit, way, passes = flown(hit, torch.arange(len(hit.prim), dtype=torch.int32, device=hit.prim.device))
+    lanes = torch.arange(len(hit.prim), dtype=torch.int32, device=hit.prim.device)
+    crossings = BoundaryCrossings(integrand, state.medium)
+    hit, way, passes = flown(hit, lanes)
+    crossings.add(lanes, hit, state.medium, way.flight.medium, passes)
     lanes = chosen(passes)
     hit, way = apart((hit, way)) if len(lanes) else (hit, way)
     while len(lanes):
-        *leg, passes = flown(integrand.caster.intersect(rows(way.ahead, lanes)), lanes)
-        put_rows((hit, way), lanes, leg)
+        before = rows(way.flight.medium, lanes)
+        seen, on, passes = flown(integrand.caster.intersect(rows(way.ahead, lanes)), lanes)
+        crossings.add(lanes, seen, before, on.flight.medium, passes)
+        put_rows((hit, way), lanes, (seen, on))
         lanes = rows(lanes, chosen(passes))
-    return hit, way.flight
+    return hit, way.flight._replace(crossings=crossings.in_turn())
 
 
-def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[Tensor, Ways | None]:
+class BoundaryCrossings:
+    """Collects the boundaries that rays pass, if rays carry derivatives.
+
+    Args:
+        integrand: the scene.
+        like: (N,) int32, any numbers of the rays.
+    """
+
+    def __init__(self, integrand: Integrand, like: Tensor):
+        self.kept: list[BoundaryCrossing] | None = [] if integrand.settings.moving else None
+        self.like, self.instanced = like, integrand.proposal.triangles.instances is not None
+        self.dtype = integrand.proposal.dtype
+
+    def none(self) -> BoundaryCrossing:
+        """A crossing that no ray makes."""
+        number = torch.zeros_like(self.like, dtype=self.dtype)
+        zero = torch.zeros_like(self.like)
+        hit = Hit(zero - 1, number.clone(), number.clone(), number.clone(), zero.clone() if self.instanced else None)
+        return BoundaryCrossing(hit, zero.clone(), zero.clone())
+
+    def add(self, lanes: Tensor, hit: Hit, before: Tensor, after: Tensor, passes: Tensor) -> None:
+        """Adds the next crossings of some rays, (M,): what they meet, the media on both sides, and whether they pass."""
+        crossed = chosen(passes)
+        if self.kept is not None and len(crossed):
+            self.kept.append(self.none())
+            put_rows(self.kept[-1], rows(lanes, crossed), rows(BoundaryCrossing(hit, before, after), crossed))
+
+    def in_turn(self) -> tuple[BoundaryCrossing, ...] | None:
+        """The crossings, as many as a power of 2, so that few kinds of functions are compiled; None: they were not asked
+        for."""
+        if self.kept is None:
+            return None
+        most = power_of_2(len(self.kept)) if self.kept else 0
+        return (*self.kept, *(self.none() for _ in range(most - len(self.kept))))
+
+
+def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[Tensor, ShadowWay | None]:
     """Which shadow rays are free, (N,) bool, and their ways through media; None: rays are not followed."""
     layout = integrand.proposal.layout
     if not layout.follows:
@@ -78,6 +119,7 @@ def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[
     part, shadow, distance = integrand.part(Ends.SURROUNDINGS), detached(vertex.shadow), vertex.shadow_distance
     seed = integrand.stages(shadow_seed)(vertex.next.key, integrand.at(depth))
     passed, lanes = shadows_begun(layout, shadow, vertex.shadow_medium, seed), chosen(distance > 0)
+    crossings = BoundaryCrossings(integrand, vertex.shadow_medium)
     while len(lanes):
         met, tracking = integrand.caster.intersect(rows(passed.ahead, lanes)), None
         if layout.tracked_media:
@@ -85,9 +127,10 @@ def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[
             ahead, medium, seed = rows((passed.ahead, passed.medium, passed.seed), lanes)
             tracking = tracked(integrand, ahead, medium, seed, length, length, False)
         on, passes = part.call(next_shadow_leg, shadow, distance, passed, met, tracking, lanes)
+        crossings.add(lanes, met, rows(passed.medium, lanes), on.medium, passes)
         put_rows(passed, lanes, on)
         lanes = rows(lanes, chosen(passes))
-    return passed.free, passed.ways
+    return passed.free, ShadowWay(passed.ways, passed.medium, crossings.in_turn())
 
 
 def tracked(integrand: Integrand, ahead: Ray, medium: Tensor, seed: Tensor, v: Tensor, length: Tensor,
@@ -130,13 +173,16 @@ def apart(record):
 
 
 @stage("scene")
-def let_through(scene: SceneTensors, light: Vec3, shadow: Ray, ways: Ways) -> Vec3:
-    """What media let through of light along connections, (N,), attached to it and to the media.
+def let_through(scene: SceneTensors, light: Vec3, shadow: Ray, length: Tensor, way: ShadowWay) -> Vec3:
+    """What media let through of light along connections, (N,), attached to it and to the media, and to what moves.
 
     Args:
         scene: any part of it.
         light: that comes if nothing is on the way.
-        shadow: the connections.
-        ways: theirs through media.
+        shadow, length: the connections.
+        way: theirs through media.
     """
+    ways = way.ways
+    if way.crossings is not None:
+        ways = moved_ways(scene, shadow, ways, way.crossings, way.medium, length)
     return light * transmittance_of(scene, shadow, ways)

@@ -80,19 +80,20 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
     # E_k, but for shadows, F_k and the next rays, queue by queue.
     vertex, light = bounce_queues(integrand, state, depth, step, with_light)
     # Which connections are free?
-    visible, ways = nothing(vertex.survives), None
+    visible, way = nothing(vertex.survives), None
     if integrand.settings.nee and not integrand.is_last(depth):
-        visible, ways = free_connections(integrand, vertex, depth)
-    step = step._replace(visible=visible, survives=vertex.survives, ways=ways)
+        visible, way = free_connections(integrand, vertex, depth)
+    step = step._replace(visible=visible, survives=vertex.survives, shadow_way=way)
     return with_connections(integrand, vertex, step), light, step
 
 
 def with_connections(integrand: Integrand, vertex: Vertex, step: Step) -> Vertex:
     """Vertices with the light that media let through to them."""
-    if step.ways is None or vertex.Ld is None:
+    if step.shadow_way is None or vertex.Ld is None:
         return vertex
     part = integrand.part(Ends.SURROUNDINGS)
-    return vertex._replace(Ld=integrand.stages(let_through)(part.scene, vertex.Ld, vertex.shadow, step.ways))
+    connection = vertex.shadow, vertex.shadow_distance, step.shadow_way._replace(crossings=None)
+    return vertex._replace(Ld=integrand.stages(let_through)(part.scene, vertex.Ld, *connection))
 
 
 def shown(integrand: Integrand, state: PathState, vertex: Vertex, light: Vec3 | None,

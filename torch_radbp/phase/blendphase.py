@@ -104,5 +104,5 @@ class BlendPhase(PhaseFunction):
         return max(part.largest_area() for part in self.phase)
 
     def even_area(self) -> bool:
-        same = all(part.largest_area() is 1.0 for part in self.phase)  # 1 of both
+        same = all(isinstance(part.largest_area(), float) for part in self.phase)  # 1 of both
         return same or (isinstance(self.weight, ConstVolume) and all(part.even_area() for part in self.phase))

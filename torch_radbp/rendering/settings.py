@@ -95,12 +95,12 @@ def settings_of_integrand(renderer: nn.Module, scene: SceneTensors, cameras: Seq
     sampling = renderer.sampling
     moving = sampling == "attached" or any_differentiated((scene.triangles, cameras)) or (
         sampling == "hybrid" and scene.layout.bending)
-    if moving and scene.layout.follows:
+    if moving and scene.layout.tracked_media:
         moves = [f"{place}.{name}" for place, module in renderer.scene.named_modules() if isinstance(module, (Shape, Sensor))
                  for name, parameter in module.named_parameters(recurse=False) if parameter.requires_grad]
-        raise ValueError(f"derivatives by {', '.join(moves) or 'what moves'} are not there for scenes in which surfaces are "
-                         "boundaries of media, nor is sampling=\"attached\": let only values of media, materials and lights "
-                         "require gradients, or put a medium around the sensors without boundaries")
+        raise ValueError(f"derivatives by {', '.join(moves) or 'what moves'} are not there for scenes with heterogeneous "
+                         "media, nor is sampling=\"attached\": let only values of media, materials and lights require "
+                         "gradients, or take homogeneous media")
     following = moving and sampling == "hybrid" and any(look.kind.follows for look in scene.layout.appearances)
     return Settings(nee=renderer.nee, hide_emitters=renderer.hide_emitters, moving=moving,
                     sampling=sampling if moving else "detached", following=following)

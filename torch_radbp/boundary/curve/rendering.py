@@ -203,7 +203,8 @@ def rendering_of(call: RenderCall, scene: Scene, sampling: str, cache: PackCache
     """
     looks = [(view, lens) for view in call.views for lens in view.camera.kind.lookouts(detached(view.camera.lens))]
     primary = primary and all(view.camera.kind.has_area for view in call.views)
-    return Rendering(scene, call, looks, sampling, cache, primary, shadows, max_depth)
+    blind = call.scene.layout.follows  # boundary terms do not see edges behind boundaries of media
+    return Rendering(scene, call, looks, sampling, cache, primary and not blind, shadows and not blind, max_depth)
 
 
 def whole_sight(view: View, lens: Lens) -> CameraSight:

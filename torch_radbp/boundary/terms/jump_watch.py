@@ -77,7 +77,8 @@ class JumpWatch:
         if not sensors <= self.viewed:
             self.say(views_without_rays(rendering, self.viewed))
             self.viewed |= sensors
-        for look in self.looks:
+        follows = rendering.call.scene.layout.follows  # through media, where no term has edges
+        for look in [self.edges_in_a_medium] if follows else self.looks:
             warning = look(rendering)
             if warning is not None:
                 self.looks = [other for other in self.looks if other != look]  # not in place: other threads look too
@@ -122,13 +123,14 @@ class JumpWatch:
 
     def edges_in_a_medium(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about edges that a medium which scatters sees, where anything moves, or None: no term has them."""
-        names = moving_names(rendering)
-        if not rendering.call.scene.layout.scattering_media or rendering.max_depth < 2 or not names:
+        names, layout = moving_names(rendering), rendering.call.scene.layout
+        if not names or not (layout.follows or (layout.scattering_media and rendering.max_depth > 1)):
             return None
-        return SilhouetteWarning(f"derivatives with respect to {listed(sorted(names))} lack what edges and shadows "
-                                 "contribute to the light that the medium scatters: check_gradient measures how much that "
-                                 "is. Those by extinction, albedo and phase function, by colours and by lamps' powers lack "
-                                 "nothing")
+        lack = ("what edges and shadows contribute, since surfaces are boundaries of media" if layout.follows else
+                "what edges and shadows contribute to the light that the medium scatters")
+        return SilhouetteWarning(f"derivatives with respect to {listed(sorted(names))} lack {lack}: check_gradient measures "
+                                 "how much that is. Those by extinction, albedo and phase function, by colours and by "
+                                 "lamps' powers lack nothing")
 
     def shadows_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about shadow borders that move with a light, an occluder, a receiver or the camera, or None.
