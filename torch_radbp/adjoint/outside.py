@@ -99,7 +99,7 @@ def moving_values_of(banks: Sequence[int], scene: SceneTensors, given: Given) ->
 
 
 def channels_that_move(bank: ModuleBank, row: Tensor, at: Vec2 | Vec3) -> list[Tensor]:
-    """The channels of `ModuleBank.values_and_slopes`, in one list."""
+    """The values of a network's texture and their derivatives by its arguments, channel by channel, in one list."""
     return [channel for values in bank.values_and_slopes(row, at) for channel in values]
 
 

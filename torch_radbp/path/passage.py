@@ -163,7 +163,7 @@ class Leg(NamedTuple):
 @stage("scene", "ray", "way")
 def next_leg(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, tracking: Tracking | None, lanes: Tensor,
              flies: bool) -> tuple[Hit, PathPassage, Tensor]:
-    """Takes the next legs of ways: to where paths scatter, to a surface, or through a boundary.
+    """Follows rays through one medium: to where they scatter, to a surface, or through a boundary into the next.
 
     Args:
         scene: detached; any part of it.

@@ -86,7 +86,7 @@ def depth_by_depth(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: P
 
 @stage()
 def unparted(pairs: Pairing) -> Difference:
-    """Differences of pairs of paths to begin comparing vertices with: none."""
+    """The difference between the paths of each pair before any of their vertices are compared: none yet."""
     nothing = torch.zeros_like(pairs.first, dtype=torch.int32)
     return Difference(nothing, nothing, torch.zeros_like(nothing, dtype=torch.float64),
                       torch.ones_like(nothing, dtype=torch.bool))

@@ -156,7 +156,7 @@ def place_between(a: Vec3, b: Vec3, eye: Eyes, turn: Tensor, times: Tensor) -> t
 
 
 def passed_at(own: Eyes, place: Passed, extent: Tensor, dtype: torch.dtype) -> Passed:
-    """Adds to samples the rays that pass there; `own`: (N,) their viewpoints, `dtype`: of rays."""
+    """Places on edges with the rays that pass just beside them; `own`: (N,) their viewpoints, `dtype`: of rays."""
     start = place.p + place.outwards * (BESIDE * extent)
     away = start * own.w - own.place
     length = torch.sqrt(dot(away, away)).clamp_min(TINY)

@@ -139,7 +139,7 @@ def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, h
 
 def all_cuts(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed, hit: Hit,
              light: Callable[[Cuts], Tensor]) -> CutsOfView:
-    """Samples of occluding edges, those included at which nothing is lost.
+    """Samples of edges that hide light from viewpoints; some of them hide nothing there.
 
     Args:
         stages, geometry, casting: as for `places_seen`.
