@@ -199,7 +199,7 @@ class PackCache(Copies):
         return tuple((name, self.in_twin((place, name), value)) for name, value in named)
 
     def in_twin(self, place: Hashable, value):
-        """What a copied module holds in place of an attribute's value: a frozen tensor, a copied module, or the value itself."""
+        """What a copied module holds instead of an attribute's value: a frozen tensor, a copied module, or the same."""
         if type(value) in OFTEN:
             return value
         if isinstance(value, Tensor):
