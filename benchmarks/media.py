@@ -11,7 +11,7 @@ roulette.
 
 ``--public`` renders the scenes with media of Mitsuba's test suite, rebuilt (`tests/scenes/xml/public_media.py`), by 868
 samples. We count the passage of a `thindielectric` as a bounce, Mitsuba does not: those three scenes are rendered once more
-with a depth at which the paths that are left no longer count.
+with a depth of 64, at which that no longer matters.
 
 ``--roulette`` shows Mitsuba's `volpathmis` with and without roulette, beside its `volpath` and us: the means of one image.
 
@@ -49,7 +49,7 @@ from tests.scenes.xml.files import Case, Folder
 
 BATCHES, PATHS = 32, 1e6
 FARTHEST = 4.0  # standard errors
-DEEP = 512  # where a depth no longer matters
+DEEP = 64  # where a bounce more or less no longer matters
 # Why rows differ, by a part of their names.
 REASONS = {"sggx": "Mitsuba multiplies extinction by the area of the flakes, media here do not",
            "homo_area_light": "thindielectric is a bounce here", "homo_emitter_inside": "thindielectric is a bounce here",
