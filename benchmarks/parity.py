@@ -77,8 +77,12 @@ class Found(NamedTuple):
 
 def compared(case: Case, paths: float, seed: int) -> Found:
     """Renders a case on both sides, by as many paths as asked for."""
-    batches = BATCHES if case.thin == 1 and case.peer_integrator == "path" else LONG_BATCHES
-    spp = max(1, round(paths / (batches * SIZE["width"] * SIZE["height"])))
+    batches = BATCHES if case.thin == 1 and case.peer_integrator != "ptracer" else LONG_BATCHES
+    return rendered(case, max(1, round(paths / (batches * SIZE["width"] * SIZE["height"]))), batches, seed)
+
+
+def rendered(case: Case, spp: int, batches: int, seed: int) -> Found:
+    """Renders batches of a case on both sides."""
     with tempfile.TemporaryDirectory() as folder:
         path, starts = case.build(Folder(Path(folder))), [time.perf_counter()]
         renderer = rb.Renderer(rb.load(path, **case.variables), spp=spp)

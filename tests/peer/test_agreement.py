@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import combinations, product
+
 import numpy as np
 import pytest
 
 from tests.plugin.plugin_table import beyond_mitsuba
+from tests.scenes.xml import media
 from tests.scenes.xml.cases import CASES
+from tests.scenes.xml.files import Folder
 from torch_radbp.plugin import REGISTRY
 
 from .agreement import ALPHA, compare, estimate
@@ -112,3 +116,16 @@ def test_the_cases_use_every_supported_plugin(tmp_path):
     assert [each for each in words if each not in text] == []
     axes = ["x", "y", "diagonal", "smaller", "larger"]
     assert [each for each in axes if f'name="fov_axis" value="{each}"' not in text] == []
+
+
+def test_the_scenes_with_media_combine_every_plugin_with_every_other(tmp_path):
+    """All pairs of their pieces occur, but lamps in glass, which connections do not reach; and every registered plugin."""
+    rows = media.rows()
+    assert len(rows) >= 60 and len(set(rows)) == len(rows)
+    pieces = (media.MEDIA, media.PHASES, media.BOUNDARIES, media.CAMERAS, media.LIGHTS, media.DEPTHS)
+    absent = {pair for i, j in combinations(range(6), 2) for pair in
+              set(product(pieces[i], pieces[j])) - {(row[i], row[j]) for row in rows}}
+    assert absent == {*product(("dielectric", "roughdielectric"), ("lamp", "bulb"))}
+    text = " ".join(media.case_of(row).build(Folder(tmp_path)).read_text() for row in rows)
+    types = [name for category in ("medium", "phase", "volume") for name in REGISTRY[category]]
+    assert [each for each in types if f'type="{each}"' not in text] == ["constvolume"]  # which rgb is read as

@@ -35,10 +35,10 @@ class Folder:
         return self.path / name
 
     def volume(self, name: str, values: np.ndarray) -> Path:
-        """A volume of (Z, Y, X) values, rounded to 1 / 4096."""
+        """A volume of (Z, Y, X) or (Z, Y, X, C) values, rounded to 1 / 4096."""
         values = np.round(values * 4096)
         self.contents.update(f"{name}\0{values.shape}\0".encode() + values.astype(np.int32).tobytes())
-        write_volume(self.path / name, values[..., None] / 4096)
+        write_volume(self.path / name, (values if values.ndim == 4 else values[..., None]) / 4096)
         return self.path / name
 
     def pixels(self, name: str, values: np.ndarray, **options) -> Path:

@@ -1,0 +1,110 @@
+"""Images of media that are known in closed form, or by an integral of one variable.
+
+Slabs seen at an angle, a furnace of every phase function, and half spaces: light scattered once, and, of isotropic
+scattering, as often as it takes. Half spaces are slabs of great optical thickness.
+
+References: Chandrasekhar 1960, "Radiative Transfer", sections 33 to 38 (H functions); Hapke 1981, "Bidirectional Reflectance
+Spectroscopy 1. Theory", equation 35 (what a half space reflects of an even sky, 1 - sqrt(1 - albedo) H).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+import torch_radbp as rb
+from tests.phase.test_phase import CASES
+from tests.scenes import load, overhead, rgb
+from tests.scenes.media import haze
+from torch_radbp.io.values.transform import rotate, scale
+
+NULL = {"type": "null"}
+ALBEDO = (0.5, 0.9, 0.7)
+ANGLES = (0.0, 40.0, 60.0)  # between the view, from above, and the normal of a slab
+BATCHES = 12
+
+
+def slab(thickness: float, angle: float, medium: dict) -> dict:
+    """A wide box of a medium, whose normal is turned from +z about x, towards -y."""
+    return {"type": "cube", "to_world": rotate((1, 0, 0), angle) @ scale((60, 60, thickness / 2)), "bsdf": NULL,
+            "interior": medium}
+
+
+def assert_mean(scene: rb.Scene, expected: Tensor, most: float = 0.01, **settings) -> None:
+    """The mean of an image is `expected`, (3,), by four standard errors, of which each is at most `most` of it."""
+    means = torch.stack([rb.render(scene, seed=seed, **settings).mean((0, 2, 3)) for seed in range(BATCHES)]).double()
+    error = means.std(0) / math.sqrt(BATCHES)
+    assert (error < most * expected).all(), (error, expected)
+    assert ((means.mean(0) - expected).abs() < 4 * error + 1e-6).all(), (means.mean(0), expected, error)
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_a_slab_seen_at_an_angle_is_thicker_by_its_cosine(angle):
+    sigma = (0.25, 0.5, 1.0)
+    scene = load(torch.float64, camera=overhead(2, 9.0, 0.01), slab=slab(0.8, angle, haze(sigma, (0, 0, 0))),
+                 sky={"type": "constant"})
+    expected = torch.exp(-torch.tensor(sigma, dtype=torch.float64) * 0.8 / math.cos(math.radians(angle)))
+    assert_mean(scene, expected, spp=4096, max_depth=2)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_in_a_furnace_no_phase_function_gains_or_loses_light(name):
+    medium = {"type": "homogeneous", "sigma_t": rgb(0.8, 1.0, 1.5), "albedo": rgb(1, 1, 1),
+              "phase": {"type": name.split()[0]} | CASES[name]}
+    scene = load(torch.float64, camera=overhead(2, 4.0, 0.5), sky={"type": "constant"},
+                 ball={"type": "sphere", "bsdf": NULL, "interior": medium})
+    assert_mean(scene, torch.ones(3, dtype=torch.float64), spp=1024, max_depth=64, rr_depth=64)
+
+
+PHASE = {0.0: lambda cosine: 0.25 / math.pi, 0.6: lambda cosine: 0.64 / (4 * math.pi * (1.36 - 1.2 * cosine)**1.5)}
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+@pytest.mark.parametrize("g", PHASE)
+def test_a_half_space_scatters_light_once_as_the_integral_says(g, angle):
+    """Of a beam of irradiance E on a plane across it, albedo E p mu0 / (mu + mu0); the beam is aslant to the view, too."""
+    turned = math.radians(angle)
+    normal = np.array([0.0, -math.sin(turned), math.cos(turned)])
+    beam = np.array([0.3, 0.1, -1.0]) / math.sqrt(1.1)
+    mu, mu0, cosine = normal[2], -float(normal @ beam), float(beam[2])  # the view sees light that goes along +z
+    scene = load(torch.float64, camera=overhead(2, 30.0, 0.01), slab=slab(20.0, angle, haze((2, 2, 2), ALBEDO, g)),
+                 sun={"type": "directional", "direction": beam.tolist(), "irradiance": rgb(1, 1, 1)})
+    expected = torch.tensor(ALBEDO, dtype=torch.float64) * PHASE[g](cosine) * mu0 / (mu + mu0)
+    assert_mean(scene, expected, spp=2048, max_depth=2)
+
+
+def h_function(albedo: float, mu: np.ndarray, count: int = 64) -> np.ndarray:
+    """Chandrasekhar's H of isotropic scattering, by its integral equation, iterated at the places of a Gauss rule."""
+    places, weights = np.polynomial.legendre.leggauss(count)
+    places, weights = 0.5 * (places + 1), 0.5 * weights
+    values = np.ones(count)
+
+    def inverse(at):
+        return math.sqrt(1 - albedo) + 0.5 * albedo * (weights * places * values / (at[:, None] + places)).sum(1)
+
+    for _ in range(1000):
+        values = 0.5 * (values + 1 / inverse(places))
+    return 1 / inverse(mu)
+
+
+def test_the_h_function_is_that_of_the_tables():
+    """H(1) without absorption is 2.9078 (Chandrasekhar 1960, table XI), the mean of H 2 (1 - sqrt(1 - albedo)) / albedo."""
+    assert h_function(1.0, np.ones(1)) == pytest.approx(2.9078, abs=2e-3)
+    places, weights = np.polynomial.legendre.leggauss(48)
+    for albedo in ALBEDO:
+        mean = 0.5 * (weights * h_function(albedo, 0.5 * (places + 1))).sum()
+        assert mean == pytest.approx(2 / albedo * (1 - math.sqrt(1 - albedo)), rel=1e-4)
+
+
+@pytest.mark.parametrize("angle, rr_depth", [*((angle, 5) for angle in ANGLES), (40.0, 1000)])
+def test_a_half_space_reflects_of_an_even_sky_what_chandrasekhar_says(angle, rr_depth):
+    scene = load(torch.float64, camera=overhead(2, 30.0, 0.01), slab=slab(20.0, angle, haze((2, 2, 2), ALBEDO, 0.0)),
+                 sky={"type": "constant"})
+    mu = np.cos(np.radians([angle]))
+    reflected = [1 - math.sqrt(1 - albedo) * h_function(albedo, mu)[0] for albedo in ALBEDO]
+    expected = torch.tensor(reflected, dtype=torch.float64)
+    assert_mean(scene, expected, spp=512, max_depth=200, rr_depth=rr_depth)
