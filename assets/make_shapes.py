@@ -1,4 +1,5 @@
-"""Makes assets/shapes: a torus in four formats of meshes, distances of two balls that touch, a puff of smoke, and fibres.
+"""Makes assets/shapes: a torus in four formats of meshes, distances of two balls that touch, a puff and a
+plume of smoke, and fibres.
 
     python -m assets.make_shapes
 """
@@ -16,7 +17,7 @@ from torch_radbp.formats.ply import write_ply
 from torch_radbp.formats.volume import write_volume
 
 FOLDER = Path(__file__).parent / "shapes"
-AROUND, ACROSS, GRID = 20, 10, 16
+AROUND, ACROSS, GRID, FINE = 20, 10, 16, 32
 
 
 def torus() -> MeshArrays:
@@ -53,6 +54,13 @@ def puff() -> np.ndarray:
     return np.minimum(density, 1)[..., None].astype(np.float32)
 
 
+def plume() -> np.ndarray:
+    """(Z, Y, X, 1) smoke in the unit cube that rises along y, turns, and becomes wider and thinner."""
+    z, y, x = np.meshgrid(*[(np.arange(FINE) + 0.5) / FINE] * 3, indexing="ij")
+    across = (x - 0.5 - 0.25 * y * np.cos(6 * y)) ** 2 + (z - 0.5 - 0.25 * y * np.sin(6 * y)) ** 2
+    return (np.maximum(1 - across / (0.07 + 0.2 * y) ** 2, 0) * (1 - y))[..., None].astype(np.float32)
+
+
 def fibres() -> np.ndarray:
     """(1, 1, 1, 6) the matrix of flakes around fibres along x: they turn their sides to y and z."""
     return np.array([0.01, 1, 1, 0, 0, 0], np.float32).reshape(1, 1, 1, 6)
@@ -68,5 +76,5 @@ if __name__ == "__main__":
     (FOLDER / "torus.obj").write_text("\n".join(lines) + "\n")
     made.export(FOLDER / "torus.stl")
     (FOLDER / "torus.serialized").write_bytes(serialized(mesh(arrays.vertices, arrays.faces, uv=arrays.uv)))
-    for name, values in (("two_balls", two_balls()), ("puff", puff()), ("fibres", fibres())):
+    for name, values in (("two_balls", two_balls()), ("puff", puff()), ("plume", plume()), ("fibres", fibres())):
         write_volume(FOLDER / f"{name}.vol", values)

@@ -32,6 +32,7 @@ TARGETS = {
     "three_shadows/on_floor.exr": ("three_shadows/scene.xml", 48, 1024, 0),
     "three_shadows/on_back.exr": ("three_shadows/scene.xml", 48, 1024, 1),
     "three_shadows/on_left.exr": ("three_shadows/scene.xml", 48, 1024, 2),
+    **{f"smoke/view_{view}.exr": ("smoke/scene.xml", 64, 1024, view) for view in range(5)},
 }
 PASS_SPP = 128
 

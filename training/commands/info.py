@@ -26,15 +26,17 @@ def info(
     allow_outside: AllowOutside = False,
     debug: Debug = False,
 ) -> None:
-    """Show shapes, emitters, sensors and parameters of a scene, and what is not supported."""
+    """Show shapes, media, emitters, sensors and parameters of a scene, and what is not supported."""
     with clear_errors(debug):
         import torch_radbp as rb
 
         loaded = rb.load(scene, allow_outside=allow_outside, **parse_variables(define))
         console = Console()
         console.print(f"[bold]{scene}[/]", soft_wrap=True)
-        for table in (_shapes(loaded), _emitters(loaded), _sensors(loaded), _integrator(loaded), _parameters(loaded)):
-            console.print(table)
+        for table in (_shapes(loaded), _media(loaded), _emitters(loaded), _sensors(loaded), _integrator(loaded),
+                      _parameters(loaded)):
+            if table.row_count:
+                console.print(table)
         console.print(_supported(), style="dim")
 
 
@@ -54,6 +56,21 @@ def _shapes(scene) -> Table:
         bsdf = f"{scene.name_of(shape.bsdf)} ({shape.bsdf.type})"
         table.add_row(scene.name_of(shape), shape.type, f"{triangles:,}", bsdf, "" if shape.emitter is None else "yes")
     table.caption = f"{len(scene.shapes)} shapes, {total:,} triangles"
+    return table
+
+
+def _media(scene) -> Table:
+    table = _table("MEDIA", "name", "type", "extinction", "grid", "where")
+    for medium in scene.media:
+        places = ["around all sensors"] if medium is scene.around else []
+        for shape in scene.shapes:
+            name = scene.name_of(shape)
+            places += [f"in {name}"] * (shape.interior is medium) + [f"around {name}"] * (shape.exterior is medium)
+        extinction = medium.scale * next(iter(medium.sigma_t.entries().values()))
+        values = dict.fromkeys(f"{float(end):.4g}" for end in (extinction.min(), extinction.max()))
+        grid = " x ".join(map(str, extinction.shape)) if extinction.ndim == 4 else ""
+        table.add_row(scene.name_of(medium), medium.type, " to ".join(values), grid, ", ".join(places))
+    table.caption = "extinction: the least and the largest, scale included, 1 / length"
     return table
 
 

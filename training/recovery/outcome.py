@@ -55,9 +55,9 @@ def save_before(recovery: Recovery, folder: RunFolder) -> None:
         folder.save_image(name, "before", before)
     for parameter in recovery.parameters:
         if parameter.is_picture:
-            folder.save_texture(parameter.name, "before", parameter.before)
+            folder.save_texture(parameter.name, "before", parameter.picture(parameter.before))
             if parameter.truth is not None:
-                folder.save_texture(parameter.name, "true", parameter.truth)
+                folder.save_texture(parameter.name, "true", parameter.picture(parameter.truth))
 
 
 def finish(recovery: Recovery, folder: RunFolder, status: str, hurried: Callable[[], bool]) -> dict[str, Any]:
@@ -75,7 +75,7 @@ def finish(recovery: Recovery, folder: RunFolder, status: str, hurried: Callable
     images = [_save_after(recovery, folder, index, image) for index, image in enumerate(after.image)]
     for parameter in recovery.parameters:
         if parameter.is_picture:
-            folder.save_texture(parameter.name, "recovered", parameter.value)
+            folder.save_texture(parameter.name, "recovered", parameter.picture(parameter.value))
     folder.save_parameters({each.name: each.value for each in recovery.parameters})
     summary = {
         "title": recovery.recipe.title or folder.path.name,

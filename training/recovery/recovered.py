@@ -10,6 +10,7 @@ from torch.nn.utils import parametrize
 from torch_radbp.training import recipe_parameter as recipe
 from torch_radbp.training.recovery.rigid import PoseError, components
 from torch_radbp.training.recovery.variables import original, refine_to, replace
+from torch_radbp.training.recovery.volume_picture import volume_picture
 
 
 @dataclass
@@ -112,8 +113,14 @@ class RecoveredParameter:
 
     @property
     def is_picture(self) -> bool:
-        """True for a bitmap, (H, W, 1 or 3)."""
-        return not self.is_small and self.before.dim() == 3 and self.before.shape[-1] in (1, 3)
+        """True for a bitmap, (H, W, 1 or 3), or a volume, (Z, Y, X, 1 or 3)."""
+        return not self.is_small and self.before.dim() in (3, 4) and self.before.shape[-1] in (1, 3)
+
+    def picture(self, value: Tensor) -> Tensor:
+        """A bitmap as it is, a volume by its slices and sums, relative to those of the truth: (H, W, 1 or 3)."""
+        if value.dim() == 3:
+            return value
+        return volume_picture(value, value if self.truth is None else self.truth)
 
     @property
     def is_pose(self) -> bool:

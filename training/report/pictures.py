@@ -14,6 +14,8 @@ from torch_radbp.training.report.curve_colours import srgb_levels
 SLIDER_ROLES = ("before", "after", "target")
 TEXTURE_ROLES = ("before", "recovered", "true")
 BAR_STOPS = 17
+OF_VOLUMES = ("Above: slices through the middle, seen along x, y and z. Below: sums along x, y and z. White is the largest "
+              "value of the true volume; where that is not known, of each volume itself.")
 
 
 def pictures_section(folder: RunFolder, summary: dict[str, Any]) -> str:
@@ -46,8 +48,9 @@ def textures_section(folder: RunFolder, summary: dict[str, Any]) -> str:
     for each in summary["parameters"]:
         if each["picture"]:
             figures = "".join(_figure(folder.texture_path(each["name"], role), role) for role in TEXTURE_ROLES)
-            parts.append(f'<h3>{html.escape(each["name"])}</h3><div class="pictures textures">{figures}</div>')
-    return f"<section><h2>Textures</h2>{''.join(parts)}</section>" if parts else ""
+            note = f"<p class=note>{OF_VOLUMES}</p>" if len(each["shape"]) == 4 else ""
+            parts.append(f'<h3>{html.escape(each["name"])}</h3><div class="pictures textures">{figures}</div>{note}')
+    return f"<section><h2>Textures and volumes</h2>{''.join(parts)}</section>" if parts else ""
 
 
 def _slider(pictures: list[tuple[str, Path]]) -> str:

@@ -290,6 +290,7 @@ class Scene(ModuleTree):
                        "yes" if value.requires_grad else "") for name, value in self.named_parameters()]
         kind = f"{self.dtype} on {self.device}".removeprefix("torch.")
         return (html_table(f"Shapes: {len(shapes)}", ("name", "type", "material"), shapes)
+                + html_table("Media", ("name", "type"), [(named(medium), medium.type) for medium in self.media])
                 + html_table("Emitters", ("name", "type"), [(named(emitter), emitter.type) for emitter in self.emitters])
                 + html_table("Sensors", ("name", "type", "pixels"), films)
                 + html_table(f"Parameters: {kind}", ("name", "shape", "mean", "requires_grad"), parameters))
