@@ -136,9 +136,10 @@ def elements(key: str, value: Any, owner: type | None) -> Iterator[ElementTree.E
 
 
 def is_named(schema: dict[str, Attribute], category: str) -> bool:
-    """True if an attribute takes several objects of a category by their names."""
-    return any(typing.get_origin(option) is dict and category in plugin_categories(option)
-               for attribute in schema.values() for option in options(attribute.annotation))
+    """True if an attribute takes several objects of a category by their names, or several attributes take one."""
+    takes = [typing.get_origin(option) is dict for attribute in schema.values() for option in options(attribute.annotation)
+             if category in plugin_categories(option)]
+    return any(takes) or len(takes) > 1
 
 
 def is_texture(key: str, owner: type | None) -> bool:

@@ -53,11 +53,13 @@ def sampled(caption: str, kind: str, like: str = "") -> Example:
     return seen(caption, like=like, film={"width": 64, "height": 64}, sampler={"type": kind, "sample_count": 4})
 
 
+LAMP = {"type": "rectangle", "to_world": LookAt((-2.5, -2, 3.5)), "emitter": {"type": "area", "radiance": 30.0}}
+
+
 def foggy(caption: str, medium: dict[str, Any]) -> Example:
     """The scene in fog."""
     fog = {"type": "homogeneous", "sigma_t": 0.12, "albedo": 0.9} | medium
-    lamp = {"type": "rectangle", "to_world": LookAt((-2.5, -2, 3.5)), "emitter": {"type": "area", "radiance": 30.0}}
-    return Example(caption, {"camera": CAMERA | {"medium": fog}, "lamp": lamp}, samples=MANY)
+    return Example(caption, {"camera": CAMERA | {"medium": fog}, "lamp": LAMP}, samples=MANY)
 
 
 FACING = LookAt((0, 0, 0), (-0.3, -1, 0.2))  # the pose of a square that faces the camera
@@ -221,11 +223,12 @@ INTEGRATORS = {
        for name in ("prb", "prb_basic", "prb_projective", "prbvolpath", "ptracer", "volpath", "volpathmis")},
 }
 MEDIA = {
-    "heterogeneous": Example("A puff of smoke in an invisible box.", {"ball": {
-        "type": "cube", "to_world": Placed((1, 1, 1), (0, 0, 1)), "bsdf": {"type": "null"},
-        "interior": {"type": "heterogeneous", "scale": 12.0, "albedo": 0.9, "sigma_t": {
-            "type": "gridvolume", "filename": Asset("shapes/puff.vol"),
-            "to_world": Placed((2, 2, 2), (-1, -1, 0))}}}}, samples=MANY),
+    "heterogeneous": Example("A puff of smoke in an invisible box, before the ball.", {
+        "camera": CAMERA, "lamp": LAMP, "puff": {
+            "type": "cube", "to_world": Placed((0.7, 0.7, 0.7), (-0.5, -1.3, -0.25)), "bsdf": {"type": "null"},
+            "interior": {"type": "heterogeneous", "scale": 8.0, "albedo": 0.6, "sigma_t": {
+                "type": "gridvolume", "filename": Asset("shapes/puff.vol"),
+                "to_world": Placed((1.4, 1.4, 1.4), (-1.2, -2.0, -1))}}}}, samples=MANY),
     "homogeneous": foggy("A ball in fog, which the lamp above it lights.", {}),
 }
 PHASES = {

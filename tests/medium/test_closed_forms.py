@@ -17,9 +17,9 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from tests.phase.test_phase import CASES
 from tests.scenes import load, overhead, rgb
 from tests.scenes.media import haze
+from tests.scenes.phase_functions import CASES
 from torch_radbp.io.values.transform import rotate, scale
 
 NULL = {"type": "null"}

@@ -93,8 +93,8 @@ def test_mitsuba_agrees_with_itself_and_not_with_a_darker_self(name, tmp_path):
 
 
 COMPARED = ("shape", "bsdf", "texture", "emitter", "sensor", "film", "rfilter")
-# Not Mitsuba's, of several images, and spectra that Mitsuba's RGB modes do not evaluate.
-WITHOUT = (*beyond_mitsuba(), "batch", "blackbody", "regular", "irregular")
+# Not Mitsuba's, of several images, spectra that Mitsuba's RGB modes do not evaluate, and what occurs in scenes with media.
+WITHOUT = (*beyond_mitsuba(), "batch", "blackbody", "regular", "irregular", "volume")
 
 
 def test_the_cases_use_every_supported_plugin(tmp_path):

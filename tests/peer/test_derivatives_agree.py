@@ -50,6 +50,7 @@ NO_ROW = {
     Pair("texture blackbody", "temperature"): "of the spectral modes: in RGB Mitsuba makes a colour of it at once",
     Pair("texture irregular", "values"): "the same",
     Pair("texture regular", "values"): "the same",
+    Pair("texture volume", "volume"): "Mitsuba differentiates no volume on a surface; see tests/texture/test_volume.py",
     Pair("emitter directionalarea", "radiance"): "Mitsuba finds its light from its own side only; images: beams",
 }
 
