@@ -19,7 +19,9 @@ with a depth of 64, at which that no longer matters.
 sky. Both take turns in one process, forward alone and forward with backward (gradients by extinction and albedo; Mitsuba
 by `volpathmis` and `prbvolpath`); medians of the rounds, first calls apart. Variances are those of the image, mean over
 pixels, and of the gradient, mean over the entries of a parameter, between rounds; equal noise is variance times seconds.
-Run it on an idle machine; more rounds know variances better: ``--rounds 5`` to within a factor of 2.
+Mitsuba's gradients are not those of differences everywhere (by extinction in the fog, by albedo in the glass): there equal
+noise compares with a wrong answer. Run it on an idle machine; more rounds know variances better: ``--rounds 5`` to within a
+factor of 2.
 
     python -m benchmarks.media --only "sggx"              # rows by parts of their names
     python -m benchmarks.media --public --only homo
