@@ -15,6 +15,7 @@ BOUNDS = {
     "lamp_place": {"lamp.position": {"largest_error": 0.002}},
     "mirror_pose": {"figurine.to_world": {"angle": 1.0, "distance": 0.0035}},
     "room_camera": {"sensor.to_world": {"angle": 0.2, "distance": 0.008}},
+    "smoke": {"smoke.interior.sigma_t.data": {"rmse": 0.035}},
     "three_shadows": {"body.vertex_positions": {"chamfer": 0.018}},
 }
 
