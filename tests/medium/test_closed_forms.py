@@ -19,7 +19,6 @@ from torch import Tensor
 import torch_radbp as rb
 from tests.scenes import load, overhead, rgb
 from tests.scenes.media import haze
-from tests.scenes.phase_functions import CASES
 from torch_radbp.io.values.transform import rotate, scale
 from torch_radbp.plugin import REGISTRY
 
