@@ -76,7 +76,7 @@ def as_volume(owner: Plugin, name: str, value: Volume | Texture | float, channel
     Raises:
         ValueError: if a value is not in the attribute's domain, or there are other numbers of channels.
     """
-    volume = value if isinstance(value, Volume) else ConstVolume(value=value)
+    volume = value if isinstance(value, Volume) else ConstVolume(value=as_texture(owner, name, value))
     if volume.channels() not in channels:
         raise ValueError(f"{name} of {owner.type} must have {' or '.join(map(str, channels))} channels, got a {volume.type} "
                          f"of {volume.channels()}")

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from torch_radbp.interface.volume import VolumeFunction
 from torch_radbp.plugin import REGISTRY, Plugin, Texture, nearest
 from torch_radbp.plugin.domain import LARGEST_COORDINATE, LEEWAY, Domain
 from torch_radbp.scene.cache.inventory import reach_of, tensors_of
@@ -71,9 +72,11 @@ def held_in(root: nn.Module, prefix: str = "") -> dict[str, Held]:
                 values[f"{prefix}.{attribute}"] = Held(plugin, attribute, [domain], reach_of_attribute(plugin, value))
     for _, plugin in plugins:
         for attribute, domain in plugin.domains().items():
-            texture = getattr(plugin, attribute, None)
-            if isinstance(texture, Texture):
-                hold_values(values, names, texture, domain)
+            value = getattr(plugin, attribute, None)
+            if isinstance(value, VolumeFunction):
+                hold_entries(values, names, value, domain)
+            elif isinstance(value, Texture):
+                hold_values(values, names, value, domain)
     ids = {id(getattr(held.owner, held.attribute)) for held in values.values() if held.attribute is not None}
     for prefix, module in named:
         for attribute, value in module._parameters.items():
@@ -88,6 +91,16 @@ def reach_of_attribute(plugin: Plugin, value: Tensor) -> frozenset[int]:
     """The ids of what a plugin's attribute depends on: its tensor alone, unless a parametrisation computes it."""
     held = any(value is tensor for _, tensor in tensors_of(plugin))
     return frozenset({id(value)}) if held else reach_of([plugin])
+
+
+def hold_entries(values: dict[str, Held], names: dict[int, str], volume: VolumeFunction, domain: Domain) -> None:
+    """Adds a domain for the entries of a volume; arguments as of `hold_values`."""
+    for name in volume.entries():
+        entry = getattr(volume, name)
+        if isinstance(entry, Texture):
+            hold_values(values, names, entry, domain)
+        else:
+            values[f"{names[id(volume)]}.{name}"].domains.append(domain)
 
 
 def hold_values(values: dict[str, Held], names: dict[int, str], texture: Texture, domain: Domain) -> None:
