@@ -204,3 +204,14 @@ def test_in_a_furnace_of_flakes_radiance_is_1(kind):
     image = rb.render(scene, spp=4096, max_depth=64, rr_depth=100, nee=False, seed=1)
     error = image.mean((0, 1)).flatten() - 1.0
     assert abs(float(error.mean())) < 4 * float(error.std()) / math.sqrt(len(error)) < 0.015
+
+
+def test_a_constant_extinction_fills_the_cube_of_its_pose():
+    """As Mitsuba's `constvolume` does."""
+    sky, camera = {"type": "constant"}, overhead(2, 4.0, 0.9)
+    value = {"type": "constvolume", "value": 0.6, "to_world": placed(0.5)}
+    even = {"type": "heterogeneous", "albedo": 0.0, "sigma_t": value}
+    floor = rectangle((0, 0, 0), 3.0, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0})
+    image = rb.render(load(torch.float64, camera=camera, sky=sky, floor=floor, box=box(even)), spp=1 << 14, max_depth=1)
+    seen = (1.0 / 1.8)**2  # the share of the image that the cube covers
+    assert float(image.mean()) == pytest.approx(1 - seen * (1 - math.exp(-0.6)), abs=0.005)

@@ -66,6 +66,6 @@ class VolumeFunction(Volume):
         largest = self.largest()
         return None, torch.eye(4, dtype=largest.dtype, device=largest.device)[:3]
 
-    def corners(self) -> Tensor | None:
-        """The corners of the box in the world outside of which the values only go on, (8, 3), detached; None: no box."""
-        return None
+    def corners(self) -> Tensor:
+        """The corners of the box in the world that a medium of this extinction fills, (8, 3), detached."""
+        raise TypeError(f"{type(self).__name__} does not define its corners")

@@ -28,11 +28,10 @@ class CoarseGrid(NamedTuple):
 
 
 def coarse_grid(volume: VolumeFunction) -> CoarseGrid:
-    """The coarse grid of a volume, detached. A constant volume fills the unit cube."""
+    """The coarse grid of a volume, detached."""
     with torch.no_grad():
         bound, size, to_unit = bounds_of(volume)
-        corners = volume.corners()
-        corners = torch.stack([bound.new_zeros(3), bound.new_ones(3)]) if corners is None else corners
+        corners = volume.corners().to(bound)
         low, high = (Vec3.of(each[None]) for each in (corners.amin(0), corners.amax(0)))
         x, y, z = (torch.tensor([count], dtype=torch.int32, device=bound.device) for count in size)
         to_cells = to_unit * to_unit.new_tensor(size)[:, None]

@@ -123,7 +123,7 @@ class Heterogeneous(Medium):
     Parameters: those of `sigma_t` and `albedo`, `scale`, and those of the phase function. Derivatives: with respect to all
     of them, also where extinction or albedo are 0. It fills the box in the world around the grid of `sigma_t`; outside of
     that there is nothing, and what is inside of the box, but not of the grid, reads the nearest values. A constant `sigma_t`
-    fills the unit cube [0, 1]^3, as in Mitsuba 3.9.1.
+    fills the unit cube [0, 1]^3 under its `to_world`, as in Mitsuba 3.9.1.
 
     Args:
         albedo: the share of the extinction that is scattered, in [0, 1].

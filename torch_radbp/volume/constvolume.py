@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import torch
 from torch import Tensor
 
 from torch_radbp.interface.volume import VolumeFunction, VolumeKind
-from torch_radbp.plugin import Plugin, Texture, Volume, register
+from torch_radbp.plugin import Matrix4, Plugin, Texture, Volume, register
 from torch_radbp.plugin.domain import AMOUNT, Domain
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Vec3
 from torch_radbp.texture.rgb import as_texture
+from torch_radbp.transforms import affine, transform_points
 
 
 @dataclass(frozen=True)
@@ -34,10 +36,12 @@ class ConstVolume(VolumeFunction):
 
     Args:
         value: one number, or three.
+        to_world: the pose of the unit cube that a heterogeneous medium of this extinction fills.
     """
 
-    def __init__(self, *, value: Texture | float = 1.0):
+    def __init__(self, *, value: Texture | float = 1.0, to_world: Matrix4 | None = None):
         super().__init__()
+        self.register_buffer("to_world", affine("to_world", to_world).to(torch.get_default_dtype()))
         self.value = as_texture(self, "value", value)
         if self.value.resolution() != (1, 1):
             raise ValueError(f"value of constvolume must be a colour or a number, got a {self.value.type}")
@@ -56,6 +60,10 @@ class ConstVolume(VolumeFunction):
 
     def entries(self) -> dict[str, Tensor]:
         return {"value": self.value.texels()}
+
+    def corners(self) -> Tensor:
+        unit = torch.tensor(list(product((0.0, 1.0), repeat=3)), dtype=self.to_world.dtype, device=self.to_world.device)
+        return transform_points(self.to_world, unit)
 
     def colour(self) -> Vec3:
         """The value, () for each channel, attached."""
