@@ -108,9 +108,9 @@ def many_lamps() -> dict[str, Any]:
 def fog() -> dict[str, Any]:
     """A medium around a camera, between a floor and a lamp, with every phase function."""
     first, second, third = (objects(f"fog {name}")[SUBJECT]["phase"] for name in ("by a table", "of flakes", "of two kinds"))
-    both = {"type": "blendphase", "weight": 0.4, "phase_0": first, "phase_1": second}
+    both = {"type": "blendphase", "weight": 0.4, "phase_0": third | {"phase_1": first}, "phase_1": second}
     return {f"{SUBJECT}_sensor": camera(16, 50, medium={"type": "ref", "id": f"{SUBJECT}_fog"}), "floor": floor(),
-            f"{SUBJECT}_fog": objects("homogeneous")[SUBJECT] | {"phase": third | {"phase_1": both}}, "lamp": lamp()}
+            f"{SUBJECT}_fog": objects("homogeneous")[SUBJECT] | {"phase": both}, "lamp": lamp()}
 
 
 def smoke() -> dict[str, Any]:

@@ -14,7 +14,7 @@ class VolumetricPath(Path):
 
     It agrees with Mitsuba's volumetric integrators in expectation, but for one thing: there, light that passes straight
     through a surface (`null`, `mask`, `thindielectric`) is not counted towards `max_depth`, and next-event estimation looks
-    through; here it is a bounce, as in `path`.
+    through; here it is a bounce, as in `path`, but for `null` where shapes are boundaries of media.
     """
 
     def check(self, materials: Iterable[BSDF]) -> None:
@@ -29,8 +29,8 @@ class VolumetricPath(Path):
 class VolumePath(VolumetricPath):
     """Mitsuba's volumetric path tracer: what `path` renders, media included.
 
-    Light that passes straight through a surface (`null`, `mask`, `thindielectric`) is a bounce here, as in `path`; in
-    Mitsuba's it is not counted towards `max_depth`.
+    Light that passes straight through a surface (`mask`, `thindielectric`, and `null` where no shape is the boundary of a
+    medium) is a bounce here, as in `path`; in Mitsuba's it is not counted towards `max_depth`.
     """
 
 
@@ -38,8 +38,8 @@ class VolumePath(VolumetricPath):
 class SpectralVolumePath(VolumetricPath):
     """Mitsuba's volumetric path tracer with spectral multiple importance sampling: what `path` renders, media included.
 
-    Light that passes straight through a surface (`null`, `mask`, `thindielectric`) is a bounce here, as in `path`; in
-    Mitsuba's it is not counted towards `max_depth`.
+    Light that passes straight through a surface (`mask`, `thindielectric`, and `null` where no shape is the boundary of a
+    medium) is a bounce here, as in `path`; in Mitsuba's it is not counted towards `max_depth`.
 
     Args:
         use_spectral_mis: without effect: distances are always weighted against all three colours.
@@ -56,6 +56,6 @@ class SpectralVolumePath(VolumetricPath):
 class VolumePathReplay(PathReplay, VolumetricPath):
     """Mitsuba's path replay backpropagation through media: what `prb` renders, media included.
 
-    Light that passes straight through a surface (`null`, `mask`, `thindielectric`) is a bounce here, as in `path`; in
-    Mitsuba's it is not counted towards `max_depth`.
+    Light that passes straight through a surface (`mask`, `thindielectric`, and `null` where no shape is the boundary of a
+    medium) is a bounce here, as in `path`; in Mitsuba's it is not counted towards `max_depth`.
     """
