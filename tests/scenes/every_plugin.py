@@ -82,8 +82,10 @@ def smoke(g: float, channels: int = 1) -> dict[str, Any]:
     """A medium that varies in an invisible box, between a lamp and a floor."""
     box = {"type": "cube", "to_world": translate((0, 0, 1)) @ scale((0.8, 0.8, 0.8)), "bsdf": {"type": "null"},
            "interior": {"type": "ref", "id": SUBJECT}}
+    dark = grid(3, seed=5)
+    dark["data"] = dark["data"] * 0.3  # of which little noise comes
     return {"sensor": camera(), "lamp": lamp(), "floor": floor(), "box": box, SUBJECT: {
-        "type": "heterogeneous", "scale": 1.5, "sigma_t": grid(channels), "albedo": grid(3, seed=5),
+        "type": "heterogeneous", "scale": 1.5, "sigma_t": grid(channels), "albedo": dark,
         "phase": {"type": "hg", "g": g}}}
 
 
