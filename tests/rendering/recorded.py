@@ -26,9 +26,14 @@ SAMPLINGS = ("hybrid", "attached")
 Calls = dict[str, dict[tuple, tuple]]  # arguments, by the stage's name and their structure
 
 
+def stages_of_the_package() -> list[Callable]:
+    """All stages but those that tests declare."""
+    return [stage for stage in DECLARED if stage.__module__.startswith("torch_radbp.")]
+
+
 def recording() -> tuple[PlainStages, Calls]:
     """The eager stages, and where the arguments of their calls are noted."""
-    found: Calls = {stage.__name__: {} for stage in DECLARED}
+    found: Calls = {stage.__name__: {} for stage in stages_of_the_package()}
 
     def watched(stage: Callable) -> Callable:
         def call(*arguments):
@@ -38,12 +43,12 @@ def recording() -> tuple[PlainStages, Calls]:
             return stage(*arguments)
         return call
 
-    return PlainStages({stage: watched(stage) for stage in DECLARED}), found
+    return PlainStages({stage: watched(stage) for stage in stages_of_the_package()}), found
 
 
 def stage_named(name: str) -> Callable:
     """The stage of a name."""
-    stage, = (stage for stage in DECLARED if stage.__name__ == name)
+    stage, = (stage for stage in stages_of_the_package() if stage.__name__ == name)
     return stage
 
 

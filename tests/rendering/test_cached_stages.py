@@ -11,7 +11,7 @@ import torch
 import torch_radbp as rb
 from tests.deep import deep
 from tests.gradients import unwarned_renderer
-from tests.rendering.recorded import recording
+from tests.rendering.recorded import recording, stages_of_the_package
 from tests.scenes.every_plugin import subjects
 from tests.scenes.everything import EVERYTHING, build_everything
 from torch_radbp.jit.arguments import Arguments
@@ -20,7 +20,6 @@ from torch_radbp.jit.stages import CompiledStages
 from torch_radbp.jit.store.fingerprint import DefinitionReader
 from torch_radbp.jit.target import target_of
 from torch_radbp.tensors import torch_internals
-from torch_radbp.tensors.stage import DECLARED
 
 PACKAGE = Path(rb.__file__).parent
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
@@ -70,7 +69,7 @@ def test_every_function_that_is_traced_belongs_to_the_name(name, sampling, monke
     torch.autograd.grad(image.sum(), wanted)
 
     named, missing, compiled = [], {}, CompiledStages()
-    for stage in (stage for stage in DECLARED if calls[stage.__name__]):
+    for stage in (stage for stage in stages_of_the_package() if calls[stage.__name__]):
         function = compiled(stage).fused
         for arguments in calls[stage.__name__].values():
             given = Arguments(function.parameters, arguments)
