@@ -1,5 +1,6 @@
 """What is recorded with lanes does the same again, whatever the numbers of lanes turn out to be."""
 
+import math
 from collections.abc import Iterator
 
 import pytest
@@ -9,7 +10,7 @@ from torch import Tensor
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.cpu.board import board
 from torch_radbp.jit.cpu.recorded import Recorded
-from torch_radbp.jit.order import chosen, inverted, nothing, partition, put
+from torch_radbp.jit.order import all_lanes, chosen, copied, inverted, nothing, partition, put, repeated
 from torch_radbp.jit.recording.addition import Addition, Sums
 from torch_radbp.jit.recording.recording import ALL, NotRecordable, Recording, listening, outside
 from torch_radbp.jit.recording.results import RecordedInputs
@@ -249,3 +250,89 @@ def test_an_error_lets_the_helpers_go():
             raise KeyError
     made, x = recorded(looped, torch.empty(1), torch.empty(1)), torch.rand(20_000)
     assert torch.equal(again(made, x, x, threads=3)[0], 2 * x)
+
+
+DOWN = LaneFunction(lambda x, index: torch.index_select(x, 0, index) - 1.0, ("x",))
+POSITIVE = LaneFunction(lambda x: x > 0.0)
+
+
+def counted_down(x: Tensor):
+    """Halves numbers until they are below 1, and between that counts down to 0 copies of them; how often in all."""
+    x, turns = copied(x), copied(x)
+    lanes = all_lanes(x)
+
+    def halved(lanes: Tensor) -> Tensor:
+        inner = copied(x)
+
+        def down(lanes: Tensor) -> Tensor:
+            lower, more = DOWN(inner, lanes), MORE(turns, lanes)
+            put((inner, turns), lanes, (lower, more))
+            return GATHERED(lanes, chosen(POSITIVE(lower)))
+
+        repeated(lanes, down)
+        half = HALF(x, lanes)
+        put((x,), lanes, (half,))
+        return GATHERED(lanes, chosen(LARGE(half)))
+
+    repeated(lanes, halved)
+    return x, turns
+
+
+HALF = LaneFunction(lambda x, index: torch.index_select(x, 0, index) * 0.5, ("x",))
+MORE = LaneFunction(lambda x, index: torch.index_select(x, 0, index) + 1.0, ("x",))
+
+
+@pytest.mark.parametrize("most", [0.5, 9.0])
+@pytest.mark.parametrize("lanes", LANES)
+def test_what_is_repeated_is_done_while_lanes_go_on(lanes, most):
+    made = recorded(counted_down, torch.empty(1))
+    x = torch.rand(lanes) * most
+    found = again(made, x)
+    halves, turns = counted_down(x)
+    assert all(map(torch.equal, found, (halves, turns)))
+    assert bool((halves <= 1.0).all()) and bool((turns > x).all())
+    expected = [counted(value) for value in x.tolist()]
+    assert (turns - x).round().tolist() == expected
+
+
+def counted(x: float) -> float:
+    """The turns of one number."""
+    turns = max(1, math.ceil(x))
+    while x > 2.0:
+        x /= 2.0
+        turns += math.ceil(x)
+    return turns
+
+
+def test_rays_that_are_cast_while_something_is_repeated_are_counted_each_time():
+    given = torch.empty(ALL)
+    listener = Recording([given])
+    with torch.no_grad(), listening(listener):
+        x = copied(given)
+
+        def cast(lanes: Tensor) -> Tensor:
+            lower = DOWN(x, lanes)
+            listener.rays.append(listener.span(len(lanes)))
+            put((x,), lanes, (lower,))
+            return GATHERED(lanes, chosen(POSITIVE(lower)))
+
+        repeated(all_lanes(x), cast)
+    made = Recorded(listener, [given], (x,))
+    values = torch.tensor([0.5, 3.5, 1.5, 2.0])
+    with board() as own:
+        _, counts = made(RecordedInputs([values]), RecordedInputs(()), 4, own)
+    (first, last), = made.rays
+    assert counts[last] - counts[first] == 1 + 4 + 2 + 2
+
+
+def test_what_is_done_outside_is_not_repeated():
+    def asked(x: Tensor):
+        def ask(lanes: Tensor) -> Tensor:
+            outside(lambda context, given: given, None, [(x,)], [1])
+            return lanes
+
+        repeated(all_lanes(x), ask)
+        return x
+
+    with pytest.raises(NotRecordable, match="cannot be repeated"):
+        recorded(asked, torch.empty(1), contexts=(None,))

@@ -13,6 +13,7 @@ import torch
 
 import torch_radbp as rb
 from tests.gradients import EXACT, REPLAY, assert_informative, cotangent, image_and_gradients, relative_error
+from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
 from tests.scenes.media import BLACK, DULL, haze
 
@@ -209,3 +210,9 @@ def test_boundaries_are_read_and_written(tmp_path):
         torch.testing.assert_close(dict(again.named_parameters())[name], value)
     image, other = (rb.render(each, spp=4, max_depth=3, seed=1) for each in (scene, again))
     assert image.max() > 0 and torch.equal(image, other)
+
+
+@pytest.mark.parametrize("settings", [{}, {"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)}, {"chunk": 40},
+                                      {"nee": False, "spp": 99}, {"sampling": "detached"}], ids=str)
+def test_bounces_that_are_recorded_have_the_bits_of_single_operations(settings, monkeypatch):
+    assert_recorded_alike(lambda: room(GLASS).to(torch.float32), NAMES, monkeypatch, **SETTINGS | settings)

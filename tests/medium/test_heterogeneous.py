@@ -13,6 +13,7 @@ import torch
 
 import torch_radbp as rb
 from tests.gradients import EXACT, REPLAY, assert_informative, cotangent, image_and_gradients, relative_error
+from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
 from tests.scenes.media import BLACK
 
@@ -215,3 +216,9 @@ def test_a_constant_extinction_fills_the_cube_of_its_pose():
     image = rb.render(load(torch.float64, camera=camera, sky=sky, floor=floor, box=box(even)), spp=1 << 14, max_depth=1)
     seen = (1.0 / 1.8)**2  # the share of the image that the cube covers
     assert float(image.mean()) == pytest.approx(1 - seen * (1 - math.exp(-0.6)), abs=0.005)
+
+
+@pytest.mark.parametrize("settings", [{}, {"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)}, {"chunk": 40},
+                                      {"nee": False, "spp": 99}, {"sampling": "detached"}], ids=str)
+def test_bounces_that_are_recorded_have_the_bits_of_single_operations(settings, monkeypatch):
+    assert_recorded_alike(lambda: room(varied(3)).to(torch.float32), NAMES, monkeypatch, **SETTINGS | settings)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 import torch
 
@@ -11,6 +13,7 @@ from tests.scenes import cornell, diffuse, load, parameters, rectangle, rgb, sen
 from torch_radbp.adjoint import taped_sweep
 from torch_radbp.boundary.eye import ideal_steps
 from torch_radbp.io.values.transform import translate
+from torch_radbp.jit.cpu.recorded import Recorded
 from torch_radbp.path import taped_bounces, whole_paths
 
 SETTINGS = {"spp": 4, "max_depth": 5, "rr_depth": 2, "compile": True, "terms": ("interior",)}
@@ -36,10 +39,32 @@ def singly(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "recordable", lambda integrand: False)
 
 
-def rendered(scene: rb.Scene, **settings) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-    """An image, and the gradients of all parameters that it depends on."""
-    named = dict(scene.named_parameters())
+def rendered(scene: rb.Scene, names=None, **settings) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+    """An image, and the gradients of all parameters that it depends on, or of those called `names`."""
+    named = dict(scene.named_parameters()) if names is None else names
     wanted = parameters(scene, named)
     image = unwarned_renderer(scene, **SETTINGS | settings)(seed=3)
     found = torch.autograd.grad(image, wanted, cotangent(image.detach()), allow_unused=True)
     return image.detach(), {name: gradient for name, gradient in zip(named, found) if gradient is not None}
+
+
+def assert_recorded_alike(build: Callable[[], rb.Scene], names: list[str], monkeypatch: pytest.MonkeyPatch,
+                          **settings) -> None:
+    """Recorded or not, images, gradients by `names` and numbers of rays are the same, with and without a backward pass."""
+    def everything() -> tuple[torch.Tensor, torch.Tensor, dict[str, torch.Tensor], int]:
+        image, gradients = rendered(build(), names, **settings)
+        renderer = unwarned_renderer(build().requires_grad_(False), **SETTINGS | settings)
+        caster = renderer.prepare(1, None, None, None).caster
+        before = caster.rays_cast
+        return renderer(seed=1), image, gradients, caster.rays_cast - before
+
+    calls, call = [], Recorded.__call__
+    monkeypatch.setattr(Recorded, "__call__", lambda *given, **more: calls.append(1) or call(*given, **more))
+    found = everything()
+    assert calls and found[-1] > 0
+    singly(monkeypatch)
+    expected = everything()
+    assert torch.equal(found[0], expected[0]) and torch.equal(found[1], expected[1]) and found[-1] == expected[-1]
+    assert expected[1].std() > 0 and expected[2].keys() == found[2].keys() == set(names)
+    for name, gradient in expected[2].items():
+        assert gradient.abs().max() > 1e-4 and torch.equal(gradient, found[2][name]), name

@@ -170,7 +170,7 @@ def in_queues(step: Step, queues: Sequence[Queue], reserve: Reserve) -> Step:
                     for queue, values in zip(queues, step.texture_values)])
     visible, survives = (reserve.tensor(torch.bool, scattered) for _ in range(2))
     return Step(hit, front, reserve.tensor(torch.int32, queues[-1].last), tuple(queues), visible, survives, picked, flight,
-                values)
+                values, without_contents(step.shadow_way, reserve, scattered))
 
 
 @contextmanager

@@ -5,7 +5,7 @@ How it is done is the target's: `cpu/cpu_order.py` for the processor, `nvidia/nv
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
@@ -56,6 +56,35 @@ def in_order(major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor,
         (N,) int32 the lanes; and both numbers in this order.
     """
     return target_of(major.device).in_order(major, minor, queues)
+
+
+def repeated(lanes: Tensor, function: Callable[[Tensor], Tensor]) -> None:
+    """Does something with some lanes, then with those of them that go on, until none do.
+
+    Args:
+        lanes: (M,) int32.
+        function: of these; returns those that go on. What it does is kept only where it is written into tensors that were
+            there before.
+    """
+    if (listener := recording()) is not None:
+        listener.repeated(lanes, function)
+        return
+    while len(lanes):
+        lanes = function(lanes)
+
+
+def copied(tensor: Tensor) -> Tensor:
+    """A copy of a tensor of lanes that carries no derivative."""
+    listener = recording()
+    return tensor.clone() if listener is None else listener.copied(tensor)
+
+
+def all_lanes(like: Tensor) -> Tensor:
+    """(N,) int32, all lanes of a tensor."""
+    listener = recording()
+    if listener is not None:
+        return listener.all_lanes(like)
+    return torch.arange(len(like), dtype=torch.int32, device=like.device)
 
 
 def put(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:

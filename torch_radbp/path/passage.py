@@ -78,10 +78,20 @@ def ways_at_first(scene: SceneTensors, none: Tensor) -> tuple[MediumWay, ...]:
                  for kind in scene.layout.media)
 
 
-@stage()
-def shadow_seed(key: LaneKey, at: Position) -> Tensor:
-    """(N,) int32, seeds of the steps of shadow rays at a depth."""
-    return steps_seed(bounce_key(key, at.counter + SALT + LEG))
+@stage("scene")
+def shadow_begun(scene: SceneTensors, shadow: Ray, distance: Tensor, medium: Tensor, key: LaneKey,
+                 at: Position) -> tuple[ShadowPassage, Tensor]:
+    """Shadow rays where they begin, and whether they are any, (N,) bool.
+
+    Args:
+        scene: detached; any part of it.
+        shadow, distance: (N,) the rays; distance 0: there is none.
+        medium: (N,) int32, numbers of the media in which they begin.
+        key: of the paths.
+        at: the depth.
+    """
+    seed, none = steps_seed(bounce_key(key, at.counter + SALT + LEG)), torch.zeros_like(distance)
+    return ShadowPassage(shadow, medium, seed, none < 1.0, ways_at_first(scene, none)), distance > 0
 
 
 def steps_seed(key: BounceKey) -> Tensor:
@@ -105,6 +115,12 @@ def tracking_begun(scene: SceneTensors, ahead: Ray, leg: Tensor, medium: Tensor,
         here, span = medium == number, scene.layout.media[number].enter(scene.media[number], ahead, leg)
         first, last = (torch.where(here, new, old) for new, old in zip(span, (first, last)))
     return Tracking(first, torch.full_like(leg, torch.inf), Vec3.full(leg, 1.0), Vec3.full(leg, 1.0), seed, first < last)
+
+
+@stage("scene")
+def runs_in(scene: SceneTensors, tracking: Tracking, medium: Tensor, number: int) -> Tensor:
+    """(N,) bool: rays are followed by steps through the medium of a number; args as for `tracking_begun`."""
+    return tracking.running & (medium == number)
 
 
 @stage("scene", "ahead", "leg", "v", "tracking")

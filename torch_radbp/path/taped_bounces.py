@@ -44,10 +44,11 @@ def bounces_taken(integrand: Integrand, dtype: torch.dtype, bounce: Bounce = bou
 
 
 def recordable(integrand: Integrand) -> bool:
-    """True if bounces may be recorded: those of compiled stages, which autograd does not record, and which cast each ray
-    once, so that none passes boundaries of media. Who is asked outside is told no tangents."""
+    """True if bounces may be recorded: those of compiled stages, which autograd does not record. Where rays pass boundaries
+    of media they are on a processor, if nothing moves. Who is asked outside is told no tangents."""
     layout = integrand.proposal.layout
-    return (integrand.stages.is_compiled and not (integrand.attached and torch.is_grad_enabled()) and not layout.follows
+    return (integrand.stages.is_compiled and not (integrand.attached and torch.is_grad_enabled())
+            and not (layout.follows and (integrand.settings.moving or integrand.target.counts_stay))
             and not (layout.reads_outside and inside_dual_level())
             and (integrand.caster is None or integrand.caster.recorded_as is not None))
 

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.connection.media import transmittance_of
-from torch_radbp.interface.medium import MediumWay, Tracking
-from torch_radbp.jit.order import chosen, inverted
+from torch_radbp.interface.medium import Tracking
+from torch_radbp.jit.order import all_lanes, chosen, copied, inverted, repeated
 from torch_radbp.path.bounce import Vertex
 from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
@@ -15,13 +15,13 @@ from torch_radbp.path.lane_room import power_of_2
 from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.passage import (
     PathPassage,
-    ShadowPassage,
     free_flight,
     moved_ways,
     next_leg,
     next_shadow_leg,
+    runs_in,
     shadow_ahead,
-    shadow_seed,
+    shadow_begun,
     surface_ahead,
     tracking_begun,
     tracking_on,
@@ -29,7 +29,7 @@ from torch_radbp.path.passage import (
 )
 from torch_radbp.path.state import BoundaryCrossing, Flight, PathState, ShadowWay
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.tables.scene_tensors import Layout, SceneTensors
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import mapped
 from torch_radbp.tensors.stage import stage
@@ -50,28 +50,31 @@ def free_flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -
     part, at, state = integrand.part(Ends.SURROUNDINGS), integrand.at(depth), detached(state)
     if not layout.follows:
         return hit, part.call(free_flight, state, hit, at)
-    way = part.call(way_begun, state, at)
+    way, pick = part.call(way_begun, state, at), integrand.stages(rows)
 
     def flown(met: Hit, lanes: Tensor) -> tuple[Hit, PathPassage, Tensor]:
         """Flies through media, to the next surface at most, and passes that if it is but a boundary; see `next_leg`."""
         tracking = None
         if layout.tracked_media:
             length = part.call(surface_ahead, way.ahead, met, lanes)
-            tracking = tracked(integrand, *rows((way.ahead, way.flight.medium, way.seed, way.v), lanes), length, flies)
+            tracking = tracked(integrand, *pick((way.ahead, way.flight.medium, way.seed, way.v), lanes), length, flies)
         return part.call(next_leg, state.ray, way, met, tracking, lanes, flies)
 
-    lanes = torch.arange(len(hit.prim), dtype=torch.int32, device=hit.prim.device)
-    crossings = BoundaryCrossings(integrand, state.medium)
+    lanes, crossings = all_lanes(hit.prim), BoundaryCrossings(integrand, state.medium)
     hit, way, passes = flown(hit, lanes)
     crossings.add(lanes, hit, state.medium, way.flight.medium, passes)
     lanes = chosen(passes)
     hit, way = apart((hit, way)) if len(lanes) else (hit, way)
-    while len(lanes):
-        before = rows(way.flight.medium, lanes)
-        seen, on, passes = flown(integrand.caster.intersect(rows(way.ahead, lanes)), lanes)
+
+    def next_flown(lanes: Tensor) -> Tensor:
+        """Flies on behind a boundary; returns the lanes that pass another."""
+        ahead, before = pick((way.ahead, way.flight.medium), lanes)
+        seen, on, passes = flown(integrand.caster.intersect(ahead), lanes)
         crossings.add(lanes, seen, before, on.flight.medium, passes)
         put_rows((hit, way), lanes, (seen, on))
-        lanes = rows(lanes, chosen(passes))
+        return pick(lanes, chosen(passes))
+
+    repeated(lanes, next_flown)
     return hit, way.flight._replace(crossings=crossings.in_turn())
 
 
@@ -117,19 +120,23 @@ def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[
     if not layout.follows:
         return inverted(integrand.caster.occluded(vertex.shadow, vertex.shadow_distance)), None
     part, shadow, distance = integrand.part(Ends.SURROUNDINGS), detached(vertex.shadow), vertex.shadow_distance
-    seed = integrand.stages(shadow_seed)(vertex.next.key, integrand.at(depth))
-    passed, lanes = shadows_begun(layout, shadow, vertex.shadow_medium, seed), chosen(distance > 0)
-    crossings = BoundaryCrossings(integrand, vertex.shadow_medium)
-    while len(lanes):
-        met, tracking = integrand.caster.intersect(rows(passed.ahead, lanes)), None
+    pick, crossings = integrand.stages(rows), BoundaryCrossings(integrand, vertex.shadow_medium)
+    passed, begins = part.call(shadow_begun, shadow, distance, vertex.shadow_medium, vertex.next.key, integrand.at(depth))
+    passed = apart(passed)
+
+    def next_passed(lanes: Tensor) -> Tensor:
+        """Follows shadow rays to the next surface; returns the lanes that pass it, since it is but a boundary."""
+        ahead, medium, seed = pick((passed.ahead, passed.medium, passed.seed), lanes)
+        met, tracking = integrand.caster.intersect(ahead), None
         if layout.tracked_media:
             length = part.call(shadow_ahead, shadow, distance, passed.ahead, met, lanes)
-            ahead, medium, seed = rows((passed.ahead, passed.medium, passed.seed), lanes)
             tracking = tracked(integrand, ahead, medium, seed, length, length, False)
         on, passes = part.call(next_shadow_leg, shadow, distance, passed, met, tracking, lanes)
-        crossings.add(lanes, met, rows(passed.medium, lanes), on.medium, passes)
+        crossings.add(lanes, met, medium, on.medium, passes)
         put_rows(passed, lanes, on)
-        lanes = rows(lanes, chosen(passes))
+        return pick(lanes, chosen(passes))
+
+    repeated(chosen(begins), next_passed)
     return passed.free, ShadowWay(passed.ways, passed.medium, crossings.in_turn())
 
 
@@ -145,31 +152,22 @@ def tracked(integrand: Integrand, ahead: Ray, medium: Tensor, seed: Tensor, v: T
         length: (N,) to the next surface.
         flies: rays may scatter; else what is left on the whole way is estimated.
     """
-    part = integrand.part(Ends.SURROUNDINGS)
+    part, pick = integrand.part(Ends.SURROUNDINGS), integrand.stages(rows)
     tracking = apart(part.call(tracking_begun, ahead, length, medium, seed))
     for number in integrand.proposal.layout.tracked_media:
-        lanes = chosen(tracking.running & (medium == number))
-        while len(lanes):
+        def tracked_on(lanes: Tensor, number: int = number) -> Tensor:
+            """Takes some steps; returns the lanes that need more."""
             on = part.call(tracking_on, ahead, length, v, tracking, lanes, number, flies)
             put_rows(tracking, lanes, on)
-            lanes = rows(lanes, chosen(on.running))
+            return pick(lanes, chosen(on.running))
+
+        repeated(chosen(part.call(runs_in, tracking, medium, number)), tracked_on)
     return tracking
-
-
-def shadows_begun(layout: Layout, shadow: Ray, medium: Tensor, seed: Tensor) -> ShadowPassage:
-    """Shadow rays where they begin, in media of these numbers; of tensors that may be written into."""
-    def none() -> Tensor:
-        return torch.zeros_like(shadow.d.x)
-
-    ways = tuple(MediumWay(none(), Vec3(none() + 1.0, none() + 1.0, none() + 1.0), none()) if kind.tracked
-                 else MediumWay(none()) for kind in layout.media)
-    ahead = Ray(shadow.o.map(Tensor.clone), shadow.d.map(Tensor.clone))
-    return ShadowPassage(ahead, medium.clone(), seed.clone(), torch.ones_like(medium, dtype=torch.bool), ways)
 
 
 def apart(record):
     """A copy of a record to write into: results of stages that are equal may be one and the same tensor."""
-    return mapped(record, lambda leaf: None if leaf is None else leaf.clone())
+    return mapped(record, lambda leaf: None if leaf is None else copied(leaf))
 
 
 @stage("scene")

@@ -28,6 +28,7 @@ from torch_radbp.jit.recording.lane_operations import (
     Partition,
     Put,
     RecordedLoop,
+    Repeated,
     Scattered,
 )
 from torch_radbp.jit.recording.recording import Recording
@@ -36,7 +37,8 @@ from torch_radbp.threads.team import PART
 
 HEAD = """\
 define void @recorded{number}(ptr %given, ptr %kept, ptr %room, ptr %counts, ptr %functions, ptr %board,
-                              i64 %lanes, i64 %row) {{"""
+                              i64 %lanes, i64 %row) {{
+entry:"""
 # Runs of lanes abreast, as `cpu_order.partition_on_cpu` takes them.
 PARTITION = """\
 define internal void @partition(ptr %functions, ptr %order, ptr %numbers, i64 %lanes, i64 %queues, ptr %found) {{
@@ -68,6 +70,8 @@ class Writer:
         self.recording, self.layout, self.given = recording, layout, given
         self.functions: list[int | LoopBody] = []
         self.lines: list[str] = []  # of the function that is being written
+        self.arrays: list[str] = []  # memory on the stack, which is reserved once where it begins
+        self.block = "entry"  # in which the next line stands
         self.addresses: dict[MemoryPlace, str] = {}  # that are known there
         self.counts = {0: "0", 1: "%lanes", **dict.fromkeys(range(2, 2 + recording.given_counts), "")}
 
@@ -76,6 +80,17 @@ class Writer:
         name = f"%v{len(self.lines)}"
         self.lines.append(f"{name} = {text}")
         return name
+
+    def array(self, kind: str, entries: int) -> str:
+        """Reserves an array on the stack and returns the name of its address."""
+        name = f"%a{len(self.arrays)}"
+        self.arrays.append(f"{name} = alloca {kind}, i64 {max(1, entries)}, align 8")
+        return name
+
+    def begin(self, block: str) -> None:
+        """Begins a block of instructions."""
+        self.lines.append(f"{block}:")
+        self.block = block
 
     def function(self, function: int | LoopBody) -> str:
         """The name of the pointer to a function."""
@@ -116,7 +131,7 @@ class Writer:
 
     def list_of(self, pointers: Sequence[str]) -> str:
         """Emits an array of pointers, and returns the name of its address."""
-        array = self.line(f"alloca ptr, i64 {max(1, len(pointers))}, align 8")
+        array = self.array("ptr", len(pointers))
         for number, pointer in enumerate(pointers):
             at = self.line(f"getelementptr ptr, ptr {array}, i64 {number}")
             self.lines.append(f"store ptr {pointer}, ptr {at}, align 8")
@@ -140,7 +155,7 @@ class Writer:
                           f"ptr {self.list_of(inputs)}, ptr {self.list_of(outputs)})")
 
     def partition(self, operation: Partition) -> None:
-        found = self.line(f"alloca i64, i64 {operation.queues}, align 8")
+        found = self.array("i64", operation.queues)
         self.lines.append(f"call void @partition(ptr %functions, ptr {self.address(operation.order)}, "
                           f"ptr {self.address(operation.number)}, i64 {self.number_of(operation.lanes)}, "
                           f"i64 {operation.queues}, ptr {found})")
@@ -190,6 +205,34 @@ class Writer:
         number = self.line(f"select i1 {some}, i64 {len(groups)}, i64 0")
         self.call(cpu_scatter.code().module.address, number, 1, inputs, [])
 
+    def repeated(self, operation: Repeated) -> None:
+        name, outer, before = f"repeated{operation.count}", dict(self.counts), dict(self.addresses)
+        start, lanes, cast = self.number_of(operation.start), self.address(operation.lanes), self.array("i64", 1)
+        self.lines += [f"store i64 0, ptr {cast}, align 8", f"br label %{name}"]
+        entered = self.block
+        self.begin(name)
+        self.counts[operation.count], turn = f"%{name}_lanes", len(self.lines)
+        self.lines += ["", f"%{name}_some = icmp sgt i64 %{name}_lanes, 0",
+                       f"br i1 %{name}_some, label %{name}_turn, label %{name}_done"]
+        self.begin(f"{name}_turn")
+        self.write(operation.operations)
+        # Count the rays, and go on with the lanes that do.
+        sum_of_rays = self.line(f"load i64, ptr {cast}, align 8")
+        for span in operation.rays:
+            sum_of_rays = self.line(f"add i64 {sum_of_rays}, {self.number_of(span)}")
+        self.lines.append(f"store i64 {sum_of_rays}, ptr {cast}, align 8")
+        left = self.number_of(operation.left)
+        size = self.line(f"mul i64 {left}, {operation.rest.size}")
+        rest = self.address(operation.rest)
+        self.lines += [f"call void @llvm.memcpy.p0.p0.i64(ptr {lanes}, ptr {rest}, i64 {size}, i1 false)",
+                       f"br label %{name}"]
+        self.lines[turn] = f"%{name}_lanes = phi i64 [ {start}, %{entered} ], [ {left}, %{self.block} ]"
+        self.begin(f"{name}_done")
+        # What was computed in a turn is not there afterwards.
+        self.addresses = before | {operation.lanes: lanes}
+        self.counts = {**dict.fromkeys(self.counts, "0"), **outer}
+        self.counts[operation.cast] = self.line(f"load i64, ptr {cast}, align 8")
+
     def text(self) -> str:
         """The finished LLVM module."""
         loads, names = [], ("count", "count_rest", "begin", "put", "put_rest")
@@ -211,16 +254,20 @@ class Writer:
 
     def part(self, number: int, operations: Sequence[Operation]) -> str:
         """The function of some consecutive operations."""
-        write = {RecordedLoop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put,
-                 Inverted: self.inverted, Copy: self.copy, Scattered: self.scattered}
-        self.lines, self.addresses, known = [], {}, len(self.counts)
+        self.lines, self.arrays, self.block, self.addresses, known = [], [], "entry", {}, len(self.counts)
         for count in range(2, known):
             at = self.line(f"getelementptr i64, ptr %counts, i64 {count}")
             self.counts[count] = self.line(f"load i64, ptr {at}, align 8")
-        for operation in operations:
-            write[type(operation)](operation)
+        self.write(operations)
         for count in range(known, len(self.counts)):
             at = self.line(f"getelementptr i64, ptr %counts, i64 {count}")
             self.lines.append(f"store i64 {self.counts[count]}, ptr {at}, align 8")
-        body = "\n".join(f"  {line}" for line in self.lines)
+        body = "\n".join(f"  {line}" for line in (*self.arrays, *self.lines))
         return f"{HEAD.format(number=number)}\n{body}\n  ret void\n}}\n"
+
+    def write(self, operations: Sequence[Operation]) -> None:
+        """Emits operations, in turn."""
+        write = {RecordedLoop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put,
+                 Inverted: self.inverted, Copy: self.copy, Scattered: self.scattered, Repeated: self.repeated}
+        for operation in operations:
+            write[type(operation)](operation)

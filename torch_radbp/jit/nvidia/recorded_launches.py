@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torch_radbp.jit.nvidia.launches import Caster, DeviceRecording, Launches
 from torch_radbp.jit.recording.lane_count import LaneCount, most_of
-from torch_radbp.jit.recording.lane_operations import LaneSpan, MemoryPlace, Outside
+from torch_radbp.jit.recording.lane_operations import LaneSpan, MemoryPlace, Outside, Repeated
 from torch_radbp.jit.recording.recording import NotRecordable, Recording
 from torch_radbp.jit.recording.results import WHOLE, RecordedInputs, RecordedResults, ResultPlace
 
@@ -36,6 +36,8 @@ class RecordedLaunches(RecordedResults):
     def __init__(self, gpu, recording: Recording, given: Sequence[Tensor | int], results: Any):
         if any(isinstance(operation, Outside) for operation in recording.operations):
             raise NotRecordable("what is done outside is done by the host between launches")
+        if any(isinstance(operation, Repeated) for operation in recording.operations):
+            raise NotRecordable("the host decides whether something is repeated")
         super().__init__(recording, given, results)
         self.gpu, self.device = gpu, recording.reserve.device
         self.of = DeviceRecording(gpu.kernel, recording.operations, recording.made, self.layout, len(given),

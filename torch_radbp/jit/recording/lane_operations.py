@@ -134,4 +134,17 @@ class NewTensor(NamedTuple):
     lanes: LaneSpan
 
 
-Operation = RecordedLoop | Partition | Chosen | Put | Inverted | Copy | Scattered | Outside
+class Repeated(NamedTuple):
+    """A recorded `order.repeated`."""
+
+    lanes: MemoryPlace  # of which the operations are done; those that go on are copied there
+    start: LaneSpan  # how many there are at first
+    count: int  # index of the count of those that there are each time
+    operations: tuple[Operation, ...]
+    rest: MemoryPlace  # those that go on
+    left: LaneSpan
+    rays: tuple[LaneSpan, ...]  # that are cast each time
+    cast: int  # index of the count of rays that are cast in all
+
+
+Operation = RecordedLoop | Partition | Chosen | Put | Inverted | Copy | Scattered | Outside | Repeated

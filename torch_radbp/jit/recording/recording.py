@@ -33,6 +33,7 @@ from torch_radbp.jit.recording.lane_operations import (
     Partition,
     Put,
     RecordedLoop,
+    Repeated,
     Scattered,
 )
 from torch_radbp.tensors.torch_internals import TorchDispatchMode
@@ -93,6 +94,7 @@ class Recording:
         self.made: list[NewTensor] = []
         self.memory: dict[int, int] = {}  # numbers of tensors that were made, by address
         self.alive: list = [given]  # so that addresses remain theirs
+        self.repeating = False
         self.given_counts, self.counts = len(counts), 2 + len(counts)
         self.points = {0: 0, ALL: 1}  # numbers of counts by what stands for them
         self.spans = {0: LaneSpan(0, 0), ALL: LaneSpan(0, 1)}
@@ -203,6 +205,37 @@ class Recording:
         self.counts += 1
         return order[:count]
 
+    def all_lanes(self, like: Tensor) -> Tensor:
+        """As `order.all_lanes`."""
+        lanes = self.chosen(self.inverted(self.nothing(self.reserve.tensor(torch.bool, like.numel()))))
+        return lanes if not len(like) else lanes.as_strided((len(like),), (1,))
+
+    def repeated(self, lanes: Tensor, function: Callable[[Tensor], Tensor]) -> None:
+        """Records `order.repeated`; the function is called once, with lanes whose number stands for that of any turn."""
+        if not len(lanes):
+            return
+        _, number, _ = self.borders(2, lanes.numel())
+        count, self.counts = self.counts, self.counts + 1
+        self.points[number], self.spans[number] = count, LaneSpan(0, count)
+        each = self.reserve.tensor(lanes.dtype, number)
+        self.copy(each, lanes, 0)
+        before = self.operations, self.rays, self.repeating
+        self.operations, self.rays, self.repeating = [], [], True
+        rest = function(each)
+        operations, rays = self.operations, self.rays
+        self.operations, self.rays, self.repeating = before
+        self.operations.append(Repeated(self.place(each), self.span(lanes.numel()), count, tuple(operations),
+                                        self.place(rest), self.span(rest.numel()), tuple(rays), self.counts))
+        self.rays.append(LaneSpan(0, self.counts))
+        self.counts += 1
+
+    def copied(self, tensor: Tensor) -> Tensor:
+        """As `order.copied`."""
+        result = self.reserve.tensor(tensor.dtype, tensor.numel())
+        if len(result):
+            self.copy(result, tensor, 0)
+        return result
+
     def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
         """Records `order.put`."""
         for size in {target.element_size() for target in targets}:
@@ -245,6 +278,8 @@ class Recording:
     def outside(self, work: Callable, context: Any, given: Sequence[Sequence[Tensor]],
                 results: Sequence[int]) -> list[list[Tensor]]:
         """Records work outside of machine code; see the function `outside`."""
+        if self.repeating:
+            raise NotRecordable("what is done outside cannot be repeated")
         known = [number for number, own in enumerate(self.contexts) if own is context]
         if not known:
             raise NotRecordable("what is done outside depends on more than is told")
