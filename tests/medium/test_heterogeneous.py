@@ -222,3 +222,19 @@ def test_a_constant_extinction_fills_the_cube_of_its_pose():
                                       {"nee": False, "spp": 99}, {"sampling": "detached"}], ids=str)
 def test_bounces_that_are_recorded_have_the_bits_of_single_operations(settings, monkeypatch):
     assert_recorded_alike(lambda: room(varied(3)).to(torch.float32), NAMES, monkeypatch, **SETTINGS | settings)
+
+
+def test_samples_of_the_derivative_alone_tell_more_of_empty_cells_and_the_same_in_the_mean():
+    """The light that half of a grid, which is empty, would scatter: gradients of 24 renderings."""
+    data = grid(size=(8, 8, 8))
+    data[:4] = 0.0
+    scene, name = room(smoke(data)).to(torch.float32), "box.interior.sigma_t.data"
+    spread, mean = {}, {}
+    for shared in (False, True):
+        gradients = torch.stack([image_and_gradients(
+            scene, [name], seed=seed, adj_image=torch.ones(1, 3, 4, 4), spp=1024, max_depth=4, share_samples=shared)[1][0]
+            for seed in range(24)]).double()[:, :4].flatten(1)
+        spread[shared], mean[shared] = gradients.var(0).sum(), gradients.sum(1)
+    assert 0 < spread[False] < 0.4 * spread[True]
+    error = ((mean[False].var() + mean[True].var()) / 24).sqrt()
+    assert (mean[False].mean() - mean[True].mean()).abs() < 3 * error < 0.5 * mean[False].mean().abs()

@@ -96,7 +96,7 @@ class RenderFunction(torch.autograd.Function):
             if record is None:
                 record = record_wavefront(call, integrand, wavefront)
             adj_L = weighted(call.sink.adjoint(call, wavefront, record.place, adj_sums), record.weight)
-            seen = integrand_of_wavefront(call, integrand, wavefront)
+            seen = integrand_of_wavefront(call, integrand, wavefront, 1)
             with sweep_of(seen, record, adj_L, numbered, gradients) as sweep:
                 call.adjoint.backward(sweep)
             return sweep

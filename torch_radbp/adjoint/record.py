@@ -46,7 +46,7 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
         tracer: `trace`, or what does the same.
     """
     samples, recorder = camera_samples(call, wavefront, which), Recorder(call.adjoint, integrand.max_depth, record)
-    integrand = integrand_of_wavefront(call, integrand, wavefront)
+    integrand = integrand_of_wavefront(call, integrand, wavefront, which)
     asked = record or call.quantities is not None  # of the quantities some ask for what camera rays meet
     L = tracer(integrand, started(call, samples), recorder.visit if asked else None)
     radiance = L if record and call.adjoint.keep_radiance else None
@@ -58,7 +58,9 @@ def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> 
     """Traces the samples of the image and, together with them, those of its derivative."""
     recorder = Recorder(call.adjoint, integrand.max_depth)
     integrand = integrand_of_wavefront(call, integrand, wavefront)
-    apart = wavefront.lanes >= MANY and call.quantities is None and goes_whole(integrand, wavefront.lanes)
+    # Through media that are followed by steps the paths of image and derivative are sampled otherwise.
+    apart = bool(integrand.proposal.layout.tracked_media) or (
+        wavefront.lanes >= MANY and call.quantities is None and goes_whole(integrand, wavefront.lanes))
     traced = traced_apart if apart else traced_as_one
     image, derivative, hit, L = traced(call, integrand, wavefront, recorder)
     return (call.sink.deposit(call, wavefront, _shown(call, integrand, image, hit, L), image),
@@ -66,19 +68,22 @@ def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> 
 
 
 def traced_apart(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
-                 recorder: Recorder) -> tuple[CameraSample, CameraSample, None, Vec3]:
-    """Traces the image's samples and the derivative's paths in two threads; results as of `traced_as_one`, without hits."""
+                 recorder: Recorder) -> tuple[CameraSample, CameraSample, Hit | None, Vec3]:
+    """Traces the image's samples and the derivative's paths in two threads; results as of `traced_as_one`, with hits only if
+    quantities are asked for."""
+    seen_first = Recorder(call.adjoint, integrand.max_depth, keeping=False)
+
     def image() -> tuple[CameraSample, Vec3]:
         samples = camera_samples(call, wavefront, 0)
-        return samples, trace(integrand, started(call, samples))
+        return samples, trace(integrand, started(call, samples), None if call.quantities is None else seen_first.visit)
 
     def derivative() -> CameraSample:
         samples = camera_samples(call, wavefront, 1)
-        walk(integrand, Onward(started(call, samples), None), recorder.visit)
+        walk(integrand_of_wavefront(call, integrand, wavefront, 1), Onward(started(call, samples), None), recorder.visit)
         return samples
 
     (seen, L), differentiated = each(lambda side: side(), (image, derivative), threads())
-    return seen, differentiated, None, L
+    return seen, differentiated, seen_first.hit, L
 
 
 def traced_as_one(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
@@ -117,7 +122,7 @@ def record_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefron
     if call.adjoint.keep_radiance:
         return trace_wavefront(call, integrand, wavefront, 1, record=True)[1]
     samples, recorder = camera_samples(call, wavefront, 1), Recorder(call.adjoint, integrand.max_depth)
-    walk(integrand_of_wavefront(call, integrand, wavefront), Onward(started(call, samples), None), recorder.visit)
+    walk(integrand_of_wavefront(call, integrand, wavefront, 1), Onward(started(call, samples), None), recorder.visit)
     return recorder.record(partial(start_paths, call, wavefront, 1), None, samples)
 
 

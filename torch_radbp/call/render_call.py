@@ -74,7 +74,8 @@ class RenderCall(NamedTuple):
 
     def of_derivative(self) -> RenderCall:
         """The call whose image has the samples of the derivative."""
-        return self._replace(source=self.source.of_derivative())
+        make = self.make_integrand if self.shares_samples else lambda scene: self.make_integrand(scene).for_derivatives()
+        return self._replace(source=self.source.of_derivative(), make_integrand=make)
 
 
 def started(call: RenderCall, sample: CameraSample) -> PathState:
@@ -115,8 +116,13 @@ def integrand_of(call: RenderCall, integrand: Integrand, number: int) -> Integra
     return integrand._replace(clipping=view.camera if view.clips else None)
 
 
-def integrand_of_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> Integrand:
-    """The integrand as the lanes of a wavefront see it; where a far plane cuts the scene these are of one camera."""
+def integrand_of_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront, which: int = 0) -> Integrand:
+    """The integrand as the lanes of a wavefront see it; where a far plane cuts the scene these are of one camera.
+
+    Args:
+        which: samples of the image, 0, or of its derivative, 1, which may be the same.
+    """
+    integrand = integrand.for_derivatives() if which and not call.shares_samples else integrand
     return integrand._replace(clipping=call.source.clipping(wavefront.chunks[0]))
 
 

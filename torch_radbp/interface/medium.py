@@ -100,6 +100,10 @@ class MediumKind:
         """
         raise TypeError(f"{type(self).__name__} is not followed by steps")
 
+    def sampled_for_derivatives(self, table: Table) -> Table:
+        """The table by which paths are sampled whose samples are of the derivative alone."""
+        return table
+
     def extinction(self, table: Table, p: Vec3, wi: Vec3) -> Vec3:
         """The share of light that is lost per unit of length at points, (N,), along directions, by colour; attached. Of
         media that are followed by steps."""

@@ -4,8 +4,10 @@ Rays fly through it from tentative collision to tentative collision, as dense as
 coarse grid around them. One is real with the probability of extinction over bound; else the ray goes on. The bound is that
 of the cell, so that empty ones are passed in one step.
 
-Where flights are sampled by more extinction than there is (`floor`), they count by the quotient. With colours the extinction
-of one of them, chosen at random, decides, and flights are weighted against the chance that any of them would have had.
+Where flights are sampled by more extinction than there is (`floor`), they count by the quotient. That floor is higher for
+paths whose samples are of the derivative alone: what light an empty cell would scatter only those know that scatter there.
+With colours the extinction of one of them, chosen at random, decides, and flights are weighted against the chance that any
+of them would have had.
 
 References: Woodcock 1965 (tentative collisions); Novak, Selle and Jarosz 2014, "Residual Ratio Tracking" (what is left);
 Miller, Georgiev and Jarosz 2019, "A Null-Scattering Path Integral Formulation of Light Transport" (colours); Pharr, Jakob
@@ -28,12 +30,14 @@ from torch_radbp.phase.isotropic import Isotropic
 from torch_radbp.plugin import Medium, Phase, Texture, Volume, finite, register
 from torch_radbp.plugin.domain import AMOUNT, FRACTION, NUMBER, Domain
 from torch_radbp.sampling.sampler import next_number
+from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, where
 from torch_radbp.volume.constvolume import as_volume
 
 STEPS = 4  # that are taken at a time
-THINNEST = 0.05  # the least optical thickness across the medium by which flights are sampled
+# The least optical thickness across the medium by which flights are sampled, of the image and of derivatives by extinction.
+THINNEST, THINNEST_OF_DERIVATIVES = 0.05, 0.4
 
 
 class HeterogeneousTable(NamedTuple):
@@ -45,6 +49,7 @@ class HeterogeneousTable(NamedTuple):
     phase: Any
     grid: CoarseGrid  # bounds of the extinction, detached
     floor: Tensor  # (1,) the least extinction by which flights are sampled, detached
+    floor_of_derivatives: Tensor  # (1,) the same where derivatives have samples of their own
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,9 @@ class HeterogeneousKind(MediumKind):
     sigma_t: VolumeKind
     albedo: VolumeKind
     phase_function: PhaseKind
+
+    def sampled_for_derivatives(self, table: HeterogeneousTable) -> HeterogeneousTable:
+        return table._replace(floor=table.floor_of_derivatives)
 
     def extinction(self, table: HeterogeneousTable, p: Vec3, wi: Vec3) -> Vec3:
         area = self.phase_function.projected_area(table.phase, p, wi)
@@ -157,8 +165,10 @@ class Heterogeneous(Medium):
         across = grid.high - grid.low
         diagonal = dot(across, across).sqrt()
         grid = grid._replace(bound=grid.bound * self.phase_function.largest_area())
-        return HeterogeneousTable(self.sigma_t.table(), self.albedo.table(), self.scale, self.phase_function.row(), grid,
-                                  THINNEST / diagonal)
+        sigma_t = self.sigma_t.table()
+        thinnest = THINNEST_OF_DERIVATIVES if any_differentiated(sigma_t) else THINNEST
+        return HeterogeneousTable(sigma_t, self.albedo.table(), self.scale, self.phase_function.row(), grid,
+                                  THINNEST / diagonal, thinnest / diagonal)
 
 
 def index(like: Tensor) -> Tensor:

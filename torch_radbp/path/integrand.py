@@ -77,6 +77,16 @@ class Integrand(NamedTuple):
         """The integrand on detached tensors."""
         return self._replace(scene=self.proposal, parts={}) if self.attached else self
 
+    def for_derivatives(self) -> Integrand:
+        """The integrand for paths whose samples are of the derivative alone."""
+        kinds = self.proposal.layout.media
+        if not self.proposal.layout.tracked_media:
+            return self
+        scene, proposal = (scene._replace(media=tuple(
+            kind.sampled_for_derivatives(table) for kind, table in zip(kinds, scene.media)))
+            for scene in (self.scene, self.proposal))
+        return self._replace(scene=scene if self.attached else proposal, proposal=proposal, parts={})
+
     def part(self, event: Event) -> QueueStages:
         """The tables and functions for lanes with this event."""
         event = event if event.scatters else Ends.SURROUNDINGS  # where paths end the same is read, whatever ends them
