@@ -31,7 +31,7 @@ GROUPS = {
         "AdjointStrategy.replayed", "AdjointStrategy.backward")),
     "scenes": Group("Scenes and files", "Reading, changing and writing scenes.", (
         "load", "load_dict", "scene_from_trimesh", "asset", "save", "save_image", "contact_sheet", "Scene", "Scene.clamp_",
-        "Scene.to_trimesh", "NeuralTexture")),
+        "Scene.to_trimesh", "NeuralTexture", "NeuralVolume")),
     "cameras": Group("Cameras and poses", "Poses, and cameras of other programs.", (
         "look_at", "se3", "camera_from_opencv", "cameras_from_colmap", "cameras_from_nerf", "cameras_from_kornia")),
     "losses": Group("Losses", "Losses whose gradients noise does not bias; see "

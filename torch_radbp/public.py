@@ -4,7 +4,7 @@ Stable means: a program that uses these names as their docstrings say runs under
 number; what another minor number changes is in CHANGELOG.md.
 
     scenes                 Scene, load, load_dict, scene_from_trimesh, asset, save, save_image,
-                           NeuralTexture
+                           NeuralTexture, NeuralVolume
     poses and cameras      look_at, se3, camera_from_opencv, cameras_from_colmap, cameras_from_kornia, cameras_from_nerf
     photographs            Photographs, Photograph, Exposure, LensFalloff, ToneCurve
     images                 Renderer, render, contact_sheet
@@ -52,10 +52,11 @@ from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.rendering.zero_gradients import ZeroGradientWarning
 from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.texture.neural import NeuralTexture
+from torch_radbp.volume.neural import NeuralVolume
 
 __all__ = ["AdjointStrategy", "Exposure", "GltfWarning", "GradientCheck", "JumpWarning", "LensFalloff", "MemoizedAdjoint",
-           "NeuralTexture", "NonFiniteError", "Photograph", "Photographs", "PluginCheck", "QuadraticAdjoint", "Renderer",
-           "RepeatedNoiseWarning", "ReplayAdjoint", "Scene", "SceneError", "SceneWarning", "SilhouetteWarning",
+           "NeuralTexture", "NeuralVolume", "NonFiniteError", "Photograph", "Photographs", "PluginCheck", "QuadraticAdjoint",
+           "Renderer", "RepeatedNoiseWarning", "ReplayAdjoint", "Scene", "SceneError", "SceneWarning", "SilhouetteWarning",
            "TapeAdjoint", "ToneCurve", "ZeroGradientWarning", "asset", "camera_from_opencv", "cameras_from_colmap",
            "cameras_from_kornia", "cameras_from_nerf", "check_bsdf", "check_emitter", "check_gradient", "check_texture",
            "contact_sheet", "jvp", "load", "load_dict", "look_at", "render", "save", "save_image", "scene_from_trimesh",

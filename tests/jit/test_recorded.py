@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.cpu.board import board
 from torch_radbp.jit.cpu.recorded import Recorded
-from torch_radbp.jit.order import all_lanes, chosen, copied, inverted, nothing, partition, put, repeated
+from torch_radbp.jit.order import all_lanes, chosen, duplicated, inverted, nothing, partition, put, repeated
 from torch_radbp.jit.recording.addition import Addition, Sums
 from torch_radbp.jit.recording.recording import ALL, NotRecordable, Recording, listening, outside
 from torch_radbp.jit.recording.results import RecordedInputs
@@ -258,11 +258,11 @@ POSITIVE = LaneFunction(lambda x: x > 0.0)
 
 def counted_down(x: Tensor):
     """Halves numbers until they are below 1, and between that counts down to 0 copies of them; how often in all."""
-    x, turns = copied(x), copied(x)
+    x, turns = duplicated(x), duplicated(x)
     lanes = all_lanes(x)
 
     def halved(lanes: Tensor) -> Tensor:
-        inner = copied(x)
+        inner = duplicated(x)
 
         def down(lanes: Tensor) -> Tensor:
             lower, more = DOWN(inner, lanes), MORE(turns, lanes)
@@ -308,7 +308,7 @@ def test_rays_that_are_cast_while_something_is_repeated_are_counted_each_time():
     given = torch.empty(ALL)
     listener = Recording([given])
     with torch.no_grad(), listening(listener):
-        x = copied(given)
+        x = duplicated(given)
 
         def cast(lanes: Tensor) -> Tensor:
             lower = DOWN(x, lanes)

@@ -24,6 +24,7 @@ assert_type(rb.contact_sheet({"target": torch.zeros(2, 3, 8, 8)}, views=["left",
 parameter = scene.get_parameter("green.reflectance.value").requires_grad_()
 assert_type(parameter, Tensor)
 scene.green.reflectance = rb.NeuralTexture(torch.nn.Linear(2, 3), of="uv")
+assert_type(rb.NeuralVolume(torch.nn.Linear(3, 1), resolution=32), rb.NeuralVolume)
 assert_type(rb.bake.mesh(scene.body, unwrap=True), TensorMesh)
 assert_type(rb.bake.bitmap(scene.green.reflectance, (256, 512), shape=scene.body), Bitmap)
 

@@ -53,12 +53,17 @@ class VolumeFunction(Volume):
         raise TypeError(f"{type(self).__name__} does not define its channels")
 
     def entries(self) -> dict[str, Tensor]:
-        """The parameters whose entries are the values, by name, attached."""
-        raise TypeError(f"{type(self).__name__} does not define its entries")
+        """The parameters whose entries are the values, by name, attached; none if the values are computed."""
+        return {}
+
+    def samples(self) -> Tensor:
+        """The values, (..., C), between which all others lie, attached."""
+        values, = self.entries().values()
+        return values
 
     def largest(self) -> Tensor:
-        """An upper bound of the values of all channels, (), detached: the interpolation of entries exceeds none of them."""
-        return torch.stack([values.detach().amax() for values in self.entries().values()]).amax()
+        """An upper bound of the values of all channels, (), detached."""
+        return self.samples().detach().amax()
 
     def cells(self) -> tuple[Tensor | None, Tensor]:
         """The largest entries of cells, (Z, Y, X), detached, between whose centres values are interpolated, and which go on

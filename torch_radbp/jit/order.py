@@ -73,10 +73,10 @@ def repeated(lanes: Tensor, function: Callable[[Tensor], Tensor]) -> None:
         lanes = function(lanes)
 
 
-def copied(tensor: Tensor) -> Tensor:
+def duplicated(tensor: Tensor) -> Tensor:
     """A copy of a tensor of lanes that carries no derivative."""
     listener = recording()
-    return tensor.clone() if listener is None else listener.copied(tensor)
+    return tensor.clone() if listener is None else listener.duplicated(tensor)
 
 
 def all_lanes(like: Tensor) -> Tensor:

@@ -161,13 +161,17 @@ class Heterogeneous(Medium):
         return HeterogeneousKind(self.sigma_t.kind(), self.albedo.kind(), self.phase_function.kind())
 
     def row(self) -> HeterogeneousTable:
+        sigma_t, albedo = self.sigma_t.table(), self.albedo.table()
+        for name, volume in (("albedo", self.albedo), ("sigma_t", self.sigma_t)):
+            if not volume.entries():  # else they are checked as parameters
+                with torch.no_grad():
+                    self.domains()[name].check(name, volume.samples())
         grid = coarse_grid(self.sigma_t)  # type: ignore[arg-type]
         across = grid.high - grid.low
         diagonal = dot(across, across).sqrt()
         grid = grid._replace(bound=grid.bound * self.phase_function.largest_area())
-        sigma_t = self.sigma_t.table()
         thinnest = THINNEST_OF_DERIVATIVES if any_differentiated(sigma_t) else THINNEST
-        return HeterogeneousTable(sigma_t, self.albedo.table(), self.scale, self.phase_function.row(), grid,
+        return HeterogeneousTable(sigma_t, albedo, self.scale, self.phase_function.row(), grid,
                                   THINNEST / diagonal, thinnest / diagonal)
 
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torch_radbp.connection.media import transmittance_of
 from torch_radbp.interface.medium import Tracking
-from torch_radbp.jit.order import all_lanes, chosen, copied, inverted, repeated
+from torch_radbp.jit.order import all_lanes, chosen, duplicated, inverted, repeated
 from torch_radbp.path.bounce import Vertex
 from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
@@ -167,7 +167,7 @@ def tracked(integrand: Integrand, ahead: Ray, medium: Tensor, seed: Tensor, v: T
 
 def apart(record):
     """A copy of a record to write into: results of stages that are equal may be one and the same tensor."""
-    return mapped(record, lambda leaf: None if leaf is None else copied(leaf))
+    return mapped(record, lambda leaf: None if leaf is None else duplicated(leaf))
 
 
 @stage("scene")

@@ -99,7 +99,7 @@ class SGGX(PhaseFunction):
         if not isinstance(S, Volume):
             S = GridVolume(data=finite("S", S, (6,)).reshape(1, 1, 1, 6))
         self.S = as_volume(self, "S", S, (6,))
-        entries, = self.S.entries().values()
+        entries = self.S.samples()
         least = float(torch.linalg.eigvalsh(entries.detach().double()[..., torch.tensor(ROWS)]).min())
         if least <= 0.0:
             raise ValueError(f"S of sggx must be positive definite, got a matrix with the eigenvalue {least:g}")
@@ -115,9 +115,9 @@ class SGGX(PhaseFunction):
 
     def largest_area(self) -> Tensor:
         # The root of the largest eigenvalue, which is not more than the trace; interpolation does not exceed it.
-        entries, = self.S.entries().values()
+        entries = self.S.samples()
         return entries.detach()[..., :3].sum(-1).amax().clamp_min(LEAST).sqrt()
 
     def even_area(self) -> bool:
-        entries, = self.S.entries().values()
+        entries = self.S.samples()
         return entries[..., 0].numel() == 1

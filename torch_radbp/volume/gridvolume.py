@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from itertools import product
 from math import inf
 
 import torch
 from torch import Tensor
 
 from torch_radbp.formats.volume import UNIT_BOX, read_volume
-from torch_radbp.interface.volume import VolumeFunction
 from torch_radbp.plugin import Filename, Matrix4, boolean, finite, nearest, register
 from torch_radbp.plugin.domain import LARGEST_AMOUNT, Domain
-from torch_radbp.tensors.interleaved import columns_of_rows
-from torch_radbp.tensors.vec import Vec3
-from torch_radbp.transforms import affine, transform_points
-from torch_radbp.volume.grid import GridKind, GridTable
+from torch_radbp.transforms import affine
+from torch_radbp.volume.grid import GridKind
+from torch_radbp.volume.on_grid import OnGrid
 
 FILTERS = ("trilinear", "nearest")
 WRAP_MODES = ("clamp", "repeat", "mirror")
@@ -24,7 +21,7 @@ LARGEST_GRID = 2**31 - 1  # cells, which are numbered in int32
 
 
 @register("volume", "gridvolume")
-class GridVolume(VolumeFunction):
+class GridVolume(OnGrid):
     """Values on a grid in the unit cube [0, 1]^3 under `to_world`, between the centres of its cells interpolated.
 
     Parameters: `data`, (Z, Y, X, C). Derivatives: with respect to it, and through the point that is read to whatever moves
@@ -92,21 +89,6 @@ class GridVolume(VolumeFunction):
 
     def entries(self) -> dict[str, Tensor]:
         return {"data": self.data}
-
-    def table(self, dtype: torch.dtype | None = None, device: torch.device | None = None) -> GridTable:
-        rows = self.data.to(dtype=dtype, device=device).reshape(-1, self.channels())
-        size = tuple(torch.tensor([count], dtype=torch.int32, device=rows.device) for count in self.data.shape[2::-1])
-        to_local = torch.linalg.inv(self.from_unit_cube()).to(rows)[:3]
-        return GridTable(columns_of_rows(rows), size, tuple(
-            (Vec3.of(row[None, :3]), row[3:].clone()) for row in to_local.unbind()))
-
-    def cells(self) -> tuple[Tensor | None, Tensor]:
-        to_local = torch.linalg.inv(self.from_unit_cube()).to(self.data)[:3]
-        return (self.data.detach().amax(3) if self.wrap_mode == "clamp" else None), to_local
-
-    def corners(self) -> Tensor:
-        unit = torch.tensor(list(product((0.0, 1.0), repeat=3)), dtype=torch.float64, device=self.data.device)
-        return transform_points(self.from_unit_cube(), unit).to(self.data.dtype)
 
     def from_unit_cube(self) -> Tensor:
         """(4, 4) the transform from the unit cube to the world, float64."""

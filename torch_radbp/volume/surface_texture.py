@@ -83,7 +83,7 @@ class VolumeTexture(Texture):
 
     def texels(self) -> Tensor:
         """The entries of the volume in one row, (1, K, 3), attached."""
-        entries, = self.volume.entries().values()
+        entries = self.volume.samples()
         return entries.reshape(1, -1, entries.shape[-1]).expand(-1, -1, 3)
 
     def scalars(self) -> Tensor:

@@ -66,7 +66,7 @@ def _media(scene) -> Table:
         for shape in scene.shapes:
             name = scene.name_of(shape)
             places += [f"in {name}"] * (shape.interior is medium) + [f"around {name}"] * (shape.exterior is medium)
-        extinction = medium.scale * next(iter(medium.sigma_t.entries().values()))
+        extinction = medium.scale * medium.sigma_t.samples()
         values = dict.fromkeys(f"{float(end):.4g}" for end in (extinction.min(), extinction.max()))
         grid = " x ".join(map(str, extinction.shape)) if extinction.ndim == 4 else ""
         table.add_row(scene.name_of(medium), medium.type, " to ".join(values), grid, ", ".join(places))

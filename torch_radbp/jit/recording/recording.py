@@ -229,8 +229,8 @@ class Recording:
         self.rays.append(LaneSpan(0, self.counts))
         self.counts += 1
 
-    def copied(self, tensor: Tensor) -> Tensor:
-        """As `order.copied`."""
+    def duplicated(self, tensor: Tensor) -> Tensor:
+        """As `order.duplicated`."""
         result = self.reserve.tensor(tensor.dtype, tensor.numel())
         if len(result):
             self.copy(result, tensor, 0)
