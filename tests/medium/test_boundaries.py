@@ -183,12 +183,21 @@ def test_derivatives_by_boundaries_that_move_are_those_of_differences(name, dept
     assert 0 < error < 0.05 * abs(wanted) and abs(float((found.jvp * along).sum()) - wanted) < 4 * error
 
 
-def test_what_moves_in_smoke_is_refused_by_name():
-    smoke = {"type": "heterogeneous", "sigma_t": {"type": "gridvolume", "data": torch.ones(2, 2, 2)}}
-    scene = room(smoke=ball(0.1, bsdf=NULL, interior=smoke))
-    scene.get_parameter("floor.to_world").requires_grad_()
-    with pytest.raises(ValueError, match="derivatives by floor.to_world are not there for scenes with heterogeneous media"):
-        rb.render(scene, spp=1)
+@pytest.mark.parametrize("name, light", [
+    ("bulb.position", {"type": "point", "position": [-0.5, 0.6, 3.0], "intensity": rgb(8, 9, 7)}),
+    ("bulb.to_world", {"type": "spot", "to_world": rb.look_at((0.6, 0.5, 3.2), (0, 0, 0), (0, 1, 0)),
+                       "intensity": rgb(8, 9, 7), "cutoff_angle": 80.0, "beam_width": 1.0}),
+    ("bulb.to_world", {"type": "directional", "direction": [0.5, 0.3, -1.0], "irradiance": rgb(2, 3, 1)})],
+    ids=["point", "spot", "directional"])
+def test_derivatives_by_lamps_that_move_alone_are_those_of_differences(name, light):
+    """Their light comes to a floor through a slab; how far it goes through that depends on where it comes from."""
+    scene = load(torch.float64, camera=overhead(2, 4.0, 1.3), floor=rectangle((0, 0, 0), 9.0, bsdf=diffuse(0.5, 0.4, 0.3)),
+                 slab=slab(1.5, 1.4, interior=haze((0.5, 0.6, 0.7), (0.5, 0.4, 0.3), 0.4)), bulb=light)
+    found = rb.check_gradient(scene, name, step=0.02, spp=1 << 13, max_depth=2, seed=3).comparison
+    along = found.jvp / found.jvp.norm()
+    error, wanted = float((found.standard_error * along).norm()), float((found.difference * along).sum())
+    assert abs(float((found.jvp * along).sum()) - wanted) < 4 * error + 0.002 * abs(wanted)
+    assert 0 < error < 0.05 * abs(wanted)
 
 
 def test_a_medium_of_a_shape_is_called_interior_or_exterior():

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.deep import deep
 from tests.gradients import EXACT, REPLAY, assert_informative, cotangent, image_and_gradients, relative_error
 from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
@@ -50,10 +51,10 @@ def box(medium: dict, half: float = 1.0, bsdf: dict = NULL) -> dict:
     return {"type": "cube", "to_world": pose, "bsdf": bsdf, "interior": medium}
 
 
-def room(medium: dict, bsdf: dict = NULL, **more):
+def room(medium: dict, bsdf: dict = NULL, half: float = 1.0, **more):
     """A box of smoke with a stone in it over a floor, under a lamp, a point light and a sky."""
     return load(torch.float64, camera=overhead(4, 4.0, 1.0), floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)),
-                box=box(medium, bsdf=bsdf), stone={"type": "sphere", "center": [0.3, 0.2, 1.2], "radius": 0.4},
+                box=box(medium, half, bsdf), stone={"type": "sphere", "center": [0.3, 0.2, 1.2], "radius": 0.4},
                 lamp=rectangle((0.3, -0.8, 3.0), 0.4, (1, 0, 0), 170, bsdf=BLACK,
                                emitter={"type": "area", "radiance": rgb(3, 2, 1)}),
                 bulb={"type": "point", "position": [-0.5, 0.6, 3.5], "intensity": rgb(2, 3, 4)},
@@ -68,7 +69,7 @@ def varied(channels: int = 1) -> dict:
     return smoke(grid(channels), {"type": "gridvolume", "data": 0.9 - 0.7 * grid(3, (4, 3, 2)), "to_world": placed()})
 
 
-@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+@pytest.mark.parametrize("compile", [deep(False, id="eager"), pytest.param(True, id="compiled")])
 @pytest.mark.parametrize("thickness", [1.0, 0.01], ids=["thick", "thinner than flights are sampled by"])
 @pytest.mark.parametrize("channels", CHANNELS)
 def test_where_extinction_is_even_the_medium_is_homogeneous(compile, channels, thickness):
@@ -238,3 +239,62 @@ def test_samples_of_the_derivative_alone_tell_more_of_empty_cells_and_the_same_i
     assert 0 < spread[False] < 0.4 * spread[True]
     error = ((mean[False].var() + mean[True].var()) / 24).sqrt()
     assert (mean[False].mean() - mean[True].mean()).abs() < 3 * error < 0.5 * mean[False].mean().abs()
+
+
+MOVING = ["box.to_world", "stone.to_world", "floor.to_world", "camera.to_world", "bulb.position"]
+
+
+@pytest.mark.parametrize("sampling", ["detached", "hybrid", "attached"])
+@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+@pytest.mark.parametrize("bsdf", [NULL, {"type": "roughdielectric", "int_ior": 1.3, "alpha": 0.3}], ids=["null", "rough"])
+def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, bsdf, sampling):
+    """Of the box, a stone in it, the floor, the camera and a lamp, and of the grid at the same time."""
+    names, settings = [*MOVING, *NAMES[:2]], SETTINGS | {"sampling": sampling}
+    image, expected = image_and_gradients(room(varied(3), bsdf, 0.9), names, **settings | {"adjoint": rb.TapeAdjoint()})
+    assert_informative(image, expected)
+    for adjoint in (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint("log", keep_hits=False), rb.QuadraticAdjoint(), *REPLAY):
+        found, gradients = image_and_gradients(room(varied(3), bsdf, 0.9), names, compile=compile,
+                                               **settings | {"adjoint": adjoint})
+        assert relative_error(found, image) < 1e-12
+        for name, gradient, wanted in zip(names, gradients, expected):
+            assert (gradient - wanted).abs().max() <= 1e-10 * wanted.abs().max(), (adjoint, name)
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_forward_mode_is_the_transpose_of_backward_of_what_moves(name):
+    scene, settings = room(varied(), half=0.9), SETTINGS | {"terms": ("interior",), "compile": True}
+    tangent = torch.linspace(0.5, 1.0, scene.get_parameter(name).numel(), dtype=torch.float64)
+    tangent = tangent.view_as(scene.get_parameter(name))
+    forward = rb.jvp(scene, {name: tangent}, seed=1, **settings)
+    w = cotangent(forward)
+    _, (gradient,) = image_and_gradients(scene, [name], seed=1, adj_image=w, **settings)
+    assert float((gradient * tangent).sum()) == pytest.approx(float((w * forward).sum()), rel=1e-9)
+
+
+@pytest.mark.parametrize("name, depth", [("box.to_world", 1), ("core.to_world", 1), ("core.to_world", 3),
+                                         ("camera.to_world", 1), ("camera.to_world", 3), ("bulb.position", 3)])
+def test_derivatives_by_what_moves_are_those_of_differences(name, depth):
+    """Boxes of smoke in smoke, with edges out of view, over a floor that shines; the grids stand still."""
+    pose = torch.diag(torch.tensor([9.0, 9.0, 0.7, 1.0], dtype=torch.float64))
+    pose[2, 3] = 1.5
+    inner = pose.clone()
+    inner[2, 2] = 0.3
+    wide = placed(3.0, 1.5)
+    outer_grid = {"type": "gridvolume", "data": 0.2 + grid(3, (8, 4, 5)), "to_world": wide}
+    inner_grid = {"type": "gridvolume", "data": 1.5 + 2.0 * grid(1, (9, 5, 3)), "to_world": wide}
+    air = {"type": "heterogeneous", "sigma_t": outer_grid, "albedo": rgb(0.5, 0.4, 0.3), "phase": {"type": "hg", "g": 0.4}}
+    dust = {"type": "heterogeneous", "sigma_t": inner_grid, "albedo": rgb(0.3, 0.6, 0.5)}
+    scene = load(torch.float64, air=air, camera=overhead(2, 4.0, 1.3),
+                 floor=rectangle((0, 0, 0), 9.0, bsdf=diffuse(0.5, 0.4, 0.3), emitter={"type": "area", "radiance": 1.0}),
+                 box={"type": "cube", "to_world": pose, "bsdf": NULL, "interior": {"type": "ref", "id": "air"}},
+                 core={"type": "cube", "to_world": inner, "bsdf": NULL, "interior": dust,
+                       "exterior": {"type": "ref", "id": "air"}},
+                 bulb={"type": "point", "position": [-0.5, 0.6, 3.0], "intensity": rgb(8, 9, 7)})
+    with pytest.warns(rb.SilhouetteWarning, match=f"`{name}` lack what edges and shadows contribute, since surf"):
+        step = 0.01 if name == "camera.to_world" else 0.05
+        found = rb.check_gradient(scene, name, step=step, spp=1 << (15 if depth == 3 else 14), max_depth=depth,
+                                  seed=3).comparison
+    along = found.jvp / found.jvp.norm()
+    error = float((found.standard_error * along).norm())
+    wanted = float((found.difference * along).sum())
+    assert 0 < error < 0.05 * abs(wanted) and abs(float((found.jvp * along).sum()) - wanted) < 4 * error

@@ -38,8 +38,8 @@ def transmittance_of(scene: SceneTensors, ray: Ray, ways: tuple[MediumWay, ...])
             through = through * kind.transmittance(table, ray, way.length)
             continue
         extinction = kind.extinction(table, ray.o + ray.d * way.place, ray.d)
-        through = through * Vec3(*(left * (1.0 - way.length * (sigma - settled(sigma)))
-                                   for left, sigma in zip(way.left, extinction)))
+        loss = extinction * way.length
+        through = through * way.left * (loss - loss.map(settled)).map(lambda change: 1.0 - change)
     return through
 
 

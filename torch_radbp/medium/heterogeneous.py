@@ -85,8 +85,10 @@ class HeterogeneousKind(MediumKind):
         for o, d, a, b in zip(ray.o, ray.d, low, high):
             # A ray along a face is inside or outside all the way.
             inverse = 1.0 / torch.where(d.abs() > TINY, d, TINY)
-            near, far = (a - o) * inverse, (b - o) * inverse
-            first, last = torch.maximum(first, torch.minimum(near, far)), torch.minimum(last, torch.maximum(near, far))
+            lower, upper = (a - o) * inverse, (b - o) * inverse
+            near, far = torch.where(inverse > 0, lower, upper), torch.where(inverse > 0, upper, lower)
+            # Not by `maximum`, whose tangents are differences: those along a face are huge.
+            first, last = torch.where(near > first, near, first), torch.where(far < last, far, last)
         return first, last
 
     def track(self, table: HeterogeneousTable, ray: Ray, leg: Tensor, v: Tensor, tracking: Tracking,

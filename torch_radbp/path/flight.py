@@ -21,11 +21,11 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.connection.light import light_aims, sample_light, sample_places
+from torch_radbp.connection.light import FAR, light_aims, sample_light, sample_places
 from torch_radbp.interface.medium import MediumKind
 from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.light_connection import connected_to_light, light_numbers
-from torch_radbp.path.passage import moved_distance, way_left
+from torch_radbp.path.passage import distance_passed, leg_inside, way_left
 from torch_radbp.path.state import BSDF_U, BSDF_V, ROULETTE, Arrival, Position, Settings
 from torch_radbp.path.surface import surface_met
 from torch_radbp.path.vertex import Terms, VertexKind
@@ -63,7 +63,7 @@ class FlightVertex(VertexKind):
                settings: Settings) -> tuple[Place, ...]:
         if not scene.layout.lit or not settings.nee:
             return ()
-        t, _ = distance_flown(scene, arrival, settings)
+        t, _ = self.distance_flown(scene, arrival, settings)
         p, numbers = point_along(arrival.state.ray, t), light_numbers(bounce_key(arrival.state.key, at.counter))
         return sample_places(scene, light_aims(scene, proposal, p, numbers, arrival.picked))
 
@@ -73,7 +73,7 @@ class FlightVertex(VertexKind):
         state, key = arrival.state, bounce_key(arrival.state.key, at.counter)
         number, medium = partial(uniform, key, dtype=state.pdf.dtype), self.number
         kind, table, fixed = scene.layout.media[medium], scene.media[medium], proposal.media[medium]
-        t, longer = distance_flown(scene, arrival, settings, here)
+        t, longer = self.distance_flown(scene, arrival, settings, here)
         p, wi = point_along(state.ray, t), -state.ray.d
         chance = longer / settled(arrival.flight.chance).clamp_min(TINY)
         scattered = way_left(scene, arrival, t) * kind.scattering(table, p, wi) * chance
@@ -99,6 +99,26 @@ class FlightVertex(VertexKind):
         survives = number(ROULETTE) < survival
         place = FlightPlace(kind, table, p, t, wi, wo)
         return Terms(none, Ld, light, weight, 1.0 / survival, pdf, survives, place)
+
+    def distance_flown(self, scene: SceneTensors, arrival: Arrival, settings: Settings,
+                       here: Corners | None = None) -> tuple[Tensor, Tensor | float]:
+        """The distances of flights, (N,), and how much longer the way through the medium is than it was, of value 1;
+        attached if that moves. Args as for `VertexKind.terms`."""
+        flight, ray = arrival.flight, arrival.state.ray
+        if not settings.moving:
+            return flight.t, 1.0
+        # From the last boundary that was passed to the next surface, of which the flight has come a share.
+        si, begins = surface_met(scene, arrival, settings, here), torch.zeros_like(flight.t)
+        for crossing in flight.crossings or ():
+            passed = distance_passed(scene, ray, crossing.hit)
+            begins = torch.where(settled(passed) < torch.inf, passed, begins)
+        kind = scene.layout.media[self.number]
+        if kind.tracked:
+            begins, way = leg_inside(kind, scene.media[self.number], ray, begins, torch.where(si.valid, si.t, FAR))
+        else:
+            way = torch.where(si.valid, si.t - begins, 1.0)
+        longer = way / settled(way)
+        return begins + (flight.t - settled(begins)) * longer, longer
 
     def origin(self, terms: Terms, d: Vec3) -> Vec3:
         return terms.place.p
@@ -127,23 +147,6 @@ class FlightVertex(VertexKind):
 
     def cone(self, terms: Terms, cone: Cone) -> Cone:
         return cone_beyond(cone, terms.place.t, terms.pdf)
-
-
-def distance_flown(scene: SceneTensors, arrival: Arrival, settings: Settings,
-                   here: Corners | None = None) -> tuple[Tensor, Tensor | float]:
-    """The distances of flights, (N,), and how much longer the way through the medium is than it was, of value 1; attached if
-    that moves. Args as for `VertexKind.terms`."""
-    flight = arrival.flight
-    if not settings.moving:
-        return flight.t, 1.0
-    # From the last boundary that was passed to the next surface, of which the flight has come a share.
-    si, begins = surface_met(scene, arrival, settings, here), torch.zeros_like(flight.t)
-    for crossing in flight.crossings or ():
-        passed = crossing.hit.t + moved_distance(scene, arrival.state.ray, crossing.hit)
-        begins = torch.where(crossing.hit.prim >= 0, passed, begins)
-    way = torch.where(si.valid, si.t - begins, 1.0)
-    longer = way / settled(way)
-    return begins + (flight.t - settled(begins)) * longer, longer
 
 
 def point_along(ray: Ray, t: Tensor) -> Vec3:

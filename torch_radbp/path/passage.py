@@ -14,14 +14,15 @@ Reference: Pharr, Jakob and Humphreys 2023, "Physically Based Rendering", sectio
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_radbp.connection.light import FAR
 from torch_radbp.connection.media import transmittance, transmittance_of
-from torch_radbp.interface.medium import MediumWay, Tracking, colour_chosen, mean_of_colours
+from torch_radbp.interface.medium import MediumKind, MediumWay, Tracking, colour_chosen, mean_of_colours
 from torch_radbp.path.state import Arrival, BoundaryCrossing, Flight, PathState, Position
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import BounceKey, LaneKey, bounce_key, hash32, next_number, uniform
@@ -308,11 +309,15 @@ def moved_ways(scene: SceneTensors, ray: Ray, ways: tuple[MediumWay, ...], cross
         distance: (N,) attached, to the end.
     """
     changes = [(medium, distance - settled(distance))]  # of lengths, by the numbers of media
-    for crossing in crossings:
-        change = moved_distance(scene, ray, crossing.hit)
+    borders = [distance_passed(scene, ray, crossing.hit) for crossing in crossings]
+    for crossing, border in zip(crossings, borders):
+        change = torch.where(settled(border) < torch.inf, border - settled(border), 0.0)
         changes += [(crossing.before, change), (crossing.after, -change)]
     moved = []
-    for number, way in enumerate(ways):
+    for number, (kind, way) in enumerate(zip(scene.layout.media, ways)):
+        if kind.tracked:
+            moved.append(moved_way(kind, scene.media[number], ray, way, borders, distance))
+            continue
         length = way.length
         for of_medium, change in changes:
             length = length + torch.where(of_medium == number, change, 0.0)
@@ -320,14 +325,41 @@ def moved_ways(scene: SceneTensors, ray: Ray, ways: tuple[MediumWay, ...], cross
     return tuple(moved)
 
 
-def moved_distance(scene: SceneTensors, ray: Ray, hit: Hit) -> Tensor:
-    """How the distances change at which rays pass the planes of triangles, (N,), of value 0; attached to both."""
+def moved_way(kind: MediumKind, table: Any, ray: Ray, way: MediumWay, borders: Sequence[Tensor],
+              distance: Tensor) -> MediumWay:
+    """The way through a medium that is followed by steps: the point that is picked on it stays where it is on its leg, as a
+    share of that, and the way counts by how much longer the leg is.
+
+    Args:
+        kind, table: the medium.
+        borders: (N,) each, attached, where rays pass boundaries; infinite: they do not.
+        ray, way, distance: as for `moved_ways`.
+    """
+    begins, ends = torch.zeros_like(distance), distance
+    for border in borders:
+        before = settled(border) <= way.place
+        begins = torch.where(before & (settled(border) > settled(begins)), border, begins)
+        ends = torch.where(~before & (settled(border) < settled(ends)), border, ends)
+    first, leg = leg_inside(kind, table, ray, begins, ends)
+    longer = leg / settled(leg)
+    return way._replace(length=way.length * longer, place=first + (way.place - settled(first)) * longer)
+
+
+def leg_inside(kind: MediumKind, table: Any, ray: Ray, begins: Tensor, ends: Tensor) -> tuple[Tensor, Tensor]:
+    """Where a leg between two distances along rays enters what a medium that is followed by steps fills, and its length in
+    there, (N,) each, attached; length 1 where it is not in there."""
+    first, last = kind.enter(table, ray, ends)
+    first = torch.where(begins > first, begins, first)
+    return first, torch.where(settled(last - first) > TINY, last - first, 1.0)
+
+
+def distance_passed(scene: SceneTensors, ray: Ray, hit: Hit) -> Tensor:
+    """The distances at which rays pass the planes of triangles, (N,), attached to both; infinite: they pass none."""
     p0, e1, e2 = edges(*points_in_world(scene, hit, at_corners(scene.triangles.vertices.p, corner_rows(scene, hit))))
     n = cross(e1, e2)
     facing = dot(n, ray.d)
     passes = (hit.prim >= 0) & (facing.abs() > TINY)
-    distance = dot(n, p0 - ray.o) / torch.where(passes, facing, 1.0)
-    return torch.where(passes, distance - settled(distance), 0.0)
+    return torch.where(passes, dot(n, p0 - ray.o) / torch.where(passes, facing, 1.0), torch.inf)
 
 
 def way_left(scene: SceneTensors, arrival: Arrival, distance: Tensor) -> Vec3 | None:

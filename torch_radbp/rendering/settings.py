@@ -13,7 +13,7 @@ import torch_radbp.adjoint as adjoint
 from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.integrator.settings import depths
 from torch_radbp.path.state import Settings
-from torch_radbp.plugin import REGISTRY, Sensor, Shape, boolean, integer, nearest
+from torch_radbp.plugin import REGISTRY, Sensor, boolean, integer, nearest
 from torch_radbp.rendering.memory import parse_budget
 from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.scene.tables.light_choice import CHOICES
@@ -94,13 +94,7 @@ def settings_of_integrand(renderer: nn.Module, scene: SceneTensors, cameras: Seq
     """The settings with which the integrand of a call is compiled: which rays carry derivatives."""
     sampling = renderer.sampling
     moving = sampling == "attached" or any_differentiated((scene.triangles, cameras)) or (
-        sampling == "hybrid" and scene.layout.bending)
-    if moving and scene.layout.tracked_media:
-        moves = [f"{place}.{name}" for place, module in renderer.scene.named_modules() if isinstance(module, (Shape, Sensor))
-                 for name, parameter in module.named_parameters(recurse=False) if parameter.requires_grad]
-        raise ValueError(f"derivatives by {', '.join(moves) or 'what moves'} are not there for scenes with heterogeneous "
-                         "media, nor is sampling=\"attached\": let only values of media, materials and lights require "
-                         "gradients, or take homogeneous media")
+        sampling == "hybrid" and scene.layout.bending) or (scene.layout.follows and scene.lights_move)
     following = moving and sampling == "hybrid" and any(look.kind.follows for look in scene.layout.appearances)
     return Settings(nee=renderer.nee, hide_emitters=renderer.hide_emitters, moving=moving,
                     sampling=sampling if moving else "detached", following=following)

@@ -35,9 +35,9 @@ BYTES_OF_JUMP = 800  # what is kept of it for the backward pass
 
 def shadows_move(call: RenderCall) -> bool:
     """True if a vertex, an instance, a camera, or the position or direction of a light is differentiated."""
-    triangles, tables = call.scene.triangles, zip(call.scene.layout.lights, call.scene.lights.tables)
-    return any_differentiated((triangles.vertices.p, triangles.instances, [view.camera.lens for view in call.views],
-                               [table for kind, table in tables if not (kind.surround or kind.on_surface)]))
+    triangles = call.scene.triangles
+    return call.scene.lights_move or any_differentiated((triangles.vertices.p, triangles.instances,
+                                                          [view.camera.lens for view in call.views]))
 
 
 def slides_over_edges(call: RenderCall) -> bool:

@@ -17,7 +17,7 @@ from torch_radbp.sampling.alias import AliasTable
 from torch_radbp.scene.tables.appearance import Appearance
 from torch_radbp.scene.tables.light_choice import TreeChoice
 from torch_radbp.scene.tables.placement import InstanceTable
-from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.differentiated import any_differentiated, detached
 from torch_radbp.tensors.vec import Vec2, Vec3
 
 SAME = -2  # in the place of a medium's number: a surface that changes nothing
@@ -189,6 +189,12 @@ class SceneTensors(NamedTuple):
     @property
     def dtype(self) -> torch.dtype:
         return self.triangles.vertices.p.x.dtype
+
+    @property
+    def lights_move(self) -> bool:
+        """True if the position or direction of a light that is no surface is differentiated."""
+        return any_differentiated([table for kind, table in zip(self.layout.lights, self.lights.tables)
+                                   if not (kind.surround or kind.on_surface)])
 
 
 def proposal_of(scene: SceneTensors) -> SceneTensors:
