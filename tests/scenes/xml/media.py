@@ -122,7 +122,7 @@ def files(folder: Folder) -> None:
     folder.volume("smoke.vol", 2 * random.random((12, 9, 10, 1))**2)
     folder.volume("paint.vol", 2 * random.random((12, 9, 10, 3))**2)
     folder.volume("albedo.vol", random.random((4, 5, 6, 3)))
-    folder.volume("flakes.vol", np.tile(FLAKES, (2, 2, 2, 1)))
+    folder.volume("flakes.vol", np.tile(FLAKES, (1, 1, 1, 1)))
     fine_sky(folder)
 
 
