@@ -102,7 +102,10 @@ class GridVolume(VolumeFunction):
 
     def cells(self) -> tuple[Tensor | None, Tensor]:
         to_local = torch.linalg.inv(self.from_unit_cube()).to(self.data)[:3]
-        return (self.data.detach().amax(3) if self.wrap_mode == "clamp" else None), to_local
+        if self.wrap_mode != "clamp":
+            return None, to_local
+        data = self.data.detach()
+        return (data[..., 0] if self.channels() == 1 else data.amax(3)), to_local  # a view takes no memory
 
     def corners(self) -> Tensor:
         unit = torch.tensor(list(product((0.0, 1.0), repeat=3)), dtype=torch.float64, device=self.data.device)
