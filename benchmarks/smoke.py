@@ -223,7 +223,7 @@ class Judge:
     """Errors of grids, and of images of these."""
 
     def __init__(self, scene: Path, fine: int, spp: int):
-        self.scene, self.fine, self.spp = rb.load(scene), fine, spp
+        self.scene_file, self.scene, self.fine, self.spp = scene, rb.load(scene), fine, spp
         self.truth = self.scene.smoke.interior.sigma_t.data.detach().clone()
         self.images = images_of(self.scene, self.truth, 4 * spp)
 
@@ -293,7 +293,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=64, help="pixels a side")
     parser.add_argument("--spp", type=int, default=8, help="samples a pixel")
     parser.add_argument("--views", type=int, default=5)
-    parser.add_argument("--scale", type=float, default=10.0, help="of the density")
+    parser.add_argument("--scale", type=float, default=40.0, help="of the density")
     parser.add_argument("--out", type=Path, default=Path("runs/smoke"), help="the folder of the pictures")
     parser.add_argument("--small", action="store_true", help="tiny images and two rounds, to see that it works")
     options = parser.parse_args()
