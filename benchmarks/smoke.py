@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import argparse
 import bisect
+import sys
 import tempfile
 import time
 import warnings
@@ -49,7 +50,7 @@ COARSE, FINE, FINER = 16, 64, 8  # cells of the two parts of the tutorial; times
 RATE, OUR_RATE, END = 0.02, 0.2, 0.05  # of Adam; ours ends at that part of it
 GROWS = (8, 16, 32, 64)  # cells of our grid, each for as long
 SHARES = (0.25, 0.5, 1.0)  # of the seconds, at which errors are printed
-JUDGED = 10  # grids of a run whose images are looked at
+JUDGED = 6  # grids of a run whose images are looked at
 
 
 class Setup(NamedTuple):
@@ -213,14 +214,15 @@ def run(loop: Loop, rounds: int, seconds: float = 0.0) -> Run:
     return found
 
 
-def images_of(scene: rb.Scene, grid: Tensor, spp: int) -> Tensor:
-    """(2 views, 3, H, W) of a grid, from all cameras."""
+def images_of(scene: rb.Scene, grid: Tensor, spp: int) -> tuple[Tensor, Tensor]:
+    """Two renderings of a grid, (2 views, 3, H, W) each, from all cameras."""
     scene.smoke.interior.sigma_t.data = torch.nn.Parameter(grid, requires_grad=False)
-    return rb.render(scene, spp=spp, seed=10**6)
+    first, second = (rb.render(scene, spp=spp, seed=10**6 + number) for number in range(2))
+    return first, second
 
 
 class Judge:
-    """Errors of grids, and of images of these."""
+    """Errors of grids, and of images of these, without what the noise of the images adds to their squares."""
 
     def __init__(self, scene: Path, fine: int, spp: int):
         self.scene_file, self.scene, self.fine, self.spp = scene, rb.load(scene), fine, spp
@@ -230,12 +232,14 @@ class Judge:
     def of_grid(self, grid: Tensor) -> float:
         """The error of a grid."""
         found, truth = (resampled(each, (self.fine,) * 3, (False,) * 3) for each in (grid, self.truth))
-        return relative(found, truth)
+        return float((found - truth).norm() / truth.norm())
 
     def of_images(self, grid: Tensor) -> tuple[float, float]:
         """The errors of images from the views, and from between them."""
-        found = images_of(self.scene, grid, self.spp)
-        return tuple(relative(*both) for both in zip(found.chunk(2), self.images.chunk(2)))
+        off, size = [found - truth for found, truth in zip(images_of(self.scene, grid, self.spp), self.images)], self.images
+        views, between = (float(((one * other).mean().clamp_min(1e-10) / (true * again).mean()).sqrt())
+                          for one, other, true, again in zip(*(each.chunk(2) for each in (*off, *size))))
+        return views, between
 
     def curves(self, found: Run) -> dict[str, Curve]:
         """All errors of a run, those of images at some of its steps."""
@@ -246,11 +250,6 @@ class Judge:
         return {"grid": Curve(found.seconds, [self.of_grid(grid) for grid in found.grids], True),
                 "views": Curve(seconds, [views for views, _ in images], True),
                 "between": Curve(seconds, [between for _, between in images], True)}
-
-
-def relative(found: Tensor, truth: Tensor) -> float:
-    """The root mean square of the difference, over that of the truth."""
-    return float((found - truth).norm() / truth.norm())
 
 
 def targets_of(mi, scene: Path, views: int, spp: int) -> np.ndarray:
@@ -281,7 +280,7 @@ def report(runs: dict[str, Run], judge: Judge, out: Path) -> str:
     for name, grid in ({"truth": judge.truth} | {name: found.grids[-1] for name, found in runs.items()}).items():
         grid, truth = (resampled(each, (judge.fine,) * 3, (False,) * 3) for each in (grid, judge.truth))
         shown = volume_picture(grid, truth).movedim(-1, 0)
-        rows[name] = [shown.expand(3, -1, -1), *images_of(judge.scene, grid, judge.spp)[::2]]
+        rows[name] = [shown.expand(3, -1, -1), *images_of(judge.scene, grid, 4 * judge.spp)[0][::2]]
     rb.save_image(out / "slices.png", rb.contact_sheet(rows))
     return "\n".join(lines)
 
@@ -303,7 +302,7 @@ def main() -> None:
     mi = mitsuba_for("cpu")
     with tempfile.TemporaryDirectory() as folder:
         scene = scene_file(Path(folder), options.views, options.size, options.scale)
-        samples, fine = (16, COARSE) if options.small else (512, FINE)
+        samples, fine = (16, COARSE) if options.small else (512, FINE)  # of a target
         setup = Setup(scene, targets_of(mi, scene, options.views, samples), options.spp, options.rounds, fine)
         loops = {"Mitsuba": lambda setup: MitsubaLoop(setup, mi), "ours": OurLoop, "ours, its loop": SameLoop}
         runs, seconds = {}, options.seconds
@@ -311,7 +310,8 @@ def main() -> None:
             run(loop(setup._replace(rounds=1)), 1)  # compiles
             runs[name] = run(loop(setup), setup.rounds, seconds)
             seconds = seconds or runs[name].seconds[-1]
-        print(report(runs, Judge(scene, fine, samples // 2), options.out))
+            print(f"{name}: {len(runs[name].grids) - 1} steps, {runs[name].seconds[-1]:.1f} s", file=sys.stderr, flush=True)
+        print(report(runs, Judge(scene, fine, samples // 16), options.out))
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ HERE = Path(__file__).parents[2]
 
 @pytest.fixture(scope="module")
 def judge(tmp_path_factory) -> Judge:
-    return Judge(scene_file(tmp_path_factory.mktemp("smoke"), views=2, resolution=12, scale=40.0), fine=16, spp=64)
+    return Judge(scene_file(tmp_path_factory.mktemp("smoke"), views=2, resolution=12, scale=40.0), fine=16, spp=32)
 
 
 def test_a_run_knows_what_it_had_by_a_time():
@@ -30,7 +30,7 @@ def test_the_truth_has_no_error_but_the_noise_of_its_images(judge):
 
 
 def setup_of(judge: Judge, fine: int) -> Setup:
-    return Setup(judge.scene_file, judge.images[:2].movedim(1, -1).numpy(), spp=4, rounds=20, fine=fine)
+    return Setup(judge.scene_file, judge.images[0][:2].movedim(1, -1).numpy(), spp=4, rounds=20, fine=fine)
 
 
 def test_our_loop_comes_nearer_to_the_images(judge):
