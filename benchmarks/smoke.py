@@ -17,8 +17,8 @@ parts of the true root mean square:
     views    the same of images rendered anew, from the five cameras
     between  from cameras between them, which no loop has seen
 
-It prints them at a quarter, half and all of the seconds, and ours over Mitsuba's; it writes curves.png, where a dashed line is
-a third of Mitsuba's last error, and slices.png. Run it on an idle machine.
+It prints them at a quarter, half and all of the seconds, and ours over Mitsuba's. It writes slices.png, and curves.png,
+where a dashed line is a third of Mitsuba's last error. Run it on an idle machine.
 
 At a grid of equal values Mitsuba's derivative has the wrong sign: it loses the transmittance where the extinction is its
 bound. From the first camera at 16 x 16 pixels the loss changes by -1.7 with the value of the start, by differences of either
