@@ -20,10 +20,9 @@ parts of the true root mean square:
 It prints them at a quarter, half and all of the seconds, and ours over Mitsuba's. It writes slices.png, and curves.png,
 where a dashed line is a third of Mitsuba's last error. Run it on an idle machine.
 
-At a grid of equal values Mitsuba's derivative has the wrong sign: it loses the transmittance where the extinction is its
-bound. From the first camera at 16 x 16 pixels the loss changes by -1.7 with the value of the start, by differences of either
-renderer's images; ours says -1.7, `prbvolpath` +5.1. With the tutorial's rate, which does not fall, ours goes astray by the
-noise of 8 samples: empty cells can only become denser by chance.
+At the start, a grid of equal values, Mitsuba's derivative has the wrong sign, by differences of either renderer's images:
+the transmittance has no part in it where the extinction is its bound. With the tutorial's rate, which does not fall, ours
+goes astray: by 8 samples the noise of its gradient is several times the gradient.
 """
 
 from __future__ import annotations
