@@ -17,7 +17,7 @@ from torch_radbp.formats.ply import write_ply
 from torch_radbp.formats.volume import write_volume
 
 FOLDER = Path(__file__).parent / "shapes"
-AROUND, ACROSS, GRID, FINE = 20, 10, 16, 32
+AROUND, ACROSS, GRID, FINE = 20, 10, 16, 24
 
 
 def torus() -> MeshArrays:

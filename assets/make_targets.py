@@ -14,7 +14,6 @@ import numpy as np
 ASSETS = Path(__file__).parent
 # file -> (scene, resolution, samples per pixel[, sensor]); the noise is far below the 0.01 that a recovery may be off.
 TARGETS = {
-    "cornell_box/target.exr": ("cornell_box/scene.xml", 256, 2048),
     "cornell_box/target_128.exr": ("cornell_box/scene.xml", 128, 4096),
     "textured_room/target.exr": ("textured_room/scene.xml", 128, 4096),
     "poster/target.exr": ("poster/scene.xml", 96, 4096),
@@ -33,6 +32,8 @@ TARGETS = {
     "three_shadows/on_back.exr": ("three_shadows/scene.xml", 48, 1024, 1),
     "three_shadows/on_left.exr": ("three_shadows/scene.xml", 48, 1024, 2),
     **{f"smoke/view_{view}.exr": ("smoke/scene.xml", 64, 1024, view) for view in range(5)},
+    **{f"cloud/view_{view}.exr": ("cloud/scene.xml", 48, 2048, view) for view in range(9)},
+    "translucent_ball/target.exr": ("translucent_ball/scene.xml", 64, 4096),
 }
 PASS_SPP = 128
 

@@ -23,9 +23,14 @@ Mitsuba's gradients are not those of differences everywhere (by extinction in th
 noise compares with a wrong answer. Run it on an idle machine; more rounds know variances better: ``--rounds 5`` to within a
 factor of 2.
 
+``--memory`` shows the peak of resident memory of a forward and backward pass through a grid of 256^3 cells, the grid itself
+and what building the scene takes included, over the bytes of the grid and its gradient. Each size runs in a process of its
+own, after a pass through a tiny grid, which loads what there is to load.
+
     python -m benchmarks.media --only "sggx"              # rows by parts of their names
     python -m benchmarks.media --public --only homo
     python -m benchmarks.media --time --only cloud --rounds 9
+    python -m benchmarks.media --memory 64 128 256
 """
 
 from __future__ import annotations
@@ -35,6 +40,7 @@ import statistics
 import tempfile
 import time
 import warnings
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +50,7 @@ import torch_radbp as rb
 from benchmarks.noise import Spread
 from benchmarks.parity import ENOUGH, Found, rendered
 from benchmarks.peers import Mitsuba, Ours, mitsuba_for
+from benchmarks.resident import MIB, peak_of
 from benchmarks.scenes import media as timed_scenes
 from benchmarks.scenes.description import NO_ROULETTE
 from tests.scenes.xml import media, public_media
@@ -158,6 +165,31 @@ def measure(name: str, rounds: int, small: bool) -> None:
               f"{us.seconds[what][0]:.1f}, {them.seconds[what][0]:.1f} | {noise} |", flush=True)
 
 
+def grid_step(cells: int, built: list[rb.Scene]) -> None:
+    """Builds a scene with a grid, unless there is one, and renders it forward and backward."""
+    if not built:
+        data = torch.nn.Parameter(torch.rand(cells, cells, cells, 1))  # which the scene does not copy
+        filling = {"type": "heterogeneous", "scale": 10, "sigma_t": {"type": "gridvolume", "data": data}}
+        film = {"type": "hdrfilm", "width": 128, "height": 128, "rfilter": {"type": "box"}}
+        to_world = torch.tensor([[0.5, 0, 0, 0.5], [0, 0.5, 0, 0.5], [0, 0, 0.5, 0.5], [0, 0, 0, 1]])
+        built.append(rb.load_dict({
+            "type": "scene", "sky": {"type": "constant"},
+            "camera": {"type": "perspective", "fov": 35, "film": film, "to_world": rb.look_at((2, 1, 2), (0.5, 0.5, 0.5))},
+            "box": {"type": "cube", "to_world": to_world, "bsdf": {"type": "null"}, "interior": filling}}))
+    built[0].zero_grad()
+    rb.Renderer(built[0], spp=16, max_depth=16)().mean().backward()
+
+
+def memory(cells: int) -> None:
+    """Prints the line of a grid of `cells`^3, in this process."""
+    both = 2 * 4 * cells**3
+    grid_step(8, [])
+    built: list[rb.Scene] = []
+    first = peak_of(lambda: grid_step(cells, built))
+    later = peak_of(lambda: grid_step(cells, built))
+    print(f"| {cells} | {both / MIB:.0f} | {first / MIB:.0f} | {first / both:.2f} | {later / MIB:.0f} |", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="", help="parts of names, with semicolons between")
@@ -167,6 +199,7 @@ def main() -> None:
     kinds.add_argument("--public", action="store_true", help="the scenes of Mitsuba's test suite, rebuilt")
     kinds.add_argument("--roulette", action="store_true", help="the bias of volpathmis by Russian roulette")
     kinds.add_argument("--time", action="store_true", help="seconds and noise of three scenes")
+    kinds.add_argument("--memory", type=int, nargs="*", metavar="CELLS", help="of a grid, along each axis; 256 by default")
     parser.add_argument("--rounds", type=int, default=5, help="of --time, after the first calls")
     parser.add_argument("--small", action="store_true", help="of --time: tiny images, to see that it works")
     options = parser.parse_args()
@@ -175,6 +208,14 @@ def main() -> None:
     def chosen(named: dict) -> dict:
         return {name: value for name, value in named.items() if any(part in name for part in options.only.split(";"))}
 
+    if options.memory is not None:
+        print("| cells | grid and gradient, MiB | building and first step, MiB | over both | next step, MiB more |\n"
+              "|---|---|---|---|---|", flush=True)
+        for cells in options.memory or [256]:
+            process = get_context("spawn").Process(target=memory, args=(cells,))
+            process.start()
+            process.join()
+        return
     if options.time:
         print("| scene | ours, s | Mitsuba, s | ratio | first calls, s | variance of ours over Mitsuba's, equal noise |\n"
               "|---|---|---|---|---|---|", flush=True)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import max_pool3d, pad
+from torch.nn.functional import max_pool3d
 
 from torch_radbp.interface.volume import VolumeFunction
 from torch_radbp.tensors.lookup import lookup
@@ -46,9 +46,7 @@ def bounds_of(volume: VolumeFunction) -> tuple[Tensor, tuple[int, int, int], Ten
     if cells is None:
         return volume.largest().reshape(1, 1, 1), (1, 1, 1), to_unit
     # The largest of the cells between whose centres points of a coarse cell are, a half and the nudge beyond its borders.
-    over = [-count % COARSER for count in cells.shape]
-    padded = pad(cells[None, None], [1, 1 + over[2], 1, 1 + over[1], 1, 1 + over[0]], mode="replicate")
-    bound = max_pool3d(padded, COARSER + 2, stride=COARSER)[0, 0]
+    bound = max_pool3d(cells[None, None], COARSER + 2, stride=COARSER, padding=1, ceil_mode=True)[0, 0]
     scale = torch.tensor([count / (COARSER * of) for count, of in zip(cells.shape[::-1], bound.shape[::-1])])
     z, y, x = bound.shape
     return bound, (x, y, z), to_unit * scale.to(to_unit)[:, None]

@@ -33,7 +33,9 @@ class OnGrid(VolumeFunction):
     def cells(self) -> tuple[Tensor | None, Tensor]:
         values = self.samples().detach()
         to_local = torch.linalg.inv(self.from_unit_cube()).to(values)[:3]
-        return (values.amax(3) if self.kind().wrap_mode == "clamp" else None), to_local
+        if self.kind().wrap_mode != "clamp":
+            return None, to_local
+        return (values[..., 0] if values.shape[3] == 1 else values.amax(3)), to_local  # a view takes no memory
 
     def corners(self) -> Tensor:
         unit = torch.tensor(list(product((0.0, 1.0), repeat=3)), dtype=torch.float64, device=self.to_world.device)
