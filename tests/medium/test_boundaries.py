@@ -13,7 +13,7 @@ import torch
 
 import torch_radbp as rb
 from tests.gradients import EXACT, REPLAY, assert_informative, cotangent, image_and_gradients, relative_error
-from tests.scenes import diffuse, load, overhead, rectangle, rgb
+from tests.scenes import diffuse, load, look_at, overhead, rectangle, rgb
 from tests.scenes.media import BLACK, DULL, haze
 
 NULL = {"type": "null"}
@@ -182,12 +182,37 @@ def test_derivatives_by_boundaries_that_move_are_those_of_differences(name, dept
     assert 0 < error < 0.05 * abs(wanted) and abs(float((found.jvp * along).sum()) - wanted) < 4 * error
 
 
+@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+@pytest.mark.parametrize("name", ["bulb.position", "spot.to_world", "sun.to_world"])
+def test_derivatives_by_a_light_that_alone_moves_are_those_of_differences(compile, name):
+    """Of the same samples: what they meet does not depend on where the light is, and how long its way is in the box does."""
+    lights = {"bulb": {"type": "point", "position": [0.9, 1.2, 2.4], "intensity": 9.0},
+              "spot": {"type": "spot", "to_world": look_at((0.9, 1.2, 2.4), (0, 0, 0), (0, 0, 1)), "intensity": 9.0},
+              "sun": {"type": "directional", "direction": [-0.3, -0.4, -1.0], "irradiance": 2.0}}
+    light = name.partition(".")[0]
+    scene = load(torch.float64, camera=overhead(2, 4.0, 0.5), floor=rectangle((0, 0, 0), 0.9, bsdf=diffuse(0.6, 0.5, 0.4)),
+                 box={"type": "cube", "bsdf": NULL, "interior": haze((0.5, 1, 1.5), (0.3, 0.6, 0.9))},
+                 **{light: lights[light]})
+    settings, parameter, step = {"spp": 16, "max_depth": 3, "rr_depth": 9, "seed": 1}, scene.get_parameter(name), 1e-5
+    tangent = torch.linspace(0.5, 1.0, parameter.numel(), dtype=torch.float64).view_as(parameter)
+    tangent[3:] = 0.0  # the last row of a pose
+    found, images = rb.jvp(scene, {name: tangent}, compile=compile, share_samples=True, **settings), []
+    for sign in (1, -1):
+        with torch.no_grad():
+            parameter += sign * step * tangent
+            images.append(rb.render(scene, share_samples=True, **settings))
+            parameter -= sign * step * tangent
+    difference = (images[0] - images[1]) / (2 * step)
+    assert found.abs().max() > 0.01 and relative_error(found, difference) < 1e-6
+
+
 def test_what_moves_in_smoke_is_refused_by_name():
     smoke = {"type": "heterogeneous", "sigma_t": {"type": "gridvolume", "data": torch.ones(2, 2, 2)}}
     scene = room(smoke=ball(0.1, bsdf=NULL, interior=smoke))
-    scene.get_parameter("floor.to_world").requires_grad_()
-    with pytest.raises(ValueError, match="derivatives by floor.to_world are not there for scenes with heterogeneous media"):
-        rb.render(scene, spp=1)
+    for name in ("floor.to_world", "bulb.position"):
+        scene.requires_grad_(False).get_parameter(name).requires_grad_()
+        with pytest.raises(ValueError, match=f"derivatives by {name} are not there for scenes with heterogeneous media"):
+            rb.render(scene, spp=1)
 
 
 def test_a_medium_of_a_shape_is_called_interior_or_exterior():

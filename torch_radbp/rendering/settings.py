@@ -13,7 +13,7 @@ import torch_radbp.adjoint as adjoint
 from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.integrator.settings import depths
 from torch_radbp.path.state import Settings
-from torch_radbp.plugin import REGISTRY, Sensor, Shape, boolean, integer, nearest
+from torch_radbp.plugin import REGISTRY, Emitter, Sensor, Shape, boolean, integer, nearest
 from torch_radbp.rendering.memory import parse_budget
 from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.scene.tables.light_choice import CHOICES
@@ -93,10 +93,13 @@ def check_settings(renderer: nn.Module) -> None:
 def settings_of_integrand(renderer: nn.Module, scene: SceneTensors, cameras: Sequence[Camera]) -> Settings:
     """The settings with which the integrand of a call is compiled: which rays carry derivatives."""
     sampling = renderer.sampling
-    moving = sampling == "attached" or any_differentiated((scene.triangles, cameras)) or (
+    # Where lights without extent are says how long the ways to them are in media that have boundaries.
+    aims = [table for kind, table in zip(scene.layout.lights, scene.lights.tables) if kind.delta and scene.layout.follows]
+    moving = sampling == "attached" or any_differentiated((scene.triangles, cameras, aims)) or (
         sampling == "hybrid" and scene.layout.bending)
     if moving and scene.layout.tracked_media:
-        moves = [f"{place}.{name}" for place, module in renderer.scene.named_modules() if isinstance(module, (Shape, Sensor))
+        moves = [f"{place}.{name}" for place, module in renderer.scene.named_modules()
+                 if isinstance(module, (Emitter, Shape, Sensor))
                  for name, parameter in module.named_parameters(recurse=False) if parameter.requires_grad]
         raise ValueError(f"derivatives by {', '.join(moves) or 'what moves'} are not there for scenes with heterogeneous "
                          "media, nor is sampling=\"attached\": let only values of media, materials and lights require "
