@@ -18,7 +18,7 @@ from torch_radbp.check.stencil import inside
 OWN_SAMPLES = 1 << 16  # numbers of the batches of gradients, behind those of differences
 CLOSE, FARTHEST = 0.03, 3.5  # of the vector; standard errors of one number
 NO_ROULETTE, FEWEST = 1000, 24  # batches, with which standard errors can be trusted
-LEAST = 0.25  # steps are shares of the largest entry, but not of less than this
+LONGEST = 0.03  # step in fog that fills all space, where ways are long
 WEIGHTS = (0.5, 1.5)  # of pixels: uneven, so that errors do not cancel, and of one sign, so that the derivative does not
 
 
@@ -36,7 +36,7 @@ class Comparison(NamedTuple):
 
     @property
     def size(self) -> float:
-        return float(self.difference.norm())
+        return max(float(self.difference.norm()), 1e-30)
 
     @property
     def error(self) -> float:
@@ -61,11 +61,11 @@ class Comparison(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        if not (0 < self.size < math.inf and bool(torch.isfinite(self.gradient).all())):
+        if not (1e-20 < self.size < math.inf and bool(torch.isfinite(self.gradient).all())):
             return "**not finite, or zero**"
-        if self.noise > CLOSE:
-            return "not known"
-        return "right" if self.error <= CLOSE or self.z <= self.bound else "**wrong**"
+        if self.error > CLOSE and self.z > self.bound:
+            return "**wrong**"
+        return "right" if self.noise <= CLOSE else "not known"
 
 
 class Batches:
@@ -104,9 +104,16 @@ class Experiment:
         self.cotangent /= film.numel()
         self.directions = directions(self.leaf.detach(), self.parameter.poses)
         value, batch = self.leaf.detach().clone(), BatchRendering(spp, seed)
-        step = self.parameter.step * (1.0 if self.parameter.poses else max(float(value.abs().max()), LEAST))
+        share, most = self.parameter.step, LONGEST if row.boundary == "none" else math.inf
+
+        def step(direction: Tensor) -> float:
+            """As large as noise asks for; from 0, where differences are less exact, and have less noise, a small one."""
+            own, largest = (float(each.abs().max()) for each in (value * direction, value))
+            size = 1.0 if self.parameter.poses else largest if own > 0 and value.numel() > 3 else own
+            return min(share * max(size, self.parameter.least), most)
+
         self.measurements = [Measurement(self.renderer, f"scene.{self.name}", value, inside(
-            self.scene, self.name, direction, step, chosen=True, turns=False), batch) for direction in self.directions]
+            self.scene, self.name, each, step(each), chosen=True, turns=False), batch) for each in self.directions]
         self.gradients, self.differences = Batches(), Batches()
 
     def add_batch(self) -> None:

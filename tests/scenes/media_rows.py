@@ -7,7 +7,6 @@ differences, `tests/medium/test_differences.py` some.
 
 from __future__ import annotations
 
-from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -67,8 +66,9 @@ def cells(channels: int = 1, largest: float = 2.0, seed: int = 50) -> np.ndarray
 HALF_EMPTY = cells() * (np.arange(8).reshape(2, 2, 2, 1) % 2)
 GREY, COLOURED = even(1.0), even((0.5, 0.25, 2.0), (0.9, 0.6, 0.4))
 MEDIA = {
-    "grey": GREY, "coloured": COLOURED, "empty": even(0.0), "empty in red": even((0.0, 1.0, 2.0)), "thin": even(0.01),
-    "dense": even(8.0), "black": even(1.0, (0.0, 0.0, 0.0)), "white": even((0.5, 1.0, 2.0), (1.0, 1.0, 1.0)),
+    "fog": even((0.1, 0.05, 0.3), (0.9, 0.6, 0.4)), "grey": GREY,
+    "coloured": COLOURED, "empty": even(0.0), "empty in red": even((0.0, 1.0, 2.0)), "thin": even(0.01),
+    "dense": even(4.0), "black": even(1.0, (0.0, 0.0, 0.0)), "white": even((0.5, 1.0, 2.0), (1.0, 1.0, 1.0)),
     "scaled": even((0.2, 0.1, 0.4), (0.9, 0.6, 0.4), 5.0), "scaled by 0": even((0.5, 0.25, 2.0), factor=0.0),
     "smoke": smoke(cells()), "half empty smoke": smoke(HALF_EMPTY), "empty smoke": smoke(0.0 * HALF_EMPTY),
     "thin smoke": smoke(0.01 * cells()), "dense smoke": smoke(cells(largest=12.0)),
@@ -92,10 +92,11 @@ BODIES = {"homogeneous": {"type": "sphere", "radius": 0.8},
           "heterogeneous": {"type": "cube", "to_world": scale((0.75,) * 3)}}
 CAMERAS = {"outside": sensor(SIZE), "inside": sensor(SIZE, (0.0, 0.1, 0.5), (0.2, 0.0, -1.5), 60)}
 PLANE = rectangle((0, 0, -1.6), 2.5)
-GROUNDS = {"wall": {"wall": PLANE | {"bsdf": diffuse(0.6, 0.5, 0.4)}}, "nothing": {},
+PEBBLE = {"type": "sphere", "center": [0, -30, 0], "radius": 0.1, "bsdf": BLACK}  # a scene needs a shape
+GROUNDS = {"wall": {"wall": PLANE | {"bsdf": diffuse(0.6, 0.5, 0.4)}}, "nothing": {"pebble": PEBBLE},
            "glow": {"wall": PLANE | {"bsdf": BLACK, "emitter": {"type": "area", "radiance": rgb(1.0, 0.8, 0.6)}}}}
 # Behind a medium that is as bright as what is behind it a derivative is small, and only noise is seen.
-GROUND_OF = {"glow": "glow", **dict.fromkeys(("constant", "envmap", "point", "spot", "projector"), "nothing")}
+GROUND_OF = {"glow": "glow", "sunsky": "wall", "directional": "wall", "ember": "wall"}  # else nothing
 STONE = {"type": "sphere", "center": [0.15, -0.1, 0.2], "radius": 0.35}
 EMBEDDED = {
     "": {}, "stone": {"stone": STONE | {"bsdf": diffuse(0.7, 0.5, 0.3)}},
@@ -126,10 +127,11 @@ LIGHTS: dict[str, dict[str, Any]] = {
 
 
 class Parameter(NamedTuple):
-    """Names that a parameter may have, of which a scene has one, and the step of differences."""
+    """Names that a parameter may have, of which a scene has one, and the step of differences: a share of its size."""
 
     names: tuple[str, ...]
-    step: float = 0.1  # a share of the largest entry
+    step: float = 0.1
+    least: float = 0.25  # that the size counts as, of values near 0
     poses: bool = False  # is a pose
 
 
@@ -138,23 +140,25 @@ PARAMETERS = {
     "albedo": Parameter(("air.albedo.value.value", "air.albedo.data")),
     "scale": Parameter(("air.scale",)),
     "g": Parameter(("air.phase_function.g",), 0.15),
-    "weight": Parameter(("air.phase_function.weight.value.value", "air.phase_function.weight.data"), 0.2),
+    "weight": Parameter(("air.phase_function.weight.value.value", "air.phase_function.weight.data"), 0.14, 1.0),
     "g of the first": Parameter(("air.phase_function.phase_0.g",), 0.15),
     "g of the second": Parameter(("air.phase_function.phase_1.g",), 0.15),
-    "values": Parameter(("air.phase_function.values",), 0.15),
-    "S": Parameter(("air.phase_function.S.data",), 0.05),
+    "values": Parameter(("air.phase_function.values",), 0.04),
+    "S": Parameter(("air.phase_function.S.data",), 0.03),
     "extinction of the core": Parameter(("core.interior.sigma_t.value.value",)),
     "reflectance of the stone": Parameter(("stone.bsdf.reflectance.value",)),
     "reflectance of the wall": Parameter(("wall.bsdf.reflectance.value",)),
     "radiance": Parameter(("lamp.emitter.radiance.value", "ember.emitter.radiance.value", "wall.emitter.radiance.value",
                            "sky.radiance.value")),
     "intensity": Parameter(("bulb.intensity.value",)),
-    "roughness": Parameter(("body.bsdf.alpha.value",), 0.15),
-    "place of the bulb": Parameter(("bulb.position",), 0.05),
-    "pose of the body": Parameter(("body.to_world",), 0.05, True),
-    "pose of the core": Parameter(("core.to_world",), 0.05, True),
-    "pose of the camera": Parameter(("camera.to_world",), 0.05, True),
-    "pose of the lamp": Parameter(("lamp.to_world",), 0.05, True),
+    "roughness": Parameter(("body.bsdf.alpha.value",), 0.3),
+    "place of the bulb": Parameter(("bulb.position",), 0.02),
+    "pose of the bulb": Parameter(("bulb.to_world",), 0.02, poses=True),
+    "pose of the sun": Parameter(("sun.to_world",), 0.03, poses=True),
+    "pose of the body": Parameter(("body.to_world",), 0.05, poses=True),
+    "pose of the core": Parameter(("core.to_world",), 0.08, poses=True),
+    "pose of the camera": Parameter(("camera.to_world",), 0.05, poses=True),
+    "pose of the lamp": Parameter(("lamp.to_world",), 0.05, poses=True),
 }
 
 
@@ -165,7 +169,7 @@ def scene_of(row: Row) -> dict[str, Any]:
     if row.camera == "inside" or not enclosed:
         camera = camera | {"medium": AIR}
     body = {"body": BODIES[medium["type"]] | {"bsdf": BOUNDARIES[row.boundary], "interior": AIR}} if enclosed else {}
-    ground = row.ground or GROUND_OF.get(row.light, "wall")
+    ground = row.ground or GROUND_OF.get(row.light, "nothing")
     return {"type": "scene", "air": medium | {"phase": PHASES[row.phase]}, "camera": camera, **body,
             **EMBEDDED[row.embedded], **GROUNDS[ground], **LIGHTS[row.light]}
 
@@ -179,22 +183,24 @@ SMOKES = ("empty smoke", "half empty smoke", "thin smoke", "smoke", "coloured sm
 
 def extinctions() -> list[Row]:
     """Values of extinction in every boundary; smoke in two of them in turn."""
-    lit = {"none": ("area", "glow"), "null": ("constant", "area", "glow"), "dielectric": ("constant", "glow"),
+    lit = {"none": ("area", "glow"), "null": ("constant", "point", "glow"), "dielectric": ("constant", "glow"),
            "roughdielectric": ("glow", "constant")}
     found = []
     for turn, (boundary, lights) in enumerate(lit.items()):
         media = [*FOGS[:5 if boundary == "none" else 6], *SMOKES[turn % 2::2]]
-        found += [Row(medium, boundary, lights[place % len(lights)], "extinction") for place, medium in enumerate(media)]
+        for place, medium in enumerate(media):
+            light = lights[place % len(lights)]
+            found.append(Row(medium, boundary, light, "extinction", ground="wall" if light == "area" else ""))
     return found
 
 
 def lights() -> list[Row]:
     """Every light, through a boundary that is not seen, and in fog."""
     enclosed = [Row("coloured", "null", light, "extinction", "hg") for light in (*SKIES, *LAMPS)]
-    enclosed += [Row("half empty smoke", "null", light, "extinction", "hg") for light in (
-        "envmap", "directional", "point", "spot", "ember")]
+    enclosed += [Row(medium, "null", light, "extinction", "hg") for medium, lights in {
+        "half empty smoke": ("envmap", "directional"), "smoke": ("point", "spot", "ember")}.items() for light in lights]
     # Light of a point inside of what scatters more than once has no variance.
-    return enclosed + [Row("coloured", "none", light, "extinction", "hg", depth=2 if light in PUNCTUAL else 4)
+    return enclosed + [Row("fog", "none", light, "extinction", "hg", depth=2 if light in PUNCTUAL else 4)
                        for light in LAMPS]
 
 
@@ -213,12 +219,12 @@ def phases() -> list[Row]:
     parameters = {"hg backwards": "g", "hg even": "g", "hg sharp": "g", "tabphase": "values", "sggx": "S",
                   "blendphase 0.0": "weight", "blendphase 0.3": "weight", "blendphase 1.0": "weight",
                   "blendphase of a grid": "weight"}
-    found = [Row(medium, "null", "area", parameter, phase) for phase, parameter in parameters.items()
+    found = [Row(medium, "null", "point", parameter, phase) for phase, parameter in parameters.items()
              for medium in ("coloured", "smoke")]
     return found + [
-        Row("grey", "null", "area", "g of the first", "blendphase 0.3"),
-        Row("grey", "null", "area", "g of the second", "blendphase 0.3"),
-        Row("grey", "roughdielectric", "constant", "g", "hg"), Row("grey", "none", "point", "g", "hg", depth=2),
+        Row("grey", "null", "point", "g of the first", "blendphase 0.3"),
+        Row("grey", "null", "point", "g of the second", "blendphase 0.3"),
+        Row("grey", "roughdielectric", "glow", "g", "hg"), Row("grey", "none", "point", "g", "hg", depth=2),
         Row("coloured", "null", "envmap", "extinction", "sggx"), Row("smoke", "null", "envmap", "extinction", "sggx"),
         Row("coloured", "null", "area", "extinction", "rayleigh"), Row("coloured", "null", "area", "extinction", "tabphase")]
 
@@ -226,17 +232,17 @@ def phases() -> list[Row]:
 def embedded() -> list[Row]:
     """What stands in a medium, a camera in it, and what else is seen through it."""
     surfaces = [Row(medium, boundary, "constant", "extinction", embedded=stone)
-                for medium in ("grey", "half empty smoke") for boundary in ("null", "dielectric")
+                for medium in ("grey", "smoke") for boundary in ("null", "dielectric")
                 for stone in ("stone", "pearl")]
     cameras = [Row(medium, "null", light, parameter, "hg", "inside")
-               for medium, light in (("coloured", "glow"), ("half empty smoke", "area"))
+               for medium, light in (("coloured", "glow"), ("half empty smoke", "glow"))
                for parameter in ("extinction", "albedo", "g")]
     return surfaces + cameras + [
         Row("coloured", "null", "spot", "extinction", "hg", "inside"),
         Row("grey", "null", "constant", "extinction", embedded="core"),
         Row("grey", "null", "constant", "extinction of the core", embedded="core"),
         Row("grey", "null", "area", "reflectance of the stone", embedded="stone"),
-        Row("smoke", "null", "area", "reflectance of the wall"), Row("coloured", "null", "area", "radiance"),
+        Row("smoke", "null", "area", "reflectance of the wall", ground="wall"), Row("coloured", "null", "area", "radiance"),
         Row("coloured", "null", "point", "intensity"), Row("coloured", "roughdielectric", "glow", "roughness")]
 
 
@@ -244,7 +250,7 @@ def long_paths() -> list[Row]:
     """Many bounces, of which roulette ends some."""
     return [Row("coloured", "null", "constant", "extinction", "hg", depth=24),
             Row("smoke", "roughdielectric", "constant", "albedo", depth=24),
-            Row("white", "none", "area", "extinction", "hg", depth=24)]
+            Row("fog", "none", "area", "extinction", "hg", depth=24)]
 
 
 def poses() -> list[Row]:
@@ -252,10 +258,11 @@ def poses() -> list[Row]:
     return [Row("coloured", "null", "glow", "pose of the body"),
             Row("coloured", "null", "glow", "pose of the body", depth=1),
             Row("grey", "null", "glow", "pose of the core", embedded="core"),
-            Row("coloured", "null", "glow", "pose of the camera"), Row("coloured", "none", "glow", "pose of the camera"),
-            Row("coloured", "null", "point", "place of the bulb", ground="nothing"),
-            Row("coloured", "none", "point", "place of the bulb", ground="nothing", depth=2),
-            Row("coloured", "null", "area", "pose of the lamp", ground="nothing")]
+            Row("coloured", "null", "glow", "pose of the camera"), Row("fog", "none", "area", "pose of the camera", depth=2),
+            Row("coloured", "null", "point", "place of the bulb"),
+            Row("coloured", "none", "point", "place of the bulb", depth=2),
+            Row("coloured", "null", "area", "pose of the lamp"), Row("coloured", "null", "spot", "pose of the bulb"),
+            Row("coloured", "null", "directional", "pose of the sun", ground="nothing")]
 
 
 def rows() -> list[Row]:
