@@ -154,7 +154,6 @@ PARAMETERS = {
     "roughness": Parameter(("body.bsdf.alpha.value",), 0.3),
     "place of the bulb": Parameter(("bulb.position",), 0.02),
     "pose of the bulb": Parameter(("bulb.to_world",), 0.02, poses=True),
-    "pose of the sun": Parameter(("sun.to_world",), 0.03, poses=True),
     "pose of the body": Parameter(("body.to_world",), 0.05, poses=True),
     "pose of the core": Parameter(("core.to_world",), 0.08, poses=True),
     "pose of the camera": Parameter(("camera.to_world",), 0.05, poses=True),
@@ -261,8 +260,7 @@ def poses() -> list[Row]:
             Row("coloured", "null", "glow", "pose of the camera"), Row("fog", "none", "area", "pose of the camera", depth=2),
             Row("coloured", "null", "point", "place of the bulb"),
             Row("coloured", "none", "point", "place of the bulb", depth=2),
-            Row("coloured", "null", "area", "pose of the lamp"), Row("coloured", "null", "spot", "pose of the bulb"),
-            Row("coloured", "null", "directional", "pose of the sun", ground="nothing")]
+            Row("coloured", "null", "area", "pose of the lamp"), Row("coloured", "null", "spot", "pose of the bulb")]
 
 
 def rows() -> list[Row]:
