@@ -1,0 +1,35 @@
+"""Derivatives of media beside differences with samples of their own, of kinds that the other files here do not hold.
+
+Whole vectors, to one side at the ends of ranges; `python -m benchmarks.media_derivatives` has all rows, and more samples.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.medium.differences import Experiment
+from tests.scenes.media_rows import Row
+
+NOISIEST = 0.15  # of the size of a derivative
+ROWS = [
+    Row("fog", "none", "point", "extinction", "hg", depth=2),  # with nothing behind
+    Row("fog", "none", "spot", "extinction", "hg", depth=2),
+    Row("empty in red", "dielectric", "glow", "extinction"),
+    Row("grey", "dielectric", "constant", "extinction", embedded="stone"),
+    Row("coloured", "null", "directional", "extinction", "hg"),
+    Row("coloured", "null", "spot", "extinction", "hg", "inside"),
+    Row("coloured", "null", "point", "values", "tabphase"),
+    Row("coloured", "null", "point", "weight", "blendphase 0.0"),
+    Row("grey", "roughdielectric", "glow", "g", "hg"),
+    Row("coloured", "null", "point", "place of the bulb", depth=2),
+]
+
+
+@pytest.mark.parametrize("row", ROWS, ids=str)
+def test_derivatives_are_those_of_differences(row):
+    experiment = Experiment(row, spp=64, compile=False)
+    for _ in range(8):
+        experiment.add_batch()
+    found = experiment.comparison()
+    assert 0 < found.noise < NOISIEST
+    assert found.error < 0.01 or found.z < 1.3 * found.bound, found  # by eight batches errors are known to within a third
