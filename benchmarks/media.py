@@ -16,16 +16,15 @@ with a depth of 64, at which that no longer matters.
 ``--roulette`` shows Mitsuba's `volpathmis` with and without roulette, beside its `volpath` and us: the means of one image.
 
 ``--time`` measures three scenes: a ball of glass with a medium under a sky, fog in a room, a cloud of 128^3 cells under a
-sky. Both take turns in one process, forward alone and forward with backward (gradients by extinction and albedo; Mitsuba
-by `volpathmis` and `prbvolpath`); medians of the rounds, first calls apart. Variances are those of the image, mean over
+sky. Both take turns in one process, forward alone and forward with backward (gradients by extinction and albedo; Mitsuba by
+`volpathmis` and `prbvolpath`); medians of the rounds, first calls apart. Variances are those of the image, mean over
 pixels, and of the gradient, mean over the entries of a parameter, between rounds; equal noise is variance times seconds.
-Mitsuba's gradients are not those of differences everywhere (by extinction in the fog, by albedo in the glass): there equal
-noise compares with a wrong answer. Run it on an idle machine; more rounds know variances better: ``--rounds 5`` to within a
-factor of 2.
-
-``--memory`` shows the peak of resident memory of a forward and backward pass through a grid of 256^3 cells, the grid itself
-and what building the scene takes included, over the bytes of the grid and its gradient. Each size runs in a process of its
-own, after a pass through a tiny grid, which loads what there is to load.
+Mitsuba's gradients are not those of differences everywhere (by extinction in the fog, in the cloud where it is empty, by
+albedo in the glass): there equal noise compares with a wrong answer. So grids have a figure of cells that are not empty,
+too. Run it on an idle machine; more rounds know variances better: ``--rounds 5`` to within a factor of 2. ``--memory``
+shows the peak of resident memory of a forward and backward pass through a grid of 256^3 cells, the grid itself and what
+building the scene takes included, over the bytes of the grid and its gradient. Each size runs in a process of its own,
+after a pass through a tiny grid, which loads what there is to load.
 
     python -m benchmarks.media --only "sggx"              # rows by parts of their names
     python -m benchmarks.media --public --only homo
@@ -122,8 +121,9 @@ def roulette(case: Case, spp: int, batches: int) -> None:
 class Side:
     """One renderer on one scene: passes, of which the first is told apart, and the spread of what they give."""
 
-    def __init__(self, forward, both) -> None:
+    def __init__(self, forward, both, shown: dict[str, np.ndarray]) -> None:
         self.forward, self.both = forward, both
+        self.shown = shown  # by parameter which of its entries are not 0, where some are
         self.seconds: dict[str, list[float]] = {"forward": [], "both": []}
         self.spreads: dict[str, Spread] = {}
 
@@ -136,6 +136,8 @@ class Side:
         if seed:
             for name, value in ({"image": image} | self.both.gradients_found()).items():
                 self.spreads.setdefault(name, Spread()).add(value)
+                for shown in self.shown.values() if value.ndim == 4 and value.shape[-1] == 1 else ():
+                    self.spreads.setdefault(f"{name} where it is not 0", Spread()).add(value.reshape(-1)[shown])
 
     def median(self, what: str) -> float:
         return statistics.median(self.seconds[what][1:])
@@ -148,8 +150,10 @@ def measure(name: str, rounds: int, small: bool) -> None:
         ours = Ours(scene, compiled=True)
         theirs = Mitsuba(scene._replace(parameters=their_names), "cpu", {"type": "prbvolpath"})
         plain = theirs.using({"type": "volpathmis"}, scene.setting.spp)
-        sides = {"ours": Side(lambda seed: ours.image(scene.setting.spp, seed).numpy(), ours),
-                 "Mitsuba": Side(lambda seed: plain.image(scene.setting.spp, seed).numpy(), theirs)}
+        shown = {each: (value.detach() != 0).reshape(-1).numpy() for each, value in ours.parameters.items()
+                 if bool((value == 0).any())}
+        sides = {"ours": Side(lambda seed: ours.image(scene.setting.spp, seed).numpy(), ours, shown),
+                 "Mitsuba": Side(lambda seed: plain.image(scene.setting.spp, seed).numpy(), theirs, shown)}
         for seed in range(rounds + 1):
             for side in sides.values():
                 side.turn(seed)
