@@ -21,10 +21,11 @@ sky. Both take turns in one process, forward alone and forward with backward (gr
 pixels, and of the gradient, mean over the entries of a parameter, between rounds; equal noise is variance times seconds.
 Mitsuba's gradients are not those of differences everywhere (by extinction in the fog, in the cloud where it is empty, by
 albedo in the glass): there equal noise compares with a wrong answer. So grids have a figure of cells that are not empty,
-too. Run it on an idle machine; more rounds know variances better: ``--rounds 5`` to within a factor of 2. ``--memory``
-shows the peak of resident memory of a forward and backward pass through a grid of 256^3 cells, the grid itself and what
-building the scene takes included, over the bytes of the grid and its gradient. Each size runs in a process of its own,
-after a pass through a tiny grid, which loads what there is to load.
+too. Run it on an idle machine; more rounds know variances better: ``--rounds 5`` to within a factor of 2.
+
+``--memory`` shows the peak of resident memory of a forward and backward pass through a grid of 256^3 cells, the grid itself
+and what building the scene takes included, over the bytes of the grid and its gradient. Each size runs in a process of its
+own, after a pass through a tiny grid, which loads what there is to load.
 
     python -m benchmarks.media --only "sggx"              # rows by parts of their names
     python -m benchmarks.media --public --only homo
