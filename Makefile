@@ -30,7 +30,7 @@ PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
 # `python -m tests.slowest` prints the durations.
 test: $(VENV)/.installed
-	$(PYTEST) --keep-durations runs/test_durations.json
+	$(PYTEST) --keep-durations=runs/test_durations.json
 
 # What takes longer: the rest of the long rows, and what is run from end to end.
 test-deep: $(VENV)/.installed

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from pathlib import Path
 
 import pytest
 
@@ -94,3 +95,9 @@ def test_the_slowest_tests_and_files_are_printed():
     assert printed.splitlines() == [
         "4 s in 4 tests of 2 files", "", "    2.00 s  44.4 %  b.py::test_two[x]", "    1.50 s  33.3 %  a.py::test_three", "",
         "    2.50 s  55.6 %  a.py", "    2.00 s  44.4 %  b.py"]
+
+
+def test_the_file_of_durations_is_joined_to_its_option():
+    """Else pytest takes it for a test file as soon as it exists, and a second `make test` fails."""
+    makefile = (Path(__file__).parents[1] / "Makefile").read_text()
+    assert "--keep-durations=" in makefile and "--keep-durations " not in makefile
