@@ -39,6 +39,18 @@ def image_and_gradients(scene: rb.Scene, names, *, seed: int = 3, sensors=None, 
     return image.detach(), list(torch.autograd.grad(image, wanted, adj_image))
 
 
+def assert_transposed(scene: rb.Scene, name: str, **settings) -> None:
+    """Forward mode and the backward pass by a parameter of float64 are transposes of each other."""
+    parameter = scene.get_parameter(name)
+    tangent = torch.linspace(0.5, 1.0, parameter.numel(), dtype=torch.float64).view_as(parameter)
+    forward = rb.jvp(scene, {name: tangent}, seed=1, **settings)
+    w = cotangent(forward)
+    _, (gradient,) = image_and_gradients(scene, [name], seed=1, adj_image=w, **settings)
+    expected = float((w * forward).sum())
+    assert math.isfinite(expected) and expected != 0
+    assert math.isclose(float((gradient * tangent).sum()), expected, rel_tol=1e-9)
+
+
 def assert_informative(image: Tensor, gradients: list[Tensor]) -> None:
     """A reference must be finite, and must not be zero."""
     for value in (image, *gradients):

@@ -13,7 +13,7 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but
-from tests.gradients import EXACT, REPLAY, assert_informative, cotangent, image_and_gradients, relative_error
+from tests.gradients import EXACT, REPLAY, assert_informative, assert_transposed, image_and_gradients, relative_error
 from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, look_at, overhead, rectangle, rgb
 from tests.scenes.media import BLACK, DULL, haze
@@ -117,13 +117,7 @@ def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, bsdf)
 @pytest.mark.parametrize("compile", [deep(False, id="eager"), pytest.param(True, id="compiled")])
 @pytest.mark.parametrize("name", NAMES[:5])
 def test_forward_mode_is_the_transpose_of_backward(compile, name):
-    scene, settings = room(), SETTINGS | {"compile": compile}
-    tangent = torch.linspace(0.5, 1.0, scene.get_parameter(name).numel(), dtype=torch.float64)
-    tangent = tangent.view_as(scene.get_parameter(name))
-    forward = rb.jvp(scene, {name: tangent}, seed=1, **settings)
-    w = cotangent(forward)
-    _, (gradient,) = image_and_gradients(scene, [name], seed=1, adj_image=w, **settings)
-    assert float((gradient * tangent).sum()) == pytest.approx(float((w * forward).sum()), rel=1e-9)
+    assert_transposed(room(), name, **SETTINGS | {"compile": compile})
 
 
 @pytest.mark.parametrize("bsdf", [NULL, ROUGH], ids=["null", "rough"])
@@ -158,13 +152,7 @@ def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, bs
 @pytest.mark.parametrize("compile", [deep(False, id="eager"), pytest.param(True, id="compiled")])
 @pytest.mark.parametrize("name", MOVING[:4])
 def test_forward_mode_is_the_transpose_of_backward_of_what_moves(compile, name):
-    scene, settings = room(), SETTINGS | {"terms": ("interior",), "compile": compile}
-    tangent = torch.linspace(0.5, 1.0, scene.get_parameter(name).numel(), dtype=torch.float64)
-    tangent = tangent.view_as(scene.get_parameter(name))
-    forward = rb.jvp(scene, {name: tangent}, seed=1, **settings)
-    w = cotangent(forward)
-    _, (gradient,) = image_and_gradients(scene, [name], seed=1, adj_image=w, **settings)
-    assert float((gradient * tangent).sum()) == pytest.approx(float((w * forward).sum()), rel=1e-9)
+    assert_transposed(room(), name, **SETTINGS | {"terms": ("interior",), "compile": compile})
 
 
 @pytest.mark.parametrize("depth", deep_but([3], [1, 3]))

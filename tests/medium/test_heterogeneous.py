@@ -13,7 +13,7 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but
-from tests.gradients import EXACT, REPLAY, assert_informative, cotangent, image_and_gradients, relative_error
+from tests.gradients import EXACT, REPLAY, assert_informative, assert_transposed, image_and_gradients, relative_error
 from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
 from tests.scenes.media import BLACK
@@ -127,13 +127,7 @@ def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, chann
 @pytest.mark.parametrize("compile", [deep(False, id="eager"), pytest.param(True, id="compiled")])
 @pytest.mark.parametrize("name", NAMES[:4])
 def test_forward_mode_is_the_transpose_of_backward(compile, name):
-    scene, settings = room(varied()), SETTINGS | {"compile": compile}
-    tangent = torch.linspace(0.5, 1.0, scene.get_parameter(name).numel(), dtype=torch.float64)
-    tangent = tangent.view_as(scene.get_parameter(name))
-    forward = rb.jvp(scene, {name: tangent}, seed=1, **settings)
-    w = cotangent(forward)
-    _, (gradient,) = image_and_gradients(scene, [name], seed=1, adj_image=w, **settings)
-    assert float((gradient * tangent).sum()) == pytest.approx(float((w * forward).sum()), rel=1e-9)
+    assert_transposed(room(varied()), name, **SETTINGS | {"compile": compile})
 
 
 def before_a_lamp(medium: dict):
@@ -262,13 +256,7 @@ def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, bs
 
 @pytest.mark.parametrize("name", MOVING)
 def test_forward_mode_is_the_transpose_of_backward_of_what_moves(name):
-    scene, settings = room(varied(), half=0.9), SETTINGS | {"terms": ("interior",), "compile": True}
-    tangent = torch.linspace(0.5, 1.0, scene.get_parameter(name).numel(), dtype=torch.float64)
-    tangent = tangent.view_as(scene.get_parameter(name))
-    forward = rb.jvp(scene, {name: tangent}, seed=1, **settings)
-    w = cotangent(forward)
-    _, (gradient,) = image_and_gradients(scene, [name], seed=1, adj_image=w, **settings)
-    assert float((gradient * tangent).sum()) == pytest.approx(float((w * forward).sum()), rel=1e-9)
+    assert_transposed(room(varied(), half=0.9), name, **SETTINGS | {"terms": ("interior",), "compile": True})
 
 
 @pytest.mark.parametrize("name, depth", [("box.to_world", 1), deep("core.to_world", 1), ("core.to_world", 3),

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.gradients import EXACT, REPLAY, cotangent, image_and_gradients, relative_error
+from tests.gradients import EXACT, REPLAY, assert_transposed, image_and_gradients, relative_error
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
 from tests.scenes.media import BLACK, DULL, haze
 
@@ -120,13 +120,7 @@ def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, sampl
 @pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
 @pytest.mark.parametrize("name", [NAMES[0], "floor.to_world"])
 def test_forward_mode_is_the_transpose_of_backward(compile, name):
-    scene, settings = room(), SETTINGS | {"terms": ("interior",), "compile": compile}
-    tangent = torch.linspace(0.5, 1.0, scene.get_parameter(name).numel(), dtype=torch.float64)
-    tangent = tangent.view_as(scene.get_parameter(name))
-    forward = rb.jvp(scene, {name: tangent}, seed=1, **settings)
-    w = cotangent(forward)
-    _, (gradient,) = image_and_gradients(scene, [name], seed=1, adj_image=w, **settings)
-    assert float((gradient * tangent).sum()) == pytest.approx(float((w * forward).sum()), rel=1e-9)
+    assert_transposed(room(), name, **SETTINGS | {"terms": ("interior",), "compile": compile})
 
 
 @pytest.mark.parametrize("name, step", zip(NAMES, (0.05, 0.05, 0.15)))
