@@ -12,6 +12,7 @@ from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.queues import Queue
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Onward, Step, surviving
+from torch_radbp.path.taped_bounces import Bounce
 from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.path.through_media import free_flights
 from torch_radbp.path.trace import Visit, trace
@@ -21,13 +22,18 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined, rows_between
 from torch_radbp.tensors.stage import EAGER
-from torch_radbp.tensors.vec import Ray, Vec3, rows
+from torch_radbp.tensors.vec import Ray, Vec2, Vec3, rows
 from torch_radbp.threads.team import loops_together
 
 
 def trace_attached(integrand: Integrand, state: PathState, visit: Visit | None = None) -> Vec3:
     """`trace` with all derivatives, in reverse mode (recorded) or in forward mode (of dual tensors)."""
-    return trace(integrand, state, visit, bounce=bounced_twice if integrand.settings.moving else bounced)
+    return trace(integrand, state, visit, bounce=bounce_attached(integrand))
+
+
+def bounce_attached(integrand: Integrand) -> Bounce:
+    """What takes a bounce with all derivatives."""
+    return bounced_twice if integrand.settings.moving else bounced
 
 
 def bounced_twice(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) -> tuple[PathState, Step, Onward]:
@@ -43,9 +49,9 @@ def bounced_twice(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | No
         ahead = stages(rows)(vertex.next, alive)
         hit = fixed.caster.intersect(ahead.ray)
         following, _ = free_flights(fixed, ahead, hit, depth + 1)
-    E, ahead = attached_vertices(integrand, state, depth, step, _spread(following, alive, step.scattered))
+    E, ahead, film = attached_vertices(integrand, state, depth, step, _spread(following, alive, step.scattered))
     if E is not None:
-        brighten(integrand, L, state, step.order[:step.scattered], vertex.next.lane, E)
+        brighten(integrand, L, state, step.order[:step.scattered], vertex.next.lane, E, film=film)
         ahead = ahead._replace(vantage=vertex.next.vantage, medium=vertex.next.medium)
     light = attached_light(integrand, state, depth, step)
     if light is not None:
@@ -63,8 +69,9 @@ def attached_light(integrand: Integrand, state: PathState, depth: int, step: Ste
 
 
 def attached_vertices(integrand: Integrand, state: PathState, depth: int, step: Step,
-                      following: Hit | None) -> tuple[Vec3 | None, PathState | None]:
-    """E_k of vertices that scatter, and the path states that leave them, with all derivatives; None: nothing scatters.
+                      following: Hit | None) -> tuple[Vec3 | None, PathState | None, Vec2 | None]:
+    """E_k of vertices that scatter, the path states that leave them, and where the camera sees these, as of
+    `attached_vertex`, with all derivatives; None: nothing scatters.
 
     Args:
         step: what was decided.
@@ -72,7 +79,7 @@ def attached_vertices(integrand: Integrand, state: PathState, depth: int, step: 
     """
     queues = [queue for queue in step.queues if queue.event.scatters]
     if not queues:
-        return None, None
+        return None, None, None
     stage, verdict = integrand.stages(attached_vertex), verdict_of(step)._replace(following=following)
     prepared = [(scene, proposal, reached, lanes, rows_between(verdict, queue.first, queue.last), *more)
                 for queue in queues
@@ -96,14 +103,16 @@ def arguments_of(integrand: Integrand, state: PathState, depth: int, step: Step,
     return part.scene, part.proposal, arrival, lanes, at, settings, values
 
 
-def room_for_paths(integrand: Integrand, state: PathState, lanes: int) -> tuple[Vec3, PathState]:
+def room_for_paths(integrand: Integrand, state: PathState, lanes: int) -> tuple[Vec3, PathState, Vec2 | None]:
     """Empty results of `attached_vertices` in forward mode, to write into."""
-    values, tangents = (room_for_vertices(state, lanes, True) for _ in range(2))
+    from_lamps = integrand.proposal.layout.from_lamps
+    values, tangents = (room_for_vertices(state, lanes, True, from_lamps) for _ in range(2))
+    film = dual(values.film, tangents.film) if from_lamps else None
     E, ahead = dual(values.Le, tangents.Le), values.next._replace(vantage=None)
     settings, of = integrand.settings, tangents.next
     pdf = dual(ahead.pdf, of.pdf) if settings.sampling == "attached" or settings.following else ahead.pdf
     cone = None if ahead.cone is None else dual(ahead.cone, of.cone)
-    return E, ahead._replace(ray=dual(ahead.ray, of.ray), beta=dual(ahead.beta, of.beta), pdf=pdf, cone=cone)
+    return E, ahead._replace(ray=dual(ahead.ray, of.ray), beta=dual(ahead.beta, of.beta), pdf=pdf, cone=cone), film
 
 
 def rays_reaching(integrand: Integrand, start: PathState, depth: Tensor) -> Ray:

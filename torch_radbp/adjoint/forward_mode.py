@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
-from torch_radbp.adjoint.attached import trace_attached
+from torch_radbp.adjoint.attached import bounce_attached
 from torch_radbp.adjoint.images import render_images
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.tensors import torch_internals
@@ -41,7 +41,8 @@ def render_tangents(call: RenderCall) -> Tensor:
         raise RuntimeError("a rendering is differentiated either forward or backward, but parameters have tangents and "
                            "parameters require grad: render under torch.no_grad(), or with adjoint=TapeAdjoint() for both")
     with torch.no_grad():
-        return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached).values
+        integrand = call.make_integrand(call.scene)
+        return render_images(call, integrand, record=False, bounce=bounce_attached(integrand)).values
 
 
 def inside_transforms() -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext
 from functools import partial, wraps
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -26,7 +27,7 @@ from torch_radbp.tensors.lookup import summed
 from torch_radbp.tensors.record import leaves_of, mapped, rows_between, with_leaves
 from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.torch_internals import batched
-from torch_radbp.tensors.vec import Ray
+from torch_radbp.tensors.vec import Ray, Vec3
 from torch_radbp.tensors.vector_jacobian import vector_jacobian_product, zeros_unless
 from torch_radbp.threads.workers import in_turns
 from torch_radbp.vertex.cone import Cone
@@ -96,7 +97,7 @@ class RenderFunction(torch.autograd.Function):
             if record is None:
                 record = record_wavefront(call, integrand, wavefront)
             adj_L = weighted(call.sink.adjoint(call, wavefront, record.place, adj_sums), record.weight)
-            seen = integrand_of_wavefront(call, integrand, wavefront, 1)
+            seen = call.sink.asked(integrand_of_wavefront(call, integrand, wavefront, 1), adj_sums)
             with sweep_of(seen, record, adj_L, numbered, gradients) as sweep:
                 call.adjoint.backward(sweep)
             return sweep
@@ -109,10 +110,11 @@ class RenderFunction(torch.autograd.Function):
         def differentiate_share(share: Iterable[int]) -> Gradients:
             gradients = Gradients((*leaves, *of_source), call.memory)
             for index in share:
-                memo = swept(index, gradients).memo
+                sweep = swept(index, gradients)
+                adj_start = adj_of_start(sweep)
                 for chunk, *lanes in call.wavefronts[index].parts() if of_source else ():
-                    adj_start = rows_between((memo.adj_ray, memo.adj_cone), *lanes)
-                    for k, adjoint in source_adjoint(call, chunk, wanted_of_source, *adj_start):
+                    adj_chunk = rows_between(adj_start, *lanes)
+                    for k, adjoint in source_adjoint(call, chunk, wanted_of_source, adj_chunk):
                         gradients.add_whole(len(leaves) + k, adjoint)
             return gradients
 
@@ -169,9 +171,22 @@ def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
     return [source for source, need in zip(sources, ctx.needs_input_grad[1:]) if need]
 
 
-def source_adjoint(call: RenderCall, chunk: LaneBlock, wanted: Sequence[bool], adj_ray: Ray,
-                   adj_cone: Cone | None) -> Iterator[tuple[int, Tensor]]:
-    """What the rays, and cones, of one chunk add to the gradients of the wanted leaves of the source, with the number of
+class StartAdjoint(NamedTuple):
+    """The derivatives of the loss by how the paths of a wavefront begin, (N,)."""
+
+    ray: Ray | None
+    cone: Cone | None
+    beta: Vec3
+
+
+def adj_of_start(sweep: Sweep) -> StartAdjoint:
+    """What a sweep has found of the beginning of its paths: the loss is adj_1 beta_1 L_1."""
+    return StartAdjoint(sweep.memo.adj_ray, sweep.memo.adj_cone, sweep.adj_L * sweep.memo.L)
+
+
+def source_adjoint(call: RenderCall, chunk: LaneBlock, wanted: Sequence[bool],
+                   adj_start: StartAdjoint) -> Iterator[tuple[int, Tensor]]:
+    """What the rays, cones and power of one chunk add to the gradients of the wanted leaves of the source, with the number of
     each among these; where each ray reads entries of its own, they are summed in float64."""
     read, tensors = call.source.leaves_read(chunk), call.source.tensors
     leaves = [leaf.clone().requires_grad_() if want and place in read else leaf
@@ -182,7 +197,9 @@ def source_adjoint(call: RenderCall, chunk: LaneBlock, wanted: Sequence[bool], a
     source = call.source.with_tensors(summed(with_leaves(tensors, leaves)))
     with torch.enable_grad():
         start = start_paths(call._replace(source=source, stages=EAGER), Wavefront((chunk,)), 1)
-        outputs, adjoints = (leaves_of((ray, cone or ())) for ray, cone in ((start.ray, start.cone), (adj_ray, adj_cone)))
+        pairs = [(output, adjoint) for output, adjoint in zip((start.ray, start.cone, start.beta), adj_start)
+                 if adjoint is not None]
+        outputs, adjoints = (leaves_of(parts) for parts in zip(*pairs))
         adjoints = vector_jacobian_product(outputs, [leaf for _, leaf in inputs], adjoints)
     for (number, leaf), adjoint in zip(inputs, adjoints):
         yield number, zeros_unless(adjoint, leaf)

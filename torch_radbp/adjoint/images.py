@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import torch
 from torch import Tensor
 
@@ -14,10 +12,12 @@ from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.sink import SinkValues
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.trace import trace
+from torch_radbp.path.taped_bounces import Bounce
+from torch_radbp.path.wavefront import bounced
 
 
-def render_images(call: RenderCall, integrand: Integrand, record: bool, tracer: Callable = trace) -> SinkValues:
+def render_images(call: RenderCall, integrand: Integrand, record: bool,
+                  bounce: Bounce = bounced) -> SinkValues:
     """What the sink has of radiance and of the quantities of the call, and records of wavefronts, if wanted and kept."""
     allowance = Allowance(call.record_bytes if record else 0)
 
@@ -25,7 +25,7 @@ def render_images(call: RenderCall, integrand: Integrand, record: bool, tracer: 
         if record and call.together:
             return trace_both(call, integrand, wavefront)
         keeping = allowance.left > 0
-        sums, path_record = trace_wavefront(call, integrand, wavefront, 0, keeping, tracer)
+        sums, path_record = trace_wavefront(call, integrand, wavefront, 0, keeping, bounce)
         return sums, path_record if keeping and allowance.covers(path_record) else None
 
     images = call.sink.gather(call, trace_one)

@@ -17,7 +17,7 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import Corners
 from torch_radbp.tensors.stage import stage
-from torch_radbp.tensors.vec import Vec3, masked, rows
+from torch_radbp.tensors.vec import Vec2, Vec3, masked, rows
 
 MISS = Hit(-1, 0.0, 0.0, 0.0, 0)
 
@@ -29,6 +29,7 @@ class LocalMap(NamedTuple):
     F: Vec3
     # The paths that go on, attached: ray_{k+1}, density, cone; None if rays carry no derivatives, or the path ends.
     ahead: PathState | None
+    film: Vec2 | None = None  # where the camera sees the vertex, see `LightSample`
 
 
 class Verdict(NamedTuple):
@@ -77,13 +78,15 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, ver
         return LocalMap(E, masked(verdict.survives, terms.weight * terms.thinning), None)
     weight, ray = kind.attached_ray(scene, terms, verdict.following, settings.sampling, there)
     F = masked(verdict.survives, weight * terms.thinning)
-    return LocalMap(E, F, kind.ahead(terms, state, ray, state.beta * F, settings))
+    film = None if terms.light is None else terms.light.film
+    return LocalMap(E, F, kind.ahead(terms, state, ray, state.beta * F, settings), film)
 
 
 @stage("scene", "proposal", "arrival")
 def attached_vertex(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, verdict: Verdict,
-                    at: Position, settings: Settings, texture_values: tuple[TextureValue, ...]) -> tuple[Vec3, PathState]:
-    """E_k and the path states that leave vertices, with all derivatives; without `vantage`, which has none.
+                    at: Position, settings: Settings, texture_values: tuple[TextureValue, ...]) -> tuple[Vec3, PathState, Vec2 | None]:
+    """E_k, the path states that leave vertices, and where the camera sees these if it is what they connect to, with all
+    derivatives; without `vantage`, which has none.
 
     Args:
         arrival: the paths that reach this bounce.
@@ -95,4 +98,4 @@ def attached_vertex(scene: SceneTensors, proposal: SceneTensors, arrival: Arriva
 
     verdict = verdict._replace(following=Hit(*map(where_it_goes_on, verdict.following, MISS)))
     local = local_map(scene, proposal, rows(arrival, lanes), verdict, at, settings, texture_values)
-    return local.E, local.ahead
+    return local.E, local.ahead, local.film

@@ -25,7 +25,9 @@ from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Onward, Step
-from torch_radbp.path.trace import trace, walk
+from torch_radbp.path.trace import trace, trace_to_film, walk
+from torch_radbp.path.taped_bounces import Bounce
+from torch_radbp.path.wavefront import bounced
 from torch_radbp.path.whole_paths import goes_whole
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached
@@ -37,18 +39,22 @@ MANY = 2 * TILE  # lanes of an image from which on those of its derivative are t
 
 
 def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront, which: int, record: bool,
-                    tracer: Callable = trace) -> tuple[list[Tensor], PathRecord]:
+                    bounce: Bounce = bounced) -> tuple[list[Tensor], PathRecord]:
     """What the lanes bring to the sink, as of `Sink.deposit`, and what the backward pass will need of them.
 
     Args:
         which: samples of the image, 0, or of its derivative, 1.
         record: whether anything is kept for the backward pass.
-        tracer: `trace`, or what does the same.
+        bounce: takes one bounce.
     """
     samples, recorder = camera_samples(call, wavefront, which), Recorder(call.adjoint, integrand.max_depth, record)
     integrand = integrand_of_wavefront(call, integrand, wavefront, which)
+    if call.sink.at_vertices:
+        deposits = call.sink.deposits(call)
+        trace_to_film(integrand, started(call, samples), deposits.add, recorder.visit if record else None, bounce)
+        return [deposits.total()], recorder.record(partial(start_paths, call, wavefront, which), None, samples)
     asked = record or call.quantities is not None  # of the quantities some ask for what camera rays meet
-    L = tracer(integrand, started(call, samples), recorder.visit if asked else None)
+    L = trace(integrand, started(call, samples), recorder.visit if asked else None, bounce=bounce)
     radiance = L if record and call.adjoint.keep_radiance else None
     return (call.sink.deposit(call, wavefront, _shown(call, integrand, samples, recorder.hit, L), samples),
             recorder.record(partial(start_paths, call, wavefront, which), radiance, samples))

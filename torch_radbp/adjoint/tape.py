@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from torch_radbp.adjoint.attached import trace_attached
+from torch_radbp.adjoint.attached import bounce_attached
 from torch_radbp.adjoint.images import render_detached, render_images
 from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.adjoint.sweep import Sweep
@@ -32,7 +32,8 @@ class TapeAdjoint(AdjointStrategy):
 
     def dual_image(self, call: RenderCall) -> Tensor:
         """The images by the samples of the call, with all derivatives of either mode."""
-        return render_images(call, call.make_integrand(call.scene), record=False, tracer=trace_attached).values
+        integrand = call.make_integrand(call.scene)
+        return render_images(call, integrand, record=False, bounce=bounce_attached(integrand)).values
 
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
         """No depths: autograd keeps what it needs."""

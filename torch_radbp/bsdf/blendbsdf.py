@@ -141,6 +141,11 @@ class BlendKind(Kind):
                          for kind, part, part_choice in zip((self.first, self.second), self.parts(values), choice.parts))
         return where(choice.lobe > 0, second * weight, first * (1.0 - weight))
 
+    def compression(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor | None:
+        first, second = (kind.compression(part, wi, part_choice)
+                         for kind, part, part_choice in zip((self.first, self.second), self.parts(values), choice.parts))
+        return either(choice.lobe > 0, second, first)
+
 
 def own_sample(kind: Kind, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
     """A direction sampled by one of several kinds; on the horizon where it is invalid, or belongs to another kind's lobe."""

@@ -71,6 +71,10 @@ class DielectricKind(DeltaKind):
         transmittance = (1.0 - reflectance) / (eta * eta)
         return values[1] * (reflectance * (1.0 - choice.lobe)) + values[2] * (transmittance * choice.lobe)
 
+    def compression(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor:
+        eta = relative_index(values[0].x, side_of(wi))
+        return blend(choice, torch.ones_like(eta), eta * eta)
+
 
 @register("bsdf", "dielectric")
 class Dielectric(BSDF):

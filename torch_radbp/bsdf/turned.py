@@ -150,6 +150,10 @@ class TurnedKind(Kind):
         light = self.nested.specular(values[self.normal_values:], local, choice)
         return light * self.passes(frame, frame.to_world(turned), turned)
 
+    def compression(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor | None:
+        frame = self.frame(values, wi)
+        return self.nested.compression(values[self.normal_values:], frame.to_local(wi), choice)
+
 
 def squared_tangent(w: Vec3) -> Tensor:
     """The squared tangent of the angle between the unit vector `w` and the normal."""

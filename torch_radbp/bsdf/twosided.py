@@ -124,6 +124,12 @@ class TwoSidedKind(Kind):
                     for kind, side_values, part in zip(self.sides, self.parts(values), choice.parts)]
         return where(side > 0, of_sides[0], of_sides[-1])
 
+    def compression(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor | None:
+        side = side_of(wi)
+        of_sides = [kind.compression(side_values, mirrored(wi, side), part)
+                    for kind, side_values, part in zip(self.sides, self.parts(values), choice.parts)]
+        return either(side > 0, of_sides[0], of_sides[-1])
+
 
 def mirrored(w: Vec3, side: Tensor) -> Vec3:
     """`w` if `side` is 1, mirrored at the surface's plane if it is -1."""

@@ -82,7 +82,7 @@ def started(call: RenderCall, sample: CameraSample) -> PathState:
     """The paths that begin with some rays."""
     layout = call.scene.layout
     medium = (-1 if layout.around is None else layout.around) if layout.follows else None
-    return start_path(sample.ray, sample.key, call.scene.lights.by_place, call.following, sample.cone, medium)
+    return start_path(sample.ray, sample.key, call.scene.lights.by_place, call.following, sample.cone, medium, sample.power)
 
 
 def start_paths(call: RenderCall, wavefront: Wavefront, which: int) -> PathState:

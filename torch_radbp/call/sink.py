@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from torch import Tensor
 
 from torch_radbp.path.camera_rays import CameraSample
+from torch_radbp.path.integrand import Integrand
 from torch_radbp.tensors.vec import Vec2, Vec3
 
 if TYPE_CHECKING:
@@ -32,6 +33,16 @@ class SinkValues(NamedTuple):
 
 class Sink(ABC):
     """Where radiance goes; linear in it."""
+
+    at_vertices: ClassVar[bool] = False  # paths, from lamps, bring something at each vertex: see `deposits`
+
+    def deposits(self, call: RenderCall) -> Any:
+        """What takes in what the vertices of a wavefront bring: with `add` and `total`."""
+        raise TypeError(f"to a {type(self).__name__} paths bring their radiance")
+
+    def asked(self, integrand: Integrand, adj_sums: Any) -> Integrand:
+        """The integrand as the backward pass differentiates it, which may depend on what `adjoint` reads."""
+        return integrand
 
     @abstractmethod
     def deposit(self, call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor],

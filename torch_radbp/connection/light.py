@@ -14,7 +14,7 @@ from torch_radbp.scene.tables.light_choice import LightNumbers, LightPick
 from torch_radbp.scene.tables.light_kinds import Case, among, light_cases, merged_by_case, rows_of_case, texture_of_light
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, where
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, where
 
 SHADOW_SHORTENING = 1.0 - 1e-3  # a shadow ray ends just before its light
 FAR = 1e10  # the distance of the surround
@@ -30,6 +30,7 @@ class LightSample(NamedTuple):
     findable: Tensor | float  # 1: BSDF sampling can find it too; 0: it cannot (a delta light)
     target: Vec3  # the point, world space
     distant: Tensor | None  # bool: it is a direction rather than a point; None: it never is
+    film: Vec2 | None = None  # where on the window, pixels, if the light is the camera: see `connection/camera.py`
 
 
 class Aims(NamedTuple):
@@ -94,7 +95,8 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, n
     # Look up what is sent from there.
     delta, distant = (among(cases, [getattr(case.kind, name) for case in cases], element) for name in ("delta", "distant"))
     findable = 1.0 if delta is None else (~delta).to(pdf.dtype)
-    return LightSample(d, sent(scene, samples, texture_values), pdf, weighing, findable, target, distant)
+    film = samples("uv") if scene.layout.from_lamps else None
+    return LightSample(d, sent(scene, samples, texture_values), pdf, weighing, findable, target, distant, film)
 
 
 def sent(scene: SceneTensors, samples: Aims, texture_values: tuple[TextureValue, ...]) -> Vec3:

@@ -11,13 +11,21 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.surface import SurfaceLight
-from torch_radbp.interface.emitter import NEAREST, Aim, EmittingTriangles, Pick, ShadowSource, SurfaceKind
+from torch_radbp.interface.emitter import (
+    NEAREST,
+    Aim,
+    EmittingTriangles,
+    Pick,
+    ShadowSource,
+    SurfaceKind,
+    Surrounding,
+)
 from torch_radbp.interface.emitter_bounds import LightBounds
 from torch_radbp.plugin import register
 from torch_radbp.sampling.sampler import unit
-from torch_radbp.sampling.warp import square_to_uniform_triangle
+from torch_radbp.sampling.warp import square_to_cosine_hemisphere, square_to_uniform_triangle
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import Vec3, angle_between, dot, interpolated
+from torch_radbp.tensors.vec import Frame, Vec2, Vec3, angle_between, dot, interpolated
 
 SMALLEST_COSINE = 1e-9  # at the surface; keeps densities finite
 
@@ -63,6 +71,19 @@ class AreaKind(SurfaceKind):
         uv = None if table.uv is None else interpolated(lookup(table.uv, row), b.x, b.y)
         pdf = pick.pmf * lookup(table.inverse_area, row) * squared / cosine.abs().clamp_min(SMALLEST_COSINE)
         return Aim(d, pdf * facing.to(pdf.dtype), target, uv=uv, attributes=table.attributes_at(row, b.x, b.y), n=n)
+
+    def emit(self, table: EmittingTriangles, proposal: EmittingTriangles, pick: Pick, across: Vec2,
+             world: Surrounding) -> Aim:
+        """Points are uniform over the area, directions around the normal as the cosine."""
+        row, b = pick.row, square_to_uniform_triangle(*(unit(bits, across.x.dtype) for bits in (pick.u, pick.v)))
+        n, sends = lookup(table.n, row), None
+        d = Frame.of(n).to_world(square_to_cosine_hemisphere(across.x, across.y))
+        if table.shading is not None:
+            sends = (dot(interpolated(lookup(table.shading, row), b.x, b.y), d) > 0).to(n.x.dtype)
+            sends = sends if table.smooth is None else torch.where(lookup(table.smooth, row), sends, 1.0)
+        uv = None if table.uv is None else interpolated(lookup(table.uv, row), b.x, b.y)
+        return Aim(d, pick.pmf * lookup(table.inverse_area, row) * (1.0 / math.pi), interpolated(lookup(table.p, row), b.x, b.y),
+                   sends, uv, table.attributes_at(row, b.x, b.y), n=n)
 
     def sends(self, front: Tensor) -> Tensor:
         return front

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.attributes import linear_inverse
-from torch_radbp.interface.emitter import NEAREST, Aim, LightKind, Pick, ShadowSource, Table
+from torch_radbp.interface.emitter import NEAREST, Aim, LightKind, Pick, ShadowSource, Surrounding, Table
+from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF, square_to_uniform_sphere
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Frame, Vec2, Vec3, cross, dot
 
@@ -30,6 +31,20 @@ class PositionalKind(LightKind):
         d, strength = reach * torch.rsqrt(squared), 1.0 / squared
         profile, uv = self.profile(light, -d)
         return Aim(d, pick.pmf, light.place, strength if profile is None else strength * profile, uv)
+
+    def emit(self, table: Table, proposal: Table, pick: Pick, across: Vec2, world: Surrounding) -> Aim:
+        light = lookup(table, pick.row)
+        d, density = self.beam(light, across)
+        strength, uv = self.profile(light, d)
+        return Aim(d, pick.pmf * density, light.place, strength, uv)
+
+    def beam(self, light: Table, across: Vec2) -> tuple[Vec3, Tensor]:
+        """Samples unit directions in which light leaves, with their density over solid angle; attached to the light.
+
+        Args:
+            across: (N,) uniform numbers in [0, 1).
+        """
+        return square_to_uniform_sphere(across.x, across.y), torch.full_like(across.x, UNIFORM_SPHERE_PDF)
 
     def profile(self, light: Table, d: Vec3) -> tuple[Tensor | None, Vec2 | None]:
         """The relative intensity in the unit directions `d` in which light leaves, attached.
@@ -66,10 +81,22 @@ class Screen(NamedTuple):
     @staticmethod
     def towards(to_local: Frame, to_uv: Vec2, uv: Vec2) -> Vec3:
         """The world directions, of any length, of positions in the light's image."""
-        s, t, n = to_local
         x, y = (uv.x - 0.5) / to_uv.x, (uv.y - 0.5) / to_uv.y
-        upright = cross(s, t)
-        return (cross(t, n) * x + cross(n, s) * y + upright) / dot(upright, n)
+        return direction_from_local(to_local, Vec3(x, y, torch.ones_like(x)))
+
+
+def direction_from_local(to_local: Frame, local: Vec3) -> Vec3:
+    """World directions, of any length, of a light's local ones."""
+    s, t, n = to_local
+    upright = cross(s, t)
+    return (cross(t, n) * local.x + cross(n, s) * local.y + upright * local.z) / dot(upright, n)
+
+
+def local_solid_angle(to_local: Frame, d: Vec3) -> Tensor:
+    """How much solid angle of a light's local directions there is for each in the world, at unit world directions."""
+    local = to_local.to_local(d)
+    length = torch.sqrt(dot(local, local).clamp_min(NEAREST**2))
+    return dot(cross(to_local.s, to_local.t), to_local.n).abs() / (length * length * length)
 
 
 def direction_to_local(to_local: Frame, d: Vec3) -> Vec3:

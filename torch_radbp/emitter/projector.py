@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.attributes import FACTOR, Scaled, factor, weight
-from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes
+from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes, direction_to_local, local_solid_angle
 from torch_radbp.interface.emitter import Light, ShadowSource
 from torch_radbp.interface.emitter_bounds import LightBounds
 from torch_radbp.plugin import Matrix4, Texture, register
@@ -38,6 +38,13 @@ class ProjectorKind(PositionalKind):
         place, axis = (v.map(lambda c: c.to(luminance)) for v in (table.place, normalize(table.to_local.n)))
         corner = torch.atan(0.5 * torch.hypot(1.0 / table.to_uv.x, 1.0 / table.to_uv.y)).to(luminance)
         return LightBounds(place, torch.zeros_like(luminance), luminance, axis, corner, torch.zeros_like(luminance))
+
+    def beam(self, light: ProjectorTable, across: Vec2) -> tuple[Vec3, Tensor]:
+        """Positions are uniform over the image."""
+        d = normalize(self.leaving(light, across))
+        local = direction_to_local(light.to_local, d)
+        area = (light.to_uv.x * light.to_uv.y).abs()  # of the image, for that of the plane at distance 1
+        return d, area / (local.z * local.z * local.z) * local_solid_angle(light.to_local, d)
 
     def profile(self, light: ProjectorTable, d: Vec3) -> tuple[Tensor, Vec2]:
         _, ahead, uv, inside = Screen.of(light.to_local, light.to_uv, d)

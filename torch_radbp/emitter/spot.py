@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -10,7 +11,15 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.attributes import Scaled, colour, weight
-from torch_radbp.emitter.positional import PositionalKind, Screen, at, axes, direction_to_local
+from torch_radbp.emitter.positional import (
+    PositionalKind,
+    Screen,
+    at,
+    axes,
+    direction_from_local,
+    direction_to_local,
+    local_solid_angle,
+)
 from torch_radbp.interface.emitter import NEAREST, Light, ShadowSource
 from torch_radbp.interface.emitter_bounds import LightBounds
 from torch_radbp.plugin import Matrix4, Texture, register, warn_of_radians
@@ -47,6 +56,14 @@ class SpotKind(PositionalKind):
         place, axis = (v.map(lambda c: c.to(luminance)) for v in (table.place, normalize(table.to_local.n)))
         cutoff, width = table.cutoff.to(luminance), 1.0 / table.sharpness.to(luminance)
         return LightBounds(place, torch.zeros_like(luminance), luminance, axis, cutoff - width, width)
+
+    def beam(self, light: SpotTable, across: Vec2) -> tuple[Vec3, Tensor]:
+        """Directions are uniform in the cone."""
+        size = 1.0 - torch.cos(light.cutoff)
+        z = 1.0 - size * across.x
+        r, phi = torch.sqrt((1.0 - z * z).clamp_min(0.0)), 2.0 * math.pi * across.y
+        d = normalize(direction_from_local(light.to_local, Vec3(r * torch.cos(phi), r * torch.sin(phi), z)))
+        return d, local_solid_angle(light.to_local, d) / (2.0 * math.pi * size)
 
     def profile(self, light: SpotTable, d: Vec3) -> tuple[Tensor, Vec2 | None]:
         if light.to_uv is None:

@@ -37,6 +37,10 @@ class FilmTensors(NamedTuple):
         """
         return Vec2((column + self.origin.x + place.x) / self.size_x, (row + self.origin.y + place.y) / self.size_y)
 
+    def place(self, position: Vec2) -> Vec2:
+        """Fractions of the whole image as pixels from the upper left corner of the window, (N,)."""
+        return Vec2(position.x * self.size_x - self.crop_x, position.y * self.size_y - self.crop_y)
+
     def around(self, place: Vec2) -> list[tuple[Tensor, Tensor]]:
         """The pixels to which points on the film contribute, with weights: the filter over its integral where samples lie.
 

@@ -143,6 +143,13 @@ class Kind(ABC):
         """The weight of the chosen delta lobe, not divided by the choice's probability; attached. Elsewhere any number."""
         raise TypeError(f"{type(self).__name__} has no delta lobe: use eval")
 
+    def compression(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor | None:
+        """(n_o / n_i)^2 with the indices of refraction on the sides of wo and wi, of the chosen delta lobe; attached.
+
+        By it `specular`, for radiance, has been divided: power, which paths from lamps carry, is not. None: 1.
+        """
+        return None
+
     def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
         """The albedo of the material, as Mitsuba's AOV `albedo` has it; attached.
 

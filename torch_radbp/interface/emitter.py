@@ -11,6 +11,7 @@ factor; or the kind computes it itself.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,9 +23,10 @@ from torch import Tensor
 from torch_radbp.interface.emitter_bounds import LightBounds
 from torch_radbp.plugin import Emitter
 from torch_radbp.plugin.jump_lines import JumpLines
+from torch_radbp.sampling.warp import square_to_uniform_disk_concentric
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import with_parts
-from torch_radbp.tensors.vec import Vec2, Vec3, interpolated
+from torch_radbp.tensors.vec import Frame, Vec2, Vec3, interpolated
 
 NEAREST = 1e-9  # the least distance that counts; 1 / NEAREST^4 is finite in float32
 
@@ -52,6 +54,14 @@ class Aim(NamedTuple):
     radiance: Vec3 | None = None  # instead of the texture times its factor
     weighing: Tensor | None = None  # replaces `pdf` in the weights of multiple importance sampling
     n: Vec3 | None = None  # unit normal of the surface that the point lies on; None: on none
+
+
+class Surrounding(NamedTuple):
+    """A sphere around a scene; () each, detached."""
+
+    middle: Vec3
+    radius: Tensor
+    clearance: Tensor  # distance off surfaces at which rays start
 
 
 class ShadowSource(NamedTuple):
@@ -108,6 +118,25 @@ class LightKind(ABC):
 
         Values and derivatives must be finite in every lane, also where a light of another kind was picked.
         """
+
+    def emit(self, table: Table, proposal: Table, pick: Pick, across: Vec2, world: Surrounding) -> Aim:
+        """Samples a ray of the light in row `pick.row`; attached to the table. Light from far away comes through a disk.
+
+        Args:
+            across: (N,) uniform numbers in [0, 1), beside those of `pick`.
+            world: what light from far away must reach.
+
+        Returns:
+            `d`: the direction in which it leaves, `target`: the point at which it does, `pdf`: their density over solid angle
+            and area (over the one that there is), times the cosine if it leaves a surface. The rest as of `aim`.
+        """
+        if not self.parallel:
+            raise TypeError(f"{type(self).__name__} does not say which rays leave it")
+        middle = world.middle.map(lambda c: c.expand_as(across.x))
+        aim, disk = self.aim(table, proposal, middle, pick), square_to_uniform_disk_concentric(across.x, across.y)
+        s, t, n = Frame.of(aim.d)
+        start = middle + (s * disk.x + t * disk.y + n) * world.radius
+        return aim._replace(d=-aim.d, target=start, pdf=aim.pdf / (math.pi * world.radius * world.radius))
 
 
 class SurroundKind(LightKind):

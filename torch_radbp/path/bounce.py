@@ -27,7 +27,7 @@ from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.state import Arrival, PathState, Position, Settings
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.stage import stage
-from torch_radbp.tensors.vec import Ray, Vec3, masked, rows
+from torch_radbp.tensors.vec import Ray, Vec2, Vec3, masked, rows
 
 
 class Vertex(NamedTuple):
@@ -41,6 +41,7 @@ class Vertex(NamedTuple):
     shadow_medium: Tensor | None  # int32, in which it begins, -1: none; None: rays are not followed
     next: PathState  # undefined where the path ends
     survives: Tensor  # bool: the path goes on
+    film: Vec2 | None = None  # where the camera sees it, as of `LightSample`; None: paths begin at the camera
 
 
 @stage("scene", "arrival")
@@ -96,7 +97,8 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
         of_shadow, of_ray = (kind.medium(scene, terms, arrival, ray.d) for ray in (shadow, ahead.ray))
         ahead = ahead._replace(medium=of_ray)
     shown = (terms.Le, terms.Ld, F) if settings.shown else (None, None, None)
-    return Vertex(*shown, shadow, distance, of_shadow, ahead, terms.survives)
+    film = terms.light.film if settings.shown and scene.layout.from_lamps else None
+    return Vertex(*shown, shadow, distance, of_shadow, ahead, terms.survives, film)
 
 
 def gathered(Le: Vec3, Ld: Vec3, visible: Tensor) -> Vec3:

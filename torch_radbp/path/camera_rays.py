@@ -19,20 +19,21 @@ from torch_radbp.sampling.sampler import (
 )
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.stage import stage
-from torch_radbp.tensors.vec import Ray, Vec2
+from torch_radbp.tensors.vec import Ray, Vec2, Vec3
 from torch_radbp.vertex.cone import Cone, camera_cone
 
 FILM_U, FILM_V, APERTURE_U, APERTURE_V = range(4)  # the random numbers of a camera ray
 
 
 class CameraSample(NamedTuple):
-    """Camera rays with random number keys, (N,)."""
+    """Rays with which paths begin, and random number keys, (N,)."""
 
     ray: Ray
     key: LaneKey  # of random numbers
     weight: Tensor | None  # camera weight of their radiance; None: 1
     cone: Cone | None  # ray cone; None if no texture is filtered
     place: Vec2 | None  # position in the pixel, in [0, 1); None: they belong to no pixel
+    power: Vec3 | None = None  # linear RGB throughput with which they begin, attached; None: 1
 
 
 @stage("camera")

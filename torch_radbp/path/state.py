@@ -104,16 +104,17 @@ class Arrival(NamedTuple):
 
 
 def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: bool = False,
-               cone: Cone | None = None, medium: int | None = None) -> PathState:
-    """The state before the first bounce: throughput 1, lanes numbered in order.
+               cone: Cone | None = None, medium: int | None = None, power: Vec3 | None = None) -> PathState:
+    """The state before the first bounce, lanes numbered in order.
 
     Args:
         ray, key, cone: of each lane.
         from_places: paths remember where their rays begin.
         following: as in `Settings`.
         medium: the number of that in which they begin, -1: none; None: rays are not followed through media.
+        power: throughput with which they begin; None: 1.
     """
-    beta = Vec3(torch.ones_like(ray.d.x), torch.ones_like(ray.d.x), torch.ones_like(ray.d.x))
+    beta = Vec3(torch.ones_like(ray.d.x), torch.ones_like(ray.d.x), torch.ones_like(ray.d.x)) if power is None else power
     lane = torch.arange(len(ray.d.x), dtype=torch.int32, device=ray.d.x.device)
     return PathState(ray, beta, torch.full_like(ray.d.x, torch.inf), key, lane,
                      Vantage(ray.o.map(settled), ray.d.map(settled)) if from_places else None,

@@ -9,10 +9,10 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Onward, Step
 from torch_radbp.path.taped_bounces import Bounce, bounces_taken
-from torch_radbp.path.wavefront import bounced, radiance_buffer
+from torch_radbp.path.wavefront import OnFilm, bounced, film_buffer, radiance_buffer
 from torch_radbp.path.whole_paths import traced_whole
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.tensors.vec import Vec3
+from torch_radbp.tensors.vec import Vec3, rows
 
 Visit = Callable[[int, PathState, Step], None]
 
@@ -39,6 +39,29 @@ def trace(integrand: Integrand, start: PathState, visit: Visit | None = None, hi
         L = radiance_buffer(integrand, start)
         walk(integrand, onward, visit, L, depth, bounce)
     return L
+
+
+def trace_to_film(integrand: Integrand, start: PathState, deposit: Callable[[OnFilm], None], visit: Visit | None = None,
+                  bounce: Bounce = bounced) -> None:
+    """Traces paths from lamps: each vertex brings something to the film.
+
+    Args:
+        integrand: the scene, with the camera in the place of the lights, and how to step.
+        start: from `start_path`.
+        deposit: called with what the vertices of a bounce bring, (N,).
+        visit, bounce: as for `trace`.
+    """
+    onward, depth = Onward(start, None), 0
+    with bounces_taken(integrand, start.pdf.dtype, bounce) as take:
+        while depth + 1 < integrand.max_depth:  # at the last vertex nothing scatters
+            if not most_of(onward.count):
+                break
+            found = film_buffer(integrand, start)
+            state, step, onward = take(onward, depth, found)
+            deposit(integrand.stages(rows)(found, state.lane))
+            if visit is not None:
+                visit(depth, state, step)
+            depth += 1
 
 
 def walk(integrand: Integrand, onward: Onward, visit: Visit | None, L: Vec3 | None = None, depth: int = 0,

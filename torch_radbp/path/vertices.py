@@ -17,7 +17,7 @@ from torch_radbp.path.step import Step
 from torch_radbp.path.texture_networks import values_of_queues
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.torch_internals import inside_dual_level
-from torch_radbp.tensors.vec import Vec3
+from torch_radbp.tensors.vec import Vec2, Vec3
 from torch_radbp.threads.team import loops_together
 
 # Appearances of a scene up to which the lanes of the derivative alone have functions of their own, without light: steps are
@@ -28,7 +28,8 @@ FEW = 4
 def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step,
                   with_light: bool) -> tuple[Vertex, Vec3 | None]:
     """Computes the vertices of lanes that hit a surface, queue by queue, and the emission seen by the others."""
-    settings = integrand.settings_at(depth)._replace(moving=False, sampling="detached")
+    settings, from_lamps = integrand.settings_at(depth), integrand.proposal.layout.from_lamps
+    settings = settings._replace(moving=False, sampling="detached")
     arrival, at, known = step.arrival(state), integrand.at(depth), dict(zip(step.queues, step.texture_values))
 
     def arguments(queue: Queue, reached, at, settings) -> tuple:
@@ -43,7 +44,7 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
     queues = [queue for queue in step.queues if queue.event.scatters]
     bounces = [integrand.part(queue.event).evaluate for queue in queues]
     if not bounces:
-        return room_for_vertices(state, 0, with_light), light
+        return room_for_vertices(state, 0, with_light, from_lamps), light
     reached, at = bounces[0].taken(arrival=arrival, at=at)
     apart = len(integrand.proposal.layout.appearances) <= FEW
     shows = [(with_light and queue.image) or not apart for queue in queues]
@@ -51,13 +52,14 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
     prepared = [arguments(queue, reached, at, kinds[shown]) for queue, shown in zip(queues, shows)]
     if len(bounces) == 1 or not bounces[0].is_compiled:
         return joined([bounce(*of_queue) for bounce, of_queue in zip(bounces, prepared)]), light
-    vertices = room_for_vertices(state, step.scattered, any(shows))
+    vertices = room_for_vertices(state, step.scattered, any(shows), from_lamps)
     if integrand.attached and inside_dual_level():
-        tangents = room_for_vertices(state, step.scattered, any(shows))
+        tangents = room_for_vertices(state, step.scattered, any(shows), from_lamps)
         vertices = vertices._replace(Le=dual(vertices.Le, tangents.Le), Ld=dual(vertices.Ld, tangents.Ld),
                                      F=dual(vertices.F, tangents.F), next=vertices.next._replace(
-                                         beta=dual(vertices.next.beta, tangents.next.beta)))
-    rooms = {True: vertices, False: vertices._replace(Le=None, Ld=None, F=None)}
+                                         beta=dual(vertices.next.beta, tangents.next.beta)),
+                                     film=None if vertices.film is None else dual(vertices.film, tangents.film))
+    rooms = {True: vertices, False: vertices._replace(Le=None, Ld=None, F=None, film=None)}
     rooms = {shown: bounces[0].room(rooms[shown]) for shown in kinds}
     with loops_together():
         for bounce, queue, of_queue, shown in zip(bounces, queues, prepared, shows):
@@ -80,7 +82,7 @@ def texture_values_of(integrand: Integrand, arrival: Arrival, depth: int, queues
         for queue in queues])
 
 
-def room_for_vertices(state: PathState, lanes: int, with_light: bool) -> Vertex:
+def room_for_vertices(state: PathState, lanes: int, with_light: bool, from_lamps: bool = False) -> Vertex:
     """Empty vertices to write results into."""
     def room(part):
         if part is None or isinstance(part, Tensor):
@@ -92,4 +94,5 @@ def room_for_vertices(state: PathState, lanes: int, with_light: bool) -> Vertex:
 
     Le, Ld, F = (Vec3(number(), number(), number()) if with_light else None for _ in range(3))
     survives = number().new_empty(lanes, dtype=torch.bool)
-    return Vertex(Le, Ld, F, room(state.ray), number(), room(state.medium), room(state), survives)
+    film = Vec2(number(), number()) if with_light and from_lamps else None
+    return Vertex(Le, Ld, F, room(state.ray), number(), room(state.medium), room(state), survives, film)

@@ -30,7 +30,7 @@ from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.record import rows_between
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.torch_internals import inside_dual_level
-from torch_radbp.tensors.vec import Vec3, masked, rows
+from torch_radbp.tensors.vec import Vec2, Vec3, masked, rows
 
 
 def bounced(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) -> tuple[PathState, Step, Onward]:
@@ -101,17 +101,33 @@ def shown(integrand: Integrand, state: PathState, vertex: Vertex, light: Vec3 | 
     """Yields what a bounce brings to the image, as arguments of `brighten`: of the lanes that scatter, of those that end."""
     queues = [queue for queue in step.queues if queue.image and queue.event.scatters]
     if queues:
-        scattered = step.order, vertex.next.lane, vertex.Le, vertex.Ld, step.visible
+        scattered = step.order, vertex.next.lane, vertex.Le, vertex.Ld, step.visible, vertex.film
         yield rows_between(scattered, queues[0].first, queues[-1].last)
     if light is not None:
         order = step.order[step.queues[-1].first:step.queues[-1].last]
         yield order, integrand.stages(rows)(state.lane, order), light, None, None
 
 
-def brighten(integrand: Integrand, L: Vec3, state: PathState, order: Tensor, lane: Tensor, Le: Vec3, Ld: Vec3 | None = None,
-             visible: Tensor | None = None) -> None:
-    """L += beta E at some lanes; args as for `brightened`."""
-    put_rows(L, lane, integrand.stages(brightened)(L, state.beta, order, lane, Le, Ld, visible))
+def brighten(integrand: Integrand, L: Vec3 | OnFilm, state: PathState, order: Tensor, lane: Tensor, Le: Vec3,
+             Ld: Vec3 | None = None, visible: Tensor | None = None, film: Vec2 | None = None) -> None:
+    """L += beta E at some lanes; of paths from lamps beta E, and where the camera sees it. Args as for `brightened`."""
+    if film is not None:
+        put_rows(L, lane, OnFilm(integrand.stages(shining)(state.beta, order, Le, Ld, visible), film))
+    elif isinstance(L, Vec3):
+        put_rows(L, lane, integrand.stages(brightened)(L, state.beta, order, lane, Le, Ld, visible))
+
+
+class OnFilm(NamedTuple):
+    """What vertices of paths from lamps bring to the film, (N,)."""
+
+    value: Vec3  # linear RGB, times the area of the image for each area there
+    place: Vec2  # pixels from the upper left corner of the window
+
+
+@stage("beta")
+def shining(beta: Vec3, order: Tensor, Le: Vec3, Ld: Vec3 | None, visible: Tensor | None) -> Vec3:
+    """What vertices of paths from lamps bring to the film. Args as for `brightened`."""
+    return rows(beta, order) * (Le if Ld is None else gathered(Le, Ld, visible))
 
 
 @stage("L", "beta")
@@ -169,6 +185,12 @@ def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mappi
         vertex, light, step = take_step(integrand, state, depth, steps.get(depth), hit, with_light)
         yield Bounce(depth, state, vertex, light, step)
         state, depth, hit = survivors(integrand, vertex.next, step), depth + 1, None
+
+
+def film_buffer(integrand: Integrand, start: PathState) -> OnFilm:
+    """(N,) zeros for what the vertices of a bounce bring to the film; dual tensors as of `radiance_buffer`."""
+    place = radiance_buffer(integrand, start)
+    return OnFilm(radiance_buffer(integrand, start), Vec2(place.x, place.y))
 
 
 def radiance_buffer(integrand: Integrand, start: PathState) -> Vec3:

@@ -28,9 +28,20 @@ Lens = Any  # a NamedTuple of tensors, attached
 RIGID = 1e-3  # how far products of the rows of a pose may be from those of a rotation, as in Mitsuba
 
 
+class Sight(NamedTuple):
+    """World points as a camera sees them, (N,); attached to both."""
+
+    position: Vec2  # on the image, fractions of its size
+    density: Tensor  # area of the image for each area of a surface there that is perpendicular to the way to the camera
+    target: Vec3  # where that way ends: on the near plane
+    ahead: Tensor  # bool: the point lies between the near plane and the far one
+
+
 @dataclass(frozen=True)
 class CameraKind(ABC):
     """The functions of one kind of camera: rays, and what is in view."""
+
+    sees_points: ClassVar[bool] = False  # it has `sight`, so that paths from lamps can end at it
 
     has_aperture: ClassVar[bool] = False  # rays of one position on the image differ (depth of field)
     has_area: ClassVar[bool] = True  # a pixel covers an area of the image; False: each has one ray only
@@ -101,6 +112,16 @@ class ProjectiveKind(CameraKind):
         Args:
             aperture: as of `sample_ray`.
         """
+
+    def sight(self, lens: Lens, p: Vec3, aperture: Vec2 | None) -> Sight:
+        """World points as the camera sees them, of cameras that `sees_points`; attached to both.
+
+        Args:
+            lens: with an entry for each point, (N,).
+            p: (N,).
+            aperture: as of `sample_ray`.
+        """
+        raise TypeError(f"{type(self).__name__} cannot tell how large points are that it sees")
 
     def aperture_radius(self, lens: Lens) -> Tensor | None:
         """() the radius of the aperture, detached; None: a pinhole."""

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_radbp.plugin import Film, Matrix4, Medium, Sampler, register
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
-from torch_radbp.sensor.kind import ProjectiveCamera, ProjectiveKind
-from torch_radbp.tensors.vec import Frame, Ray, Vec2, Vec3, dot, normalize
+from torch_radbp.sensor.kind import ProjectiveCamera, ProjectiveKind, Sight
+from torch_radbp.tensors.vec import Frame, Ray, Vec2, Vec3, cross, dot, normalize
 
 
 class OrthographicLens(NamedTuple):
@@ -29,6 +29,8 @@ class OrthographicLens(NamedTuple):
 @dataclass(frozen=True)
 class OrthographicKind(ProjectiveKind):
     """Orthographic cameras: parallel rays that start on a rectangle."""
+
+    sees_points: ClassVar[bool] = True
 
     def sample_ray(self, lens: OrthographicLens, position: Vec2, aperture: None) -> tuple[Ray, None]:
         x, y = 1.0 - 2.0 * position.x, (1.0 - 2.0 * position.y) / lens.aspect
@@ -49,6 +51,12 @@ class OrthographicKind(ProjectiveKind):
 
     def towards(self, lens: OrthographicLens, p: Vec3, aperture: None) -> Vec3:
         return Vec3(*(component.expand_as(p.x) for component in -normalize(lens.z)))
+
+    def sight(self, lens: OrthographicLens, p: Vec3, aperture: None) -> Sight:
+        d, across = normalize(lens.z), cross(lens.x, lens.y)
+        z = dot(p - near_corner(lens), d)
+        return Sight(self.project(lens, p, aperture), 0.25 * lens.aspect / dot(across, d).abs(), p - d * z,
+                     (z > 0) & (z <= lens.depth))
 
     def eye(self, lens: OrthographicLens) -> Tensor:
         towards = -torch.stack(tuple(normalize(lens.z)))

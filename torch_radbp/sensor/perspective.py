@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,8 +12,8 @@ from torch import Tensor
 from torch_radbp.plugin import Film, Matrix4, Medium, Sampler, nearest, positive, register, warn_of_radians
 from torch_radbp.plugin.domain import NUMBER, Domain
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
-from torch_radbp.sensor.kind import ProjectiveCamera, ProjectiveKind, number
-from torch_radbp.tensors.vec import Frame, Ray, Vec2, Vec3, dot, normalize
+from torch_radbp.sensor.kind import ProjectiveCamera, ProjectiveKind, Sight, number
+from torch_radbp.tensors.vec import TINY, Frame, Ray, Vec2, Vec3, dot, normalize
 
 FIELD_OF_VIEW = NUMBER._replace(low=0.0, high=180.0, low_is_in=False, high_is_in=False, unit=" degrees")
 FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
@@ -46,6 +46,8 @@ class PinholeLens(NamedTuple):
 class PinholeKind(ProjectiveKind):
     """Pinhole cameras: all rays meet in a point."""
 
+    sees_points: ClassVar[bool] = True
+
     def sample_ray(self, lens: PinholeLens, position: Vec2, aperture: None) -> tuple[Ray, None]:
         slopes = lens.slopes(position)
         d = lens.axes.to_world(Vec3(slopes.x, slopes.y, torch.ones_like(slopes.x)))
@@ -67,6 +69,10 @@ class PinholeKind(ProjectiveKind):
     def towards(self, lens: PinholeLens, p: Vec3, aperture: None) -> Vec3:
         return lens.origin - p
 
+    def sight(self, lens: PinholeLens, p: Vec3, aperture: None) -> Sight:
+        position = self.project(lens, p, aperture)
+        return seen_from(lens, lens.origin, p, position)
+
     def eye(self, lens: PinholeLens) -> Tensor:
         origin = torch.stack(tuple(lens.origin)).double()
         return torch.cat([origin, origin.new_ones(1)])
@@ -78,6 +84,23 @@ class PinholeKind(ProjectiveKind):
         inwards = ahead * left - across, across - ahead * right, ahead * top - up, up - ahead * bottom
         return Frustum.of([*(Plane.through(lens.origin, n) for n in inwards),
                            Plane.through(lens.origin, ahead, -lens.near), Plane.through(lens.origin, -ahead, lens.far)])
+
+
+def seen_from(lens: PinholeLens, eye: Vec3, p: Vec3, position: Vec2) -> Sight:
+    """The `Sight` of points from a place in the plane of the lens; its area is that of slopes x / z and y / z.
+
+    Args:
+        lens: with an entry for each point, (N,).
+        eye: (N,) the place.
+        p: (N,) the points.
+        position: (N,) on the image.
+    """
+    way = p - eye
+    z, distance = dot(way, lens.axes.n), torch.sqrt(dot(way, way).clamp_min(TINY))
+    ahead = (z > lens.near) & (z <= lens.far)
+    z = torch.where(ahead, z, lens.near)
+    area = 0.25 * lens.aspect / (lens.tan_x * lens.tan_x)
+    return Sight(position, area * distance / (z * z * z), eye + way * (lens.near / z), ahead)
 
 
 class FieldOfViewCamera(ProjectiveCamera):

@@ -12,8 +12,8 @@ from torch_radbp.plugin import Film, Matrix4, Medium, Sampler, positive, registe
 from torch_radbp.plugin.domain import NUMBER, Domain
 from torch_radbp.sampling.warp import square_to_uniform_disk_concentric
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
-from torch_radbp.sensor.kind import ProjectiveKind, number
-from torch_radbp.sensor.perspective import FieldOfViewCamera, PinholeKind, PinholeLens
+from torch_radbp.sensor.kind import ProjectiveKind, Sight, number
+from torch_radbp.sensor.perspective import FieldOfViewCamera, PinholeKind, PinholeLens, seen_from
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3, dot, normalize
 
 LENGTH = NUMBER._replace(low=0.0, low_is_in=False)
@@ -36,6 +36,7 @@ class ThinLensKind(ProjectiveKind):
     """Thin-lens cameras: rays of one position on the image start all over the lens and meet in the plane of focus."""
 
     has_aperture: ClassVar[bool] = True
+    sees_points: ClassVar[bool] = True
 
     def sample_ray(self, lens: ThinLensLens, position: Vec2, aperture: Vec2) -> tuple[Ray, None]:
         pinhole, slopes = lens.pinhole, lens.pinhole.slopes(position)
@@ -60,6 +61,9 @@ class ThinLensKind(ProjectiveKind):
     def towards(self, lens: ThinLensLens, p: Vec3, aperture: Vec2) -> Vec3:
         start = lens.start(aperture)
         return lens.pinhole.axes.to_world(Vec3(start.x, start.y, torch.zeros_like(start.x))) + lens.pinhole.origin - p
+
+    def sight(self, lens: ThinLensLens, p: Vec3, aperture: Vec2) -> Sight:
+        return seen_from(lens.pinhole, p + self.towards(lens, p, aperture), p, self.project(lens, p, aperture))
 
     def eye(self, lens: ThinLensLens) -> Tensor:
         """The middle of the lens: silhouettes are looked for from there."""

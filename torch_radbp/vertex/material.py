@@ -13,9 +13,10 @@ from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.differentiated import settled
 from torch_radbp.tensors.lookup import lookup, untapped
-from torch_radbp.tensors.vec import Vec3, where
+from torch_radbp.tensors.vec import Vec3, dot, where
 from torch_radbp.vertex.interaction import SurfaceInteraction
 
+LEAST_COSINE = 1e-6
 LEAST_DENSITY = 1e-15  # of a direction that can be drawn; the square of its reciprocal is finite in float32
 
 
@@ -24,9 +25,16 @@ class Material(NamedTuple):
 
     kind: Kind
     values: Values  # (N,) each
+    # Where paths begin at lamps the unit geometric normal, local: `evaluate` and `sample` are of the adjoint BSDF then, with
+    # `wi` towards the lamp. None: paths begin at cameras.
+    normal: Vec3 | None = None
 
     def detach(self) -> Material:
         return self._replace(values=tuple(value.detach() for value in self.values))
+
+    def turned(self, wi: Vec3, wo: Vec3) -> Tensor:
+        """|cos wo| / |cos wi| with the geometric normal: power that arrives counts by area, and leaves by solid angle."""
+        return dot(self.normal, wo).abs() / dot(self.normal, wi).abs().clamp_min(LEAST_COSINE)
 
 
 class BSDFSample(NamedTuple):
@@ -54,7 +62,7 @@ def material_at(scene: SceneTensors, si: SurfaceInteraction, texture_values: tup
         else:
             bank = scene.textures[readers.index(reader)]
             values.append(reader.read(untapped(bank) if is_still else bank, lookup(slot, si.material), si.point))
-    return Material(appearance.kind, tuple(values))
+    return Material(appearance.kind, tuple(values), si.frame.to_local(si.n) if scene.layout.from_lamps else None)
 
 
 def material_places(scene: SceneTensors, si: SurfaceInteraction) -> tuple[Place, ...]:
@@ -66,9 +74,15 @@ def material_places(scene: SceneTensors, si: SurfaceInteraction) -> tuple[Place,
 def evaluate(material: Material, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
     """bsdf * |cos| and the solid-angle density with which `sample` draws `wo`, in the local frame; attached.
 
-    Both are zero for ideal specular materials.
+    Both are zero for ideal specular materials. Of the adjoint BSDF, as light comes from `wi`: that of light from `wo` with
+    the directions exchanged, which has the cosine of `wi`, and squares of indices of refraction as radiance from there.
+
+    Reference: Veach 1997, "Robust Monte Carlo Methods for Light Transport Simulation", sections 5.2 and 5.3.
     """
-    return material.kind.eval_pdf(material.values, wi, wo)
+    if material.normal is None:
+        return material.kind.eval_pdf(material.values, wi, wo)
+    value = material.kind.eval(material.values, wo, wi) * material.turned(wi, wo)
+    return value, material.kind.pdf(material.values, wi, wo)
 
 
 def followed(kind: Kind, sampling: str) -> bool:
@@ -94,7 +108,7 @@ def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Te
         sampling: which directions carry derivatives: "attached" all, "hybrid" those of delta lobes and of kinds that it
             follows, "detached" none.
     """
-    kind, values = material
+    kind, values = material.kind, material.values
     sampling = sampling_at(kind, sampling)
     lobe = kind.choose(values_for_choice(values), wi.map(settled), choice, u, v)
     if followed(kind, sampling):
@@ -105,7 +119,7 @@ def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Te
         wo = kind.sample(material.detach().values, wi, lobe, u, v).detach()
     if not kind.smooth:
         return specular(material, wi, wo, lobe)
-    value, pdf = kind.eval_pdf(values, wi, wo)
+    value, pdf = evaluate(material, wi, wo)
     density = pdf.detach()
     if sampling == "attached":
         density = kind.eval_pdf(values, wi, wo, fixed_lobes=True)[1] if kind.discrete else pdf
@@ -131,4 +145,8 @@ def relative_chance(material: Material, wi: Vec3, wo: Vec3, lobe: LobeChoice) ->
 def specular(material: Material, wi: Vec3, wo: Vec3, lobe: LobeChoice) -> BSDFSample:
     """The `BSDFSample` for the direction `wo` of a delta lobe."""
     weight = material.kind.specular(material.values, wi, lobe) * (1.0 / lobe.probability.clamp_min(LEAST_DENSITY))
+    if material.normal is not None:
+        weight = weight * (material.turned(wi, wo) * (wi.z.abs() / wo.z.abs().clamp_min(LEAST_COSINE)))
+        compression = material.kind.compression(material.values, wi, lobe)
+        weight = weight if compression is None else weight * compression
     return BSDFSample(wo, weight, torch.full_like(wo.z, torch.inf))

@@ -157,7 +157,7 @@ def inverted_sampling(material: Material, wi: Vec3, wo: Vec3, choice: Tensor) ->
 
 def drawn_direction(material: Material, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> tuple[Vec3, Tensor]:
     """(N,) local directions sampled from random numbers, attached to `u` and `v`; and whether by a delta lobe."""
-    kind, values = material
+    kind, values = material.kind, material.values
     lobe = kind.choose(values, wi, choice, u.detach(), v.detach())
     return kind.sample(values, wi, lobe, u, v), lobe.is_delta(kind)
 

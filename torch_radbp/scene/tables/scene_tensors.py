@@ -39,6 +39,7 @@ class Layout:
     lights: tuple[LightKind, ...]  # kinds of light
     media: tuple[MediumKind, ...] = ()  # that light travels through, by their numbers
     around: int | None = None  # the number of the medium in which the sensors stand; None: empty space
+    from_lamps: bool = False  # paths begin at lamps, and end at the camera, which stands in the place of the lights
     follows: bool = False  # rays are followed through media, since surfaces are boundaries of some, or some vary in space
     lit: tuple[OutsideReader, ...] = ()  # of those textures of emitters that are read outside
     scatterer: Appearance | None = None  # of a part of a scene, what light is scattered by; None: nothing

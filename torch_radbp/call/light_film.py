@@ -1,0 +1,105 @@
+"""The film of a camera for paths that begin at lamps: each vertex is seen somewhere, and counts in the pixels around.
+
+Each pixel is the sum of what is deposited, by the reconstruction filter over its integral, over the number of paths.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torch_radbp.call.render_call import RenderCall, of_wavefronts
+from torch_radbp.call.sink import Sink, SinkValues, Work
+from torch_radbp.call.wavefronts import Wavefront
+from torch_radbp.connection.camera import asked_by
+from torch_radbp.film.position import FilmTensors
+from torch_radbp.jit.scatter import PAGE_BITS, Addition, Sums, copies, scatter_add
+from torch_radbp.path.camera_rays import CameraSample
+from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.wavefront import OnFilm
+from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.stage import Stages, stage
+from torch_radbp.tensors.torch_internals import inside_dual_level
+from torch_radbp.tensors.vec import Vec2, Vec3
+
+
+@dataclass(frozen=True)
+class LightFilm(Sink):
+    """The window of one camera's film.
+
+    Args:
+        film: of the camera, without derivatives.
+        shape: height and width of the window.
+        paths: how many there are.
+    """
+
+    film: FilmTensors
+    shape: tuple[int, int]
+    paths: int
+    at_vertices: ClassVar[bool] = True
+
+    def deposits(self, call: RenderCall) -> Deposits:
+        return Deposits(self.film, self.shape, call.stages)
+
+    def deposit(self, call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor],
+                samples: CameraSample) -> list[Tensor]:
+        raise TypeError("paths bring something to this film at each vertex")
+
+    def gather(self, call: RenderCall, work: Work) -> SinkValues:
+        done = of_wavefronts(call, call.wavefronts, work)
+        total = sum(sums for (sums,), _ in done) / self.paths
+        return SinkValues(total.to(self.film.size_x.dtype).view(1, 3, *self.shape), None, [result for _, result in done])
+
+    def adj_sums(self, call: RenderCall, gradient: Tensor, filters: Tensor | None) -> Vec3:
+        return Vec3(*(gradient[0].flatten(1) / self.paths))
+
+    def asked(self, integrand: Integrand, adj_sums: Vec3) -> Integrand:
+        scene = asked_by(integrand.scene, adj_sums)
+        return integrand._replace(scene=scene, proposal=scene, parts={})
+
+    def adjoint(self, call: RenderCall, wavefront: Wavefront, place: Vec2 | None, adj_sums: Vec3) -> Vec3:
+        one = torch.ones(wavefront.lanes, dtype=adj_sums.x.dtype, device=adj_sums.x.device)
+        return Vec3(one, one, one)
+
+
+class Deposits:
+    """What some paths have brought to a film.
+
+    Args:
+        film, shape: as of `LightFilm`.
+        stages: what runs functions of lanes.
+    """
+
+    def __init__(self, film: FilmTensors, shape: tuple[int, int], stages: Stages):
+        self.film, self.stages = film, stages
+        pixels, device = shape[0] * shape[1], film.size_x.device
+        self.attached: Tensor | None = None  # (3, pixels), where autograd records, or in forward mode
+        number = copies(pixels, device)
+        totals = torch.zeros(3, pixels, number, dtype=torch.float64, device=device)
+        self.totals = totals
+        self.sums = Sums(list(totals), torch.zeros(-(-pixels >> PAGE_BITS), dtype=torch.bool, device=device))
+
+    def add(self, brought: OnFilm) -> None:
+        """Adds what vertices bring, (N,)."""
+        if any_differentiated(brought) or inside_dual_level():
+            self.attached = torch.zeros_like(self.totals[..., 0]) if self.attached is None else self.attached
+            value = brought.value.stack().double()
+            for pixel, count in self.film.around(brought.place):
+                self.attached = self.attached.index_add(1, pixel, value * count)
+            return
+        scatter_add([Addition(pixel, parts, self.sums) for pixel, *parts in self.stages(splats)(self.film, *brought)])
+
+    def total(self) -> Tensor:
+        """(3, pixels) float64, attached."""
+        total = self.totals.sum(2)
+        return total if self.attached is None else total + self.attached
+
+
+@stage("film")
+def splats(film: FilmTensors, value: Vec3, place: Vec2) -> tuple[tuple[Tensor, Tensor, Tensor, Tensor], ...]:
+    """For each pixel around places its number, (N,) int32, and what values count there."""
+    return tuple((pixel, *(value * count)) for pixel, count in film.around(place))

@@ -1,0 +1,85 @@
+"""The camera in the place of the lights: what paths from lamps connect to.
+
+Along a path from a lamp, W_k being what the power that arrives at vertex k brings to the loss,
+
+    W_k = C_k + F_k W_{k+1}
+
+where C_k connects the vertex to the camera. This is the recursion of radiance with camera and lamp exchanged. So the camera
+is a kind of light without extent: what it "sends" to a point is the derivative of the loss at the pixels in which the point
+counts, times the area of the image for each area there. Forwards, where no loss is known, that derivative is left out, and
+what paths bring is deposited on the film (`call/light_film.py`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.film.position import FilmTensors
+from torch_radbp.interface.emitter import Aim, LightKind, Pick
+from torch_radbp.sampling.alias import alias_table
+from torch_radbp.sampling.sampler import unit
+from torch_radbp.scene.tables.scene_tensors import LightTable, SceneTensors
+from torch_radbp.sensor.kind import Camera, Lens, ProjectiveKind
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.record import mapped
+from torch_radbp.tensors.vec import Vec2, Vec3, dot, normalize
+
+
+class CameraTable(NamedTuple):
+    """The camera as a table of one row."""
+
+    lens: Lens  # (1,) each, attached
+    film: FilmTensors
+    pixels: Vec3  # (H W,) the derivative of the loss by each pixel of the window, detached; forwards (1,), not read
+
+
+@dataclass(frozen=True)
+class CameraAsLight(LightKind):
+    """The camera as a light at its eye.
+
+    Args:
+        camera: the functions of the camera.
+        asked: the derivative of the loss by the pixels is known.
+    """
+
+    camera: ProjectiveKind
+    asked: bool = False
+    delta: ClassVar[bool] = True
+
+    def aim(self, table: CameraTable, proposal: CameraTable, p: Vec3, pick: Pick) -> Aim:
+        lens, film = lookup(table.lens, pick.row), table.film
+        aperture = Vec2(unit(pick.u, p.x.dtype), unit(pick.v, p.x.dtype)) if self.camera.has_aperture else None
+        sight = self.camera.sight(lens, p, aperture)
+        place = film.place(sight.position)
+        pixels = film.around(place)
+        counts = sight.ahead & (sum(count.abs() for _, count in pixels) > 0)
+        # The image is the integral over positions on the film, each pixel having an area of 1.
+        density = sight.density * (film.size_x * film.size_y)
+        sent = Vec3(density, density, density)
+        if self.asked:
+            sent = sum((lookup(table.pixels, pixel) * count for pixel, count in pixels), Vec3.full(density, 0.0)) * density
+        return Aim(normalize(sight.target - p), pick.pmf * counts.to(density.dtype), sight.target, uv=place, radiance=sent)
+
+
+def from_lamps(scene: SceneTensors, camera: Camera) -> SceneTensors:
+    """The scene for paths that begin at lamps: the camera stands in the place of the lights; attached to both."""
+    film = mapped(camera.film, lambda part: part.to(camera.dtype) if isinstance(part, Tensor) and part.ndim else part)
+    first = camera.film.size_x.new_zeros(1)
+    table = CameraTable(mapped(camera.lens, lambda part: part[None] if isinstance(part, Tensor) else part), film,
+                        Vec3(first, first, first))
+    none = torch.zeros(1, dtype=torch.int32, device=scene.device)
+    lights = LightTable(alias_table(torch.ones_like(first)), none, none, none, (table,), first[0])
+    layout = replace(scene.layout, lights=(CameraAsLight(camera.kind),), lit=(), radiance_bitmaps=False, from_lamps=True)
+    return scene._replace(lights=lights, lit=(), layout=layout)
+
+
+def asked_by(scene: SceneTensors, pixels: Vec3) -> SceneTensors:
+    """`from_lamps` with the derivative of the loss by the pixels of the window, (H W,)."""
+    table, = scene.lights.tables
+    kind, = scene.layout.lights
+    return scene._replace(lights=scene.lights._replace(tables=(table._replace(pixels=pixels),)),
+                          layout=replace(scene.layout, lights=(replace(kind, asked=True),)))

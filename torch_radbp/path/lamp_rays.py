@@ -1,0 +1,85 @@
+"""The rays of lamps: one for each path that begins at a light, with the power that it carries."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.connection.light import Aims, sent
+from torch_radbp.interface.emitter import Pick, Surrounding
+from torch_radbp.interface.texture import TextureValue
+from torch_radbp.path.camera_rays import CameraSample
+from torch_radbp.sampling.sampler import (
+    CAMERA_COUNTER,
+    BounceKey,
+    SampleKey,
+    bounce_key,
+    fine_unit,
+    lane_key,
+    random_bits,
+    uniform,
+    unit,
+)
+from torch_radbp.scene.tables.light_choice import TreeChoice
+from torch_radbp.scene.tables.light_kinds import light_cases, merged_by_case, rows_of_case
+from torch_radbp.scene.tables.scene_tensors import Layout, LightTable
+from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.stage import stage
+from torch_radbp.tensors.vec import Ray, Vec2, Vec3
+
+ACROSS_U, ACROSS_V, POINT_U, POINT_V, CHOICE, SPLIT = range(6)  # the random numbers of a ray
+
+
+class LampTensors(NamedTuple):
+    """The lights of a scene as paths begin at them; attached."""
+
+    lights: LightTable
+    radiance: Any  # the bank of `Layout.radiance`
+    world: Surrounding
+    layout: Layout
+
+
+@stage("lamps")
+def sample_lamps(lamps: LampTensors, lane: Tensor, key: SampleKey,
+                 texture_values: tuple[TextureValue, ...]) -> CameraSample:
+    """Samples one ray of light per lane, with its power over the density; attached to the lights.
+
+    Args:
+        lamps: the lights.
+        lane: (N,) int32, its number among all paths.
+        key: of the call.
+        texture_values: the values of textures that are read outside.
+    """
+    keys, dtype = lane_key(key, torch.zeros_like(lane), lane), lamps.world.radius.dtype
+    numbers, proposal = bounce_key(keys, CAMERA_COUNTER), detached(lamps)
+    element, pmf = chosen_light(proposal.lights, numbers)
+    pick_u, pick_v = (random_bits(numbers, dimension) for dimension in (POINT_U, POINT_V))
+    across = Vec2(*(uniform(numbers, dimension, dtype) for dimension in (ACROSS_U, ACROSS_V)))
+    cases = light_cases(lamps, element, dict(enumerate(lamps.layout.lights)))
+    rays = [case.kind.emit(lamps.lights.tables[case.number], proposal.lights.tables[case.number],
+                           Pick(rows_of_case(lamps, element, case), pmf, pick_u, pick_v), across, lamps.world)
+            for case in cases]
+    start = merged_by_case(cases, [ray.target for ray in rays])
+    samples = Aims(element, cases, rays, start)
+    d, pdf, n = samples("d"), samples("pdf"), samples("n")
+    valid = pdf > 0
+    power = sent(lamps, samples, texture_values) * (valid.to(dtype) / torch.where(valid, pdf, 1.0))
+    if n is not None:  # off the surface that it leaves
+        start = start + n.map(lambda c: c.detach() * lamps.world.clearance)
+    return CameraSample(Ray(start, d), keys, None, None, None, power)
+
+
+def chosen_light(lights: LightTable, numbers: BounceKey) -> tuple[Tensor, Tensor]:
+    """Elements of the table of lights for paths that begin anywhere, (N,) int32, with their probabilities."""
+    choice, bits, split = lights.choice, random_bits(numbers, CHOICE), random_bits(numbers, SPLIT)
+    if not isinstance(choice, TreeChoice):
+        element = choice.sample(bits, unit(split, choice.pmf.dtype))
+        return element, lookup(choice.pmf, element)
+    emitters = choice.cumulative[-1:].round()  # all alike, and its elements by their shares
+    emitter = torch.minimum(torch.floor(fine_unit(bits) * emitters), emitters - 1)
+    element = torch.searchsorted(choice.cumulative, emitter + fine_unit(split), right=True)
+    element = torch.minimum(element, choice.last).to(torch.int32)
+    return element, lookup(choice.pmf, element) / emitters.to(choice.pmf.dtype)
