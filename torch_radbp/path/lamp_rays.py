@@ -16,6 +16,7 @@ from torch_radbp.sampling.sampler import (
     BounceKey,
     SampleKey,
     bounce_key,
+    depth_counter,
     fine_unit,
     lane_key,
     random_bits,
@@ -30,7 +31,9 @@ from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3
 
-ACROSS_U, ACROSS_V, POINT_U, POINT_V, CHOICE, SPLIT = range(6)  # the random numbers of a ray
+ACROSS_U, ACROSS_V, POINT_U, POINT_V = range(4)  # the random numbers of a ray
+CHOICE, SPLIT = range(2)  # and of its lamp, which are those of another point: four are all that a point has
+LAMP_COUNTER = int(depth_counter(-2, torch.device("cpu")))
 
 
 class LampTensors(NamedTuple):
@@ -55,7 +58,7 @@ def sample_lamps(lamps: LampTensors, lane: Tensor, key: SampleKey,
     """
     keys, dtype = lane_key(key, torch.zeros_like(lane), lane), lamps.world.radius.dtype
     numbers, proposal = bounce_key(keys, CAMERA_COUNTER), detached(lamps)
-    element, pmf = chosen_light(proposal.lights, numbers)
+    element, pmf = chosen_light(proposal.lights, bounce_key(keys, LAMP_COUNTER))
     pick_u, pick_v = (random_bits(numbers, dimension) for dimension in (POINT_U, POINT_V))
     across = Vec2(*(uniform(numbers, dimension, dtype) for dimension in (ACROSS_U, ACROSS_V)))
     cases = light_cases(lamps, element, dict(enumerate(lamps.layout.lights)))
