@@ -87,7 +87,7 @@ class Deposits:
         """Adds what vertices bring, (N,)."""
         if any_differentiated(brought) or inside_dual_level():
             self.attached = torch.zeros_like(self.totals[..., 0]) if self.attached is None else self.attached
-            value = brought.value.stack().double()
+            value = torch.stack(tuple(brought.value)).double()
             for pixel, count in self.film.around(brought.place):
                 self.attached = self.attached.index_add(1, pixel, value * count)
             return
