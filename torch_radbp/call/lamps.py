@@ -11,6 +11,7 @@ from torch_radbp.call.source import PathSource
 from torch_radbp.interface.emitter import Surrounding
 from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.path.lamp_rays import LampTensors, sample_lamps
+from torch_radbp.sampling.alias import alias_table
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene.tables.placement import power_of_two_above
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
@@ -48,8 +49,8 @@ class Lamps(PathSource):
         return self.samples(LaneRange(0, 1), 0, EAGER, False).ray
 
 
-def lamps_of(scene: SceneTensors, keys: tuple[SampleKey, SampleKey]) -> Lamps:
-    """The lights of a packed scene as a source.
+def lamps_of(scene: SceneTensors, keys: tuple[SampleKey, SampleKey], light_paths: str) -> Lamps:
+    """The lights of a packed scene as a source; unless paths bring "all" light, without the surroundings.
 
     Raises:
         ValueError: if a lamp's light is a network's, which is asked where surfaces are.
@@ -57,7 +58,12 @@ def lamps_of(scene: SceneTensors, keys: tuple[SampleKey, SampleKey]) -> Lamps:
     if scene.layout.lit:
         raise ValueError("paths cannot begin at lamps whose light is that of a network; give these a texture, or render from "
                          "the camera alone (light_paths=\"camera\")")
-    return Lamps(LampTensors(scene.lights, scene.radiance, surrounding(scene), scene.layout), keys)
+    lights = scene.lights
+    if light_paths != "all" and scene.layout.surround is not None:
+        pmf = lights.choice.pmf
+        own = alias_table(torch.where(lights.kind == scene.layout.surround[0], torch.zeros_like(pmf), pmf))
+        lights = lights._replace(choice=own)
+    return Lamps(LampTensors(lights, scene.radiance, surrounding(scene), scene.layout), keys)
 
 
 def surrounding(scene: SceneTensors) -> Surrounding:

@@ -53,6 +53,7 @@ class RenderCall(NamedTuple):
     # What of camera paths is shown beside the image, C of (N,), detached: of the integrand, the paths, what their rays meet
     # (None: not known), and their radiance.
     quantities: Callable[[Integrand, PathState, Hit | None, Vec3], Sequence[Tensor]] | None = None
+    shared: bool = False  # light is shared among paths that begin at the camera and at lamps: see `Settings.light_paths`
 
     def still(self) -> RenderCall:
         """The call without derivatives."""
@@ -82,7 +83,8 @@ def started(call: RenderCall, sample: CameraSample) -> PathState:
     """The paths that begin with some rays."""
     layout = call.scene.layout
     medium = (-1 if layout.around is None else layout.around) if layout.follows else None
-    return start_path(sample.ray, sample.key, call.scene.lights.by_place, call.following, sample.cone, medium, sample.power)
+    return start_path(sample.ray, sample.key, call.scene.lights.by_place, call.following, sample.cone, medium, sample.power,
+                      call.shared)
 
 
 def start_paths(call: RenderCall, wavefront: Wavefront, which: int) -> PathState:

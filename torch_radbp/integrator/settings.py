@@ -18,6 +18,7 @@ class IntegratorSettings(Integrator):
     max_depth = -1
     rr_depth = 5
     nee = True  # next-event estimation
+    light_paths = "auto"  # see `Renderer`
 
     def __init__(self, *, hide_emitters: bool = False, block_size: int = 0, samples_per_pass: int = -1,
                  timeout: float = -1.0):

@@ -25,6 +25,7 @@ from torch_radbp.connection.light import FAR, light_aims, sample_light, sample_p
 from torch_radbp.interface.medium import MediumKind
 from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.light_connection import connected_to_light, light_numbers
+from torch_radbp.path.light_share import connects, goes_on
 from torch_radbp.path.passage import distance_passed, leg_inside, way_left
 from torch_radbp.path.state import BSDF_U, BSDF_V, ROULETTE, Arrival, Position, Settings
 from torch_radbp.path.surface import surface_met
@@ -36,7 +37,7 @@ from torch_radbp.scene.tables.placement import points_in_world
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import Corners, at_corners
 from torch_radbp.tensors.differentiated import settled
-from torch_radbp.tensors.vec import TINY, Ray, Vec3, max_component
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, both, max_component
 from torch_radbp.vertex.cone import Cone, cone_beyond
 from torch_radbp.vertex.interaction import corner_rows
 from torch_radbp.vertex.outgoing_ray import glued_direction
@@ -84,6 +85,7 @@ class FlightVertex(VertexKind):
         if settings.nee:
             light = sample_light(scene, proposal, p, light_numbers(key), arrival.picked, texture_values)
             scatters_to = partial(phase_to, kind, table, fixed, p, wi)
+            there = both(there, connects(settings, scene.layout, state))
             light, Ld = connected_to_light(scene, p, there, scatters_to, light, settings.sampling)
             Ld = Ld * scattered
 
@@ -96,7 +98,7 @@ class FlightVertex(VertexKind):
         # Play roulette.
         promise = max_component((state.beta * weight).detach())
         survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
-        survives = number(ROULETTE) < survival
+        survives = both(number(ROULETTE) < survival, goes_on(settings, scene.layout, state, pdf))
         place = FlightPlace(kind, table, p, t, wi, wo)
         return Terms(none, Ld, light, weight, 1.0 / survival, pdf, survives, place)
 

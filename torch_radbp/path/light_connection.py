@@ -14,12 +14,13 @@ from torch import Tensor
 from torch_radbp.connection.light import LightSample
 from torch_radbp.connection.media import attenuated, transmittance_to_light
 from torch_radbp.interface.texture import TextureValue
+from torch_radbp.path.light_share import meets_lamps
 from torch_radbp.path.state import LIGHT_CHOICE, LIGHT_SPLIT, LIGHT_U, LIGHT_V, Arrival, Settings
 from torch_radbp.sampling.mis import power_heuristic
 from torch_radbp.sampling.sampler import BounceKey, random_bits
 from torch_radbp.scene.tables.light_choice import LightNumbers
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
-from torch_radbp.tensors.vec import Vec3, max_component
+from torch_radbp.tensors.vec import Vec3, masked, max_component
 from torch_radbp.vertex.emission import emitted, emitted_by_surface, emitted_pdf, pdf_of_surface
 from torch_radbp.vertex.interaction import SurfaceInteraction
 
@@ -63,6 +64,8 @@ def emission(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, si: 
     Le = Vec3.full(ray.d.x, 0.0)
     if not settings.hide_emitters:
         Le = (emitted_by_surface(scene, si, texture_values) if on_surfaces else emitted(scene, ray, si, texture_values))
+        ours = meets_lamps(settings, arrival.state, si.valid)
+        Le = Le if ours is None else masked(ours, Le)
     if not settings.nee:
         return Le
     follows = settings.following and settings.moving

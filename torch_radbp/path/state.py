@@ -31,6 +31,9 @@ class Settings(NamedTuple):
     sampling: str = "detached"  # if they do, which sampled directions are differentiated: "detached", "hybrid", "attached"
     following: bool = False  # states record whether hybrid sampling has differentiated a direction of a smooth lobe
     shown: bool = True  # vertices have Le, Ld and F, not only the next path state
+    # Which light is that of paths that begin at lamps: "camera": none; "caustics": what reaches a vertex that the camera sees
+    # by way of an ideal one beside the lamp; "all": what reaches any such vertex. None of it counts twice.
+    light_paths: str = "camera"
 
 
 class Position(NamedTuple):
@@ -53,6 +56,7 @@ class PathState(NamedTuple):
     followed: Tensor | None = None  # bool, see `Settings.following`; None without it
     cone: Cone | None = None  # around the ray; None if no texture asks how much of a surface a sample sees
     medium: Tensor | None = None  # int32, in which the ray starts, -1: none; None: rays are not followed through media
+    first: Tensor | None = None  # int32, how it was scattered first: see `light_share.py`; None: nobody asks
     number: LaneCount | None = None  # of the lanes, of which the first are meant; None: all are
 
     @property
@@ -104,7 +108,8 @@ class Arrival(NamedTuple):
 
 
 def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: bool = False,
-               cone: Cone | None = None, medium: int | None = None, power: Vec3 | None = None) -> PathState:
+               cone: Cone | None = None, medium: int | None = None, power: Vec3 | None = None,
+               shared: bool = False) -> PathState:
     """The state before the first bounce, lanes numbered in order.
 
     Args:
@@ -113,10 +118,11 @@ def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: boo
         following: as in `Settings`.
         medium: the number of that in which they begin, -1: none; None: rays are not followed through media.
         power: throughput with which they begin; None: 1.
+        shared: light is shared among paths that begin at the camera and at lamps.
     """
     beta = Vec3(torch.ones_like(ray.d.x), torch.ones_like(ray.d.x), torch.ones_like(ray.d.x)) if power is None else power
     lane = torch.arange(len(ray.d.x), dtype=torch.int32, device=ray.d.x.device)
     return PathState(ray, beta, torch.full_like(ray.d.x, torch.inf), key, lane,
                      Vantage(ray.o.map(settled), ray.d.map(settled)) if from_places else None,
                      torch.zeros_like(lane, dtype=torch.bool) if following else None, cone,
-                     None if medium is None else torch.full_like(lane, medium))
+                     None if medium is None else torch.full_like(lane, medium), torch.zeros_like(lane) if shared else None)

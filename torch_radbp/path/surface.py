@@ -13,6 +13,7 @@ from torch_radbp.connection.light import light_aims, sample_light, sample_places
 from torch_radbp.connection.media import attenuated
 from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.light_connection import connected_to_light, emission, light_numbers
+from torch_radbp.path.light_share import connects, goes_on
 from torch_radbp.path.passage import medium_beyond, way_through
 from torch_radbp.path.state import BSDF_CHOICE, BSDF_U, BSDF_V, ROULETTE, Arrival, Position, Settings
 from torch_radbp.path.vertex import Terms, VertexKind
@@ -21,7 +22,7 @@ from torch_radbp.sampling.sampler import bounce_key, uniform
 from torch_radbp.scene.tables.light_tree import Vantage
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import Corners
-from torch_radbp.tensors.vec import Ray, Vec3, dot, max_component
+from torch_radbp.tensors.vec import Ray, Vec3, both, dot, max_component
 from torch_radbp.vertex.cone import Cone, cone_beyond
 from torch_radbp.vertex.emission import emission_places, vantage
 from torch_radbp.vertex.interaction import SurfaceInteraction, surface_interaction
@@ -72,7 +73,8 @@ class SurfaceVertex(VertexKind):
         light, Ld = None, Vec3.full(state.pdf, 0.0)
         if settings.nee:
             light = sample_light(scene, proposal, si.p, light_numbers(key), arrival.picked, of_sample)
-            light, Ld = connected_to_light(scene, si.p, si.valid, partial(scattered_to, material, si), light,
+            may = both(si.valid, connects(settings, scene.layout, state))
+            light, Ld = connected_to_light(scene, si.p, may, partial(scattered_to, material, si), light,
                                   sampling_at(material.kind, settings.sampling))
             Ld = attenuated(Ld, through)
 
@@ -84,6 +86,7 @@ class SurfaceVertex(VertexKind):
         promise = max_component(attenuated(state.beta * chosen.weight, through).detach())
         survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
         survives = si.valid & (chosen.pdf > 0) & (number(ROULETTE) < survival)
+        survives = both(survives, goes_on(settings, scene.layout, state, chosen.pdf))
         thinning = 1.0 / survival if through is None else through / survival
         return Terms(Le, Ld, light, chosen.weight, thinning, chosen.pdf, survives, SurfacePlace(si, material, chosen))
 

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torch_radbp.connection.light import LightSample
 from torch_radbp.interface.texture import Place, TextureValue
+from torch_radbp.path.light_share import next_first
 from torch_radbp.path.state import Arrival, PathState, Position, Settings
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.light_tree import Vantage
@@ -122,4 +123,4 @@ class VertexKind(ABC):
         return PathState(
             ray, beta, terms.pdf, state.key, state.lane, None,
             torch.full_like(state.followed, self.follows(terms)) if settings.following else None,
-            None if state.cone is None else self.cone(terms, state.cone), state.medium)
+            None if state.cone is None else self.cone(terms, state.cone), state.medium, next_first(state, terms.pdf))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.rendered import rendered
@@ -12,26 +15,62 @@ from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.view import View
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.connection.camera import from_lamps
+from torch_radbp.interface.emitter import LightKind
+from torch_radbp.path.integrand import Integrand
 from torch_radbp.rendering.settings import settings_of_integrand
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene.tables.scene_tensors import SceneTensors, proposal_of
 from torch_radbp.tensors.differentiated import detached
 
+if TYPE_CHECKING:
+    from torch_radbp.rendering.renderer import Renderer
+
 OF_LAMPS = 0x2545F491  # tells the random numbers of paths from lamps from those of camera paths
 
 
-def image_from_lamps(renderer, call: RenderCall, number: int) -> Tensor:
-    """(1, 3, H, W) what paths from lamps bring to the image of view `number`: all light but what it sees of lamps directly.
-
-    Attached to the scene, in either mode.
+def shared_image(renderer: Renderer, call: RenderCall, light_paths: str) -> Tensor:
+    """The images of a call, (B, 3 + C, H, W), by paths that begin at the camera and at lamps; attached, in either mode.
 
     Args:
         renderer: has the settings.
-        call: of the image.
+        call: of the images.
+        light_paths: which light is that of the latter; see `Settings.light_paths`.
+    """
+    lit = lights_of_paths(call.scene, light_paths)
+    if light_paths == "camera" or not lit:
+        return rendered(call)
+    shared = call if all(kind.delta for kind in lit) and light_paths == "caustics" else call._replace(
+        shared=True, make_integrand=lambda scene: sharing(call.make_integrand(scene), light_paths),
+        integrand=sharing(call.integrand, light_paths))
+    images = rendered(shared)
+    found = torch.cat([image_from_lamps(renderer, call, number, light_paths) for number in range(len(call.views))])
+    return images + found if images.shape[1] == 3 else torch.cat([images[:, :3] + found, images[:, 3:]], 1)
+
+
+def paths_can_begin_at_lamps(call: RenderCall) -> bool:
+    """True if all cameras of a call can end paths, and all lamps begin them."""
+    return not call.scene.layout.lit and all(view.camera.kind.sees_points for view in call.views)
+
+
+def sharing(integrand: Integrand, light_paths: str) -> Integrand:
+    """An integrand for paths that share light with those from the other end."""
+    return integrand._replace(settings=integrand.settings._replace(light_paths=light_paths), parts={})
+
+
+def lights_of_paths(scene: SceneTensors, light_paths: str) -> list[LightKind]:
+    """The kinds of light at which paths begin: caustics of the surroundings are the camera's."""
+    return [kind for kind in scene.layout.lights if light_paths == "all" or not kind.surround]
+
+
+def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_paths: str = "all") -> Tensor:
+    """(1, 3, H, W) what paths from lamps bring to the image of view `number`; attached to the scene, in either mode.
+
+    Args:
+        renderer, call, light_paths: as for `shared_image`.
         number: of the view.
 
     Raises:
-        ValueError: if the camera cannot tell where it sees points, or there are no lights.
+        ValueError: if the camera cannot tell where it sees points.
     """
     view: View = call.views[number]
     if not view.camera.kind.sees_points:
@@ -39,8 +78,9 @@ def image_from_lamps(renderer, call: RenderCall, number: int) -> Tensor:
                          f"orthographic cameras, and calibrated ones without distortion, tell how large what they see is; "
                          f"take light_paths=\"camera\"")
     keys = tuple(SampleKey(key.seed ^ OF_LAMPS, key.shared) for key in view.sample_keys)
-    lamps, scene = lamps_of(call.scene, keys), from_lamps(call.scene, view.camera)
-    settings = settings_of_integrand(renderer, scene, lamps.ray)._replace(nee=True, hide_emitters=False)
+    lamps, scene = lamps_of(call.scene, keys, light_paths), from_lamps(call.scene, view.camera)
+    settings = settings_of_integrand(renderer, scene, lamps.ray)._replace(
+        nee=True, hide_emitters=False, light_paths=light_paths)
     still = detached(scene)
     integrand = call.integrand._replace(scene=still, proposal=proposal_of(still), settings=settings, parts={}, clipping=None)
 
@@ -53,4 +93,4 @@ def image_from_lamps(renderer, call: RenderCall, number: int) -> Tensor:
     return rendered(call._replace(
         scene=scene, source=lamps, sink=LightFilm(detached(view.camera).film, (view.height, view.width), paths),
         wavefronts=wavefronts, make_integrand=make_integrand, integrand=integrand, together=False,
-        following=settings.following, quantities=None))
+        following=settings.following, shared=light_paths == "caustics", quantities=None))

@@ -32,6 +32,7 @@ from torch_radbp.raycast.caster_cache import CastTriangles
 from torch_radbp.raycast.kept_caster import KeptCaster
 from torch_radbp.rendering.cost import Request, bytes_of_records
 from torch_radbp.rendering.lanes import plan_lanes, wavefronts_of
+from torch_radbp.rendering.light_paths import paths_can_begin_at_lamps, shared_image
 from torch_radbp.rendering.memory import MemoryPlan
 from torch_radbp.rendering.noise_watch import NoiseWatch
 from torch_radbp.rendering.planner import MemoryPlanner
@@ -106,6 +107,13 @@ class Renderer(nn.Module):
             will ask for is cheaper under `torch.no_grad()`. Of what the shared paths need, as much is kept until the
             backward pass as takes an eighth of the machine's memory; the rest is traced again.
 
+        light_paths: which light comes by paths that begin at lamps, as many as from the camera. "camera": none. "caustics":
+            what reaches surfaces that the camera sees by way of a mirror or glass beside the lamp, where paths from the camera
+            find it by chance or, of lights without extent, not at all; caustics of the surroundings stay with the camera.
+            "all": all light, but what is seen in mirrors, through glass, and of lamps themselves. Nothing counts twice.
+            "auto": "caustics" in scenes where a light without extent has some, and a note says so. None: what the integrator
+            element says: "auto", of `ptracer` "all".
+
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
     so far, edges that surfaces, not the camera, see by reflection; a `SilhouetteWarning` says so, once, if edges may be slid
     over by directions that follow a parameter (with attached sampling roughness, index and normals; in hybrid those of ideal
@@ -125,7 +133,7 @@ class Renderer(nn.Module):
                  hide_emitters: bool | None = None, adjoint: AdjointStrategy | None = None, sampling: str = "hybrid",
                  nee: bool | None = None, chunk: int | None = None, memory_budget: str | int | None = None,
                  compile: bool = True, caster: str | None = None, light_choice: str | None = None,
-                 terms: Collection[str] = TERMS, share_samples: bool = False):
+                 terms: Collection[str] = TERMS, share_samples: bool = False, light_paths: str | None = None):
         super().__init__()
         self.scene = checked_scene(scene)
         defaults = scene.integrator
@@ -136,6 +144,7 @@ class Renderer(nn.Module):
         self.nee = defaults.nee if nee is None else nee
         self.sampling, self.compile_stages, self.caster_name = sampling, compile, caster
         self.light_choice, self.terms, self.share_samples = light_choice, terms, share_samples
+        self.light_paths = defaults.light_paths if light_paths is None else light_paths
         self.adjoint = MemoizedAdjoint() if adjoint is None else adjoint
         self.adjoint_is_chosen = adjoint is not None
         self.casters = KeptCaster()
@@ -213,11 +222,20 @@ class Renderer(nn.Module):
         edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1], aovs is not None)
         if outputs is not None:
             call = call._replace(quantities=beside_image(tuple(dict.fromkeys(outputs.values()))))
-        images = rendered(call)
+        images = shared_image(self, call, self.which_light_paths(call))
         channels = None if outputs is None else images[:, 3:].detach()
         images = images if outputs is None else images[:, :3].clone(memory_format=torch.contiguous_format)
         images = self.gradient_watch.watched(self.with_terms(images, edges, call), call)
         return images if outputs is None else (images, self.quantities(call, edges, outputs, channels))
+
+    def which_light_paths(self, call: RenderCall) -> str:
+        """Which light is that of paths that begin at lamps, and says so if nobody has said it; see `Settings.light_paths`."""
+        caustic, can = self.jump_watch.caustic, paths_can_begin_at_lamps(call)
+        if self.light_paths == "auto" and caustic is not None:
+            self.jump_watch.say(caustic.traced() if can else caustic.lacking())
+        elif self.light_paths == "camera" and caustic is not None:
+            self.jump_watch.say(caustic.lacking())
+        return self.light_paths if self.light_paths != "auto" else "caustics" if caustic is not None and can else "camera"
 
     def with_terms(self, images: Tensor, edges: EdgesOfCall, call: RenderCall) -> Tensor:
         """Adds the boundary terms to the images, as far as `terms` asks for them."""

@@ -26,6 +26,7 @@ SensorChoice = int | str | Sequence[int | str] | None  # by index or name; None:
 INTERIOR, PRIMARY, SHADOW = "interior", "primary", "shadow"
 TERMS = (INTERIOR, PRIMARY, SHADOW)  # of derivatives
 SAMPLINGS = ("hybrid", "detached", "attached")
+LIGHT_PATHS = ("camera", "caustics", "all", "auto")
 OF_DERIVATIVE = 0x3F84D5B5B5470917  # what the seed of a derivative differs by: digits of pi, so far from any counter
 
 
@@ -45,6 +46,7 @@ class RendererSettings(TypedDict, total=False):
     light_choice: str | None
     terms: Collection[str]
     share_samples: bool
+    light_paths: str
 
 
 def checked_scene(scene: Scene) -> Scene:
@@ -83,6 +85,8 @@ def check_settings(renderer: nn.Module) -> None:
     if renderer.light_choice not in (None, *CHOICES):
         raise ValueError(f"light_choice={renderer.light_choice!r} is not known; "
                          f"{nearest(str(renderer.light_choice), CHOICES)}")
+    if renderer.light_paths not in LIGHT_PATHS:
+        raise ValueError(f"light_paths={renderer.light_paths!r} is not known; {nearest(str(renderer.light_paths), LIGHT_PATHS)}")
     terms = renderer.terms
     if not isinstance(terms, Collection) or isinstance(terms, str) or any(term not in TERMS for term in terms):
         raise ValueError(f"terms={terms!r} is not known; it must be a set or list of some of {', '.join(TERMS)}")

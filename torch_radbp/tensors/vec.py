@@ -192,6 +192,11 @@ def crossing(ray: Ray, p0: Vec3, e1: Vec3, e2: Vec3) -> tuple[Tensor, Tensor, Te
     return dot(e1, across), dot(offset, across), dot(ray.d, cross(offset, e1))
 
 
+def both(first: Tensor, second: Tensor | None) -> Tensor:
+    """Where two conditions hold, bool; None: the second does everywhere."""
+    return first if second is None else first & second
+
+
 class Frame(NamedTuple):
     """An orthonormal basis; local directions have z along `n`."""
 

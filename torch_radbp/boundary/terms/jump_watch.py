@@ -19,7 +19,7 @@ from torch import Tensor
 from torch_radbp.boundary.curve.rendering import MOVE_LIGHTS, Rendering, listed
 from torch_radbp.boundary.curve.term import TERMS
 from torch_radbp.boundary.terms.shadows import shadows_left_out
-from torch_radbp.boundary.warning.caustics import unfound_caustics
+from torch_radbp.boundary.warning.caustics import Caustic, caustic_of
 from torch_radbp.boundary.warning.inward import inward_faces
 from torch_radbp.boundary.warning.left_out import lines_left_out, silhouettes_left_out
 from torch_radbp.boundary.warning.unmapped import unmapped_textures
@@ -63,7 +63,8 @@ class JumpWatch:
                       self.jumps_of_a_bsdf, self.edges_slid_over, self.edges_far_off]
         self.said: dict[str, Warning] = {}  # by their messages
         # Looks at the image that are due: one at the first rendering is enough.
-        self.of_images: list[Callable] = [unfound_caustics, unmapped_textures, inward_faces]
+        self.of_images: list[Callable] = [unmapped_textures, inward_faces]
+        self.caustic: Caustic | None = None  # as of the first rendering
         self.viewed: set[int] = set()  # ids of the sensors whose rays have been looked at
         self.looked_at: set[str | tuple] = set()  # the moving parameters for which shadows of some kinds have been searched
         self.placed: set[str] = set()  # those of which it is known how far from the origin they move things
@@ -71,6 +72,8 @@ class JumpWatch:
     def look(self, rendering: Rendering) -> None:
         """Examines a rendering, and warns of what image or derivatives lack."""
         due, self.of_images = self.of_images, []
+        if due:
+            self.caustic = caustic_of(rendering)
         for look in due:
             self.say(look(rendering))
         sensors = {id(sensor) for sensor in rendering.sensors}

@@ -1,12 +1,13 @@
-"""Warns of caustics of lights without extent, which paths from the camera cannot find.
+"""Looks for caustics of lights without extent, which paths from the camera cannot find.
 
 Next-event estimation connects a surface with such a light in a straight line, and scattering by a smooth mirror or smooth
-glass never meets it by chance: what it lights by way of those is missing from the image.
+glass never meets it by chance: what it lights by way of those is missing from the image, unless paths begin at the lights.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -25,23 +26,45 @@ MOST_SURFACES = 4  # of glass, through which a ray is followed
 SHORTEST = 3  # depth of the shortest path with a caustic
 
 
-def unfound_caustics(rendering: Rendering) -> SceneWarning | None:
-    """The warning that a light without extent lights surfaces by way of smooth mirrors or glass, or None.
+class Caustic(NamedTuple):
+    """A light without extent that lights surfaces by way of a smooth mirror or smooth glass."""
+
+    light: str  # names, and its type
+    type: str
+    mirror: str
+
+    @property
+    def text(self) -> str:
+        return (f"the light of `{self.light}`, of type {self.type}, reaches surfaces by way of `{self.mirror}`, a smooth "
+                f"mirror or smooth glass")
+
+    def lacking(self) -> SceneWarning:
+        """The warning that the image lacks it."""
+        return SceneWarning(f"{self.text}: paths from the camera cannot find such caustics of lights without extent, and the "
+                            f"image lacks them. Take light_paths=\"caustics\", whose paths begin at the lamps too, or give "
+                            f"the light an extent, such as a small sphere with an area emitter")
+
+    def traced(self) -> SceneWarning:
+        """The note that paths from the lamps bring it."""
+        return SceneWarning(f"{self.text}: as many paths as from the camera begin at the lamps, which find such caustics "
+                            f"(light_paths=\"auto\"). Say light_paths=\"caustics\" to have them, or \"camera\" to do "
+                            f"without, and without this note. What of them is seen in mirrors and through glass is missing")
+
+
+def caustic_of(rendering: Rendering) -> Caustic | None:
+    """A light without extent that lights surfaces by way of smooth mirrors or glass, or None.
 
     Looked for by rays from the light, which glass does not bend here.
     """
     kinds = [[bsdf.kind() for bsdf in one_sided([shape.bsdf])] for shape in rendering.shapes]
-    ideal = [all(kind.delta and not kind.smooth for kind in sides) for sides in kinds]
+    ideal = [all(kind.delta and not kind.smooth and not kind.invisible for kind in sides) for sides in kinds]
     if rendering.max_depth < SHORTEST or not any(ideal) or not any(kind.smooth for sides in kinds for kind in sides):
         return None
     for emitter, source in delta_lights(rendering):
         number = first_on_a_way(rendering, source, kinds, ideal)
         if number is not None:
             lamp, mirror = (rendering.names[id(plugin)] for plugin in (emitter, rendering.shapes[number]))
-            return SceneWarning(f"the light of `{lamp}`, of type {emitter.type}, reaches surfaces by way of `{mirror}`, a "
-                                f"smooth mirror or smooth glass: paths from the camera cannot find such caustics of lights "
-                                f"without extent, and the image lacks them. Give the light an extent, such as a small "
-                                f"sphere with an area emitter, or the surface some roughness")
+            return Caustic(lamp, emitter.type, mirror)
     return None
 
 
