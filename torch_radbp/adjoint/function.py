@@ -186,7 +186,7 @@ def adj_of_start(sweep: Sweep) -> StartAdjoint:
 
 def source_adjoint(call: RenderCall, chunk: LaneBlock, wanted: Sequence[bool],
                    adj_start: StartAdjoint) -> Iterator[tuple[int, Tensor]]:
-    """What the rays, cones and power of one chunk add to the gradients of the wanted leaves of the source, with the number of
+    """What rays, cones and power of one chunk add to the gradients of the wanted leaves of the source, with the number of
     each among these; where each ray reads entries of its own, they are summed in float64."""
     read, tensors = call.source.leaves_read(chunk), call.source.tensors
     leaves = [leaf.clone().requires_grad_() if want and place in read else leaf

@@ -84,7 +84,8 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, ver
 
 @stage("scene", "proposal", "arrival")
 def attached_vertex(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, verdict: Verdict,
-                    at: Position, settings: Settings, texture_values: tuple[TextureValue, ...]) -> tuple[Vec3, PathState, Vec2 | None]:
+                    at: Position, settings: Settings,
+                    texture_values: tuple[TextureValue, ...]) -> tuple[Vec3, PathState, Vec2 | None]:
     """E_k, the path states that leave vertices, and where the camera sees these if it is what they connect to, with all
     derivatives; without `vantage`, which has none.
 

@@ -25,8 +25,8 @@ from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Onward, Step
-from torch_radbp.path.trace import trace, trace_to_film, walk
 from torch_radbp.path.taped_bounces import Bounce
+from torch_radbp.path.trace import trace, trace_to_film, walk
 from torch_radbp.path.wavefront import bounced
 from torch_radbp.path.whole_paths import goes_whole
 from torch_radbp.raycast.protocol import Hit

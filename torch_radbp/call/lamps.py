@@ -49,15 +49,15 @@ class Lamps(PathSource):
         return self.samples(LaneRange(0, 1), 0, EAGER, False).ray
 
 
-def lamps_of(scene: SceneTensors, keys: tuple[SampleKey, SampleKey], light_paths: str) -> Lamps:
+def lamps_as_source(scene: SceneTensors, keys: tuple[SampleKey, SampleKey], light_paths: str) -> Lamps:
     """The lights of a packed scene as a source; unless paths bring "all" light, without the surroundings.
 
     Raises:
         ValueError: if a lamp's light is a network's, which is asked where surfaces are.
     """
     if scene.layout.lit:
-        raise ValueError("paths cannot begin at lamps whose light is that of a network; give these a texture, or render from "
-                         "the camera alone (light_paths=\"camera\")")
+        raise ValueError("paths cannot begin at lamps whose light is that of a network; give these a texture, or render "
+                         "from the camera alone (light_paths=\"camera\")")
     lights = scene.lights
     if light_paths != "all" and scene.layout.surround is not None:
         pmf = lights.choice.pmf

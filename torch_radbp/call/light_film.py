@@ -20,7 +20,7 @@ from torch_radbp.film.position import FilmTensors
 from torch_radbp.jit.scatter import PAGE_BITS, Addition, Sums, copies, scatter_add
 from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.wavefront import OnFilm
+from torch_radbp.path.wavefront import BroughtToFilm
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.torch_internals import inside_dual_level
@@ -83,7 +83,7 @@ class Deposits:
         self.totals = totals
         self.sums = Sums(list(totals), torch.zeros(-(-pixels >> PAGE_BITS), dtype=torch.bool, device=device))
 
-    def add(self, brought: OnFilm) -> None:
+    def add(self, brought: BroughtToFilm) -> None:
         """Adds what vertices bring, (N,)."""
         if any_differentiated(brought) or inside_dual_level():
             self.attached = torch.zeros_like(self.totals[..., 0]) if self.attached is None else self.attached

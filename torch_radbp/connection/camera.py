@@ -26,7 +26,7 @@ from torch_radbp.scene.tables.scene_tensors import LightTable, SceneTensors
 from torch_radbp.sensor.kind import Camera, Lens, ProjectiveKind
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import mapped
-from torch_radbp.tensors.vec import Vec2, Vec3, dot, normalize
+from torch_radbp.tensors.vec import Vec2, Vec3, normalize
 
 
 class CameraTable(NamedTuple):

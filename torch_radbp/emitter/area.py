@@ -82,8 +82,8 @@ class AreaKind(SurfaceKind):
             sends = (dot(interpolated(lookup(table.shading, row), b.x, b.y), d) > 0).to(n.x.dtype)
             sends = sends if table.smooth is None else torch.where(lookup(table.smooth, row), sends, 1.0)
         uv = None if table.uv is None else interpolated(lookup(table.uv, row), b.x, b.y)
-        return Aim(d, pick.pmf * lookup(table.inverse_area, row) * (1.0 / math.pi), interpolated(lookup(table.p, row), b.x, b.y),
-                   sends, uv, table.attributes_at(row, b.x, b.y), n=n)
+        pdf = pick.pmf * lookup(table.inverse_area, row) * (1.0 / math.pi)
+        return Aim(d, pdf, interpolated(lookup(table.p, row), b.x, b.y), sends, uv, table.attributes_at(row, b.x, b.y), n=n)
 
     def sends(self, front: Tensor) -> Tensor:
         return front

@@ -127,8 +127,8 @@ class LightKind(ABC):
             world: what light from far away must reach.
 
         Returns:
-            `d`: the direction in which it leaves, `target`: the point at which it does, `pdf`: their density over solid angle
-            and area (over the one that there is), times the cosine if it leaves a surface. The rest as of `aim`.
+            `d`: the direction in which it leaves, `target`: the point at which it does, `pdf`: their density over solid
+            angle and area (over what there is of these), over the cosine if it leaves a surface. The rest as of `aim`.
         """
         if not self.parallel:
             raise TypeError(f"{type(self).__name__} does not say which rays leave it")

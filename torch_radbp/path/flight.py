@@ -25,7 +25,7 @@ from torch_radbp.connection.light import FAR, light_aims, sample_light, sample_p
 from torch_radbp.interface.medium import MediumKind
 from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.light_connection import connected_to_light, light_numbers
-from torch_radbp.path.light_share import connects, goes_on
+from torch_radbp.path.light_share import connects, may_go_on
 from torch_radbp.path.passage import distance_passed, leg_inside, way_left
 from torch_radbp.path.state import BSDF_U, BSDF_V, ROULETTE, Arrival, Position, Settings
 from torch_radbp.path.surface import surface_met
@@ -98,7 +98,7 @@ class FlightVertex(VertexKind):
         # Play roulette.
         promise = max_component((state.beta * weight).detach())
         survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
-        survives = both(number(ROULETTE) < survival, goes_on(settings, scene.layout, state, pdf))
+        survives = both(number(ROULETTE) < survival, may_go_on(settings, scene.layout, state, pdf))
         place = FlightPlace(kind, table, p, t, wi, wo)
         return Terms(none, Ld, light, weight, 1.0 / survival, pdf, survives, place)
 

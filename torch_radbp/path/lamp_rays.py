@@ -29,7 +29,7 @@ from torch_radbp.scene.tables.scene_tensors import Layout, LightTable
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import stage
-from torch_radbp.tensors.vec import Ray, Vec2, Vec3
+from torch_radbp.tensors.vec import Ray, Vec2
 
 ACROSS_U, ACROSS_V, POINT_U, POINT_V = range(4)  # the random numbers of a ray
 CHOICE, SPLIT = range(2)  # and of its lamp, which are those of another point: four are all that a point has

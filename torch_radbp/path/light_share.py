@@ -43,7 +43,7 @@ def connects(settings: Settings, layout: Layout, state: PathState) -> Tensor | N
     return state.first == IDEALLY if only_ideally(settings, layout, state) else None
 
 
-def goes_on(settings: Settings, layout: Layout, state: PathState, pdf: Tensor) -> Tensor | None:
+def may_go_on(settings: Settings, layout: Layout, state: PathState, pdf: Tensor) -> Tensor | None:
     """(N,) bool: paths that go on in directions sampled with a density may bring something; None: all may."""
     return (state.first != NOT_YET) | torch.isinf(pdf) if only_ideally(settings, layout, state) else None
 

@@ -13,7 +13,7 @@ from torch_radbp.connection.light import light_aims, sample_light, sample_places
 from torch_radbp.connection.media import attenuated
 from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.light_connection import connected_to_light, emission, light_numbers
-from torch_radbp.path.light_share import connects, goes_on
+from torch_radbp.path.light_share import connects, may_go_on
 from torch_radbp.path.passage import medium_beyond, way_through
 from torch_radbp.path.state import BSDF_CHOICE, BSDF_U, BSDF_V, ROULETTE, Arrival, Position, Settings
 from torch_radbp.path.vertex import Terms, VertexKind
@@ -86,7 +86,7 @@ class SurfaceVertex(VertexKind):
         promise = max_component(attenuated(state.beta * chosen.weight, through).detach())
         survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
         survives = si.valid & (chosen.pdf > 0) & (number(ROULETTE) < survival)
-        survives = both(survives, goes_on(settings, scene.layout, state, chosen.pdf))
+        survives = both(survives, may_go_on(settings, scene.layout, state, chosen.pdf))
         thinning = 1.0 / survival if through is None else through / survival
         return Terms(Le, Ld, light, chosen.weight, thinning, chosen.pdf, survives, SurfacePlace(si, material, chosen))
 

@@ -9,7 +9,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Onward, Step
 from torch_radbp.path.taped_bounces import Bounce, bounces_taken
-from torch_radbp.path.wavefront import OnFilm, bounced, film_buffer, radiance_buffer
+from torch_radbp.path.wavefront import BroughtToFilm, bounced, film_buffer, radiance_buffer
 from torch_radbp.path.whole_paths import traced_whole
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.vec import Vec3, rows
@@ -41,8 +41,8 @@ def trace(integrand: Integrand, start: PathState, visit: Visit | None = None, hi
     return L
 
 
-def trace_to_film(integrand: Integrand, start: PathState, deposit: Callable[[OnFilm], None], visit: Visit | None = None,
-                  bounce: Bounce = bounced) -> None:
+def trace_to_film(integrand: Integrand, start: PathState, deposit: Callable[[BroughtToFilm], None],
+                  visit: Visit | None = None, bounce: Bounce = bounced) -> None:
     """Traces paths from lamps: each vertex brings something to the film.
 
     Args:

@@ -108,16 +108,16 @@ def shown(integrand: Integrand, state: PathState, vertex: Vertex, light: Vec3 | 
         yield order, integrand.stages(rows)(state.lane, order), light, None, None
 
 
-def brighten(integrand: Integrand, L: Vec3 | OnFilm, state: PathState, order: Tensor, lane: Tensor, Le: Vec3,
+def brighten(integrand: Integrand, L: Vec3 | BroughtToFilm, state: PathState, order: Tensor, lane: Tensor, Le: Vec3,
              Ld: Vec3 | None = None, visible: Tensor | None = None, film: Vec2 | None = None) -> None:
     """L += beta E at some lanes; of paths from lamps beta E, and where the camera sees it. Args as for `brightened`."""
     if film is not None:
-        put_rows(L, lane, OnFilm(integrand.stages(shining)(state.beta, order, Le, Ld, visible), film))
+        put_rows(L, lane, BroughtToFilm(integrand.stages(shining)(state.beta, order, Le, Ld, visible), film))
     elif isinstance(L, Vec3):
         put_rows(L, lane, integrand.stages(brightened)(L, state.beta, order, lane, Le, Ld, visible))
 
 
-class OnFilm(NamedTuple):
+class BroughtToFilm(NamedTuple):
     """What vertices of paths from lamps bring to the film, (N,)."""
 
     value: Vec3  # linear RGB, times the area of the image for each area there
@@ -187,10 +187,10 @@ def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mappi
         state, depth, hit = survivors(integrand, vertex.next, step), depth + 1, None
 
 
-def film_buffer(integrand: Integrand, start: PathState) -> OnFilm:
+def film_buffer(integrand: Integrand, start: PathState) -> BroughtToFilm:
     """(N,) zeros for what the vertices of a bounce bring to the film; dual tensors as of `radiance_buffer`."""
     place = radiance_buffer(integrand, start)
-    return OnFilm(radiance_buffer(integrand, start), Vec2(place.x, place.y))
+    return BroughtToFilm(radiance_buffer(integrand, start), Vec2(place.x, place.y))
 
 
 def radiance_buffer(integrand: Integrand, start: PathState) -> Vec3:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_radbp.adjoint.rendered import rendered
 from torch_radbp.call.chunks import LEAST_LANES, LaneRange
-from torch_radbp.call.lamps import lamps_of
+from torch_radbp.call.lamps import lamps_as_source
 from torch_radbp.call.light_film import LightFilm
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.view import View
@@ -28,14 +28,27 @@ if TYPE_CHECKING:
 OF_LAMPS = 0x2545F491  # tells the random numbers of paths from lamps from those of camera paths
 
 
-def shared_image(renderer: Renderer, call: RenderCall, light_paths: str) -> Tensor:
+def light_paths_of(renderer: Renderer, call: RenderCall) -> str:
+    """Which light is that of paths that begin at lamps, as of `Settings`; says so where the user has not."""
+    caustic, chosen = renderer.jump_watch.caustic, renderer.light_paths
+    if caustic is None:
+        return "camera" if chosen == "auto" else chosen
+    if chosen == "auto":
+        chosen = "caustics" if paths_can_begin_at_lamps(call) else "camera"
+        renderer.jump_watch.say(caustic.traced() if chosen == "caustics" else caustic.lacking())
+    elif chosen == "camera":
+        renderer.jump_watch.say(caustic.lacking())
+    return chosen
+
+
+def shared_image(renderer: Renderer, call: RenderCall) -> Tensor:
     """The images of a call, (B, 3 + C, H, W), by paths that begin at the camera and at lamps; attached, in either mode.
 
     Args:
         renderer: has the settings.
         call: of the images.
-        light_paths: which light is that of the latter; see `Settings.light_paths`.
     """
+    light_paths = light_paths_of(renderer, call)
     lit = lights_of_paths(call.scene, light_paths)
     if light_paths == "camera" or not lit:
         return rendered(call)
@@ -66,8 +79,9 @@ def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_pa
     """(1, 3, H, W) what paths from lamps bring to the image of view `number`; attached to the scene, in either mode.
 
     Args:
-        renderer, call, light_paths: as for `shared_image`.
+        renderer, call: as for `shared_image`.
         number: of the view.
+        light_paths: see `Settings.light_paths`.
 
     Raises:
         ValueError: if the camera cannot tell where it sees points.
@@ -78,7 +92,7 @@ def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_pa
                          f"orthographic cameras, and calibrated ones without distortion, tell how large what they see is; "
                          f"take light_paths=\"camera\"")
     keys = tuple(SampleKey(key.seed ^ OF_LAMPS, key.shared) for key in view.sample_keys)
-    lamps, scene = lamps_of(call.scene, keys, light_paths), from_lamps(call.scene, view.camera)
+    lamps, scene = lamps_as_source(call.scene, keys, light_paths), from_lamps(call.scene, view.camera)
     settings = settings_of_integrand(renderer, scene, lamps.ray)._replace(
         nee=True, hide_emitters=False, light_paths=light_paths)
     still = detached(scene)

@@ -13,7 +13,6 @@ from torch.func import functional_call
 
 from torch_radbp.adjoint import AdjointStrategy, MemoizedAdjoint
 from torch_radbp.adjoint.forward_mode import inside_transforms, render_outside_transforms
-from torch_radbp.adjoint.rendered import rendered
 from torch_radbp.aov.images import beside_image
 from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
 from torch_radbp.boundary.curve.rendering import rendering_of
@@ -32,7 +31,7 @@ from torch_radbp.raycast.caster_cache import CastTriangles
 from torch_radbp.raycast.kept_caster import KeptCaster
 from torch_radbp.rendering.cost import Request, bytes_of_records
 from torch_radbp.rendering.lanes import plan_lanes, wavefronts_of
-from torch_radbp.rendering.light_paths import paths_can_begin_at_lamps, shared_image
+from torch_radbp.rendering.light_paths import shared_image
 from torch_radbp.rendering.memory import MemoryPlan
 from torch_radbp.rendering.noise_watch import NoiseWatch
 from torch_radbp.rendering.planner import MemoryPlanner
@@ -107,12 +106,9 @@ class Renderer(nn.Module):
             will ask for is cheaper under `torch.no_grad()`. Of what the shared paths need, as much is kept until the
             backward pass as takes an eighth of the machine's memory; the rest is traced again.
 
-        light_paths: which light comes by paths that begin at lamps, as many as from the camera. "camera": none. "caustics":
-            what reaches surfaces that the camera sees by way of a mirror or glass beside the lamp, where paths from the camera
-            find it by chance or, of lights without extent, not at all; caustics of the surroundings stay with the camera.
-            "all": all light, but what is seen in mirrors, through glass, and of lamps themselves. Nothing counts twice.
-            "auto": "caustics" in scenes where a light without extent has some, and a note says so. None: what the integrator
-            element says: "auto", of `ptracer` "all".
+        light_paths: which light comes by paths that begin at lamps, as many as from the camera, as far as these see it other
+            than in mirrors and through glass. "camera": none; "caustics": what comes by way of a mirror or glass beside a
+            lamp; "all"; "auto": "caustics" where a light without extent has some. None: as the integrator element says.
 
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
     so far, edges that surfaces, not the camera, see by reflection; a `SilhouetteWarning` says so, once, if edges may be slid
@@ -147,10 +143,9 @@ class Renderer(nn.Module):
         self.light_paths = defaults.light_paths if light_paths is None else light_paths
         self.adjoint = MemoizedAdjoint() if adjoint is None else adjoint
         self.adjoint_is_chosen = adjoint is not None
-        self.casters = KeptCaster()
-        self.cache, self.cache_for_aovs = PackCache(), PackCache()
-        self.jump_watch, self.gradient_watch = JumpWatch(), GradientWatch()
-        self.planner, self.noise_watch, self.memory = MemoryPlanner(), NoiseWatch(), ZeroedMemory()
+        self.casters, self.cache, self.cache_for_aovs = KeptCaster(), PackCache(), PackCache()
+        self.jump_watch, self.gradient_watch, self.noise_watch = JumpWatch(), GradientWatch(), NoiseWatch()
+        self.planner, self.memory = MemoryPlanner(), ZeroedMemory()
         check_settings(self)
 
     @property
@@ -222,20 +217,11 @@ class Renderer(nn.Module):
         edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1], aovs is not None)
         if outputs is not None:
             call = call._replace(quantities=beside_image(tuple(dict.fromkeys(outputs.values()))))
-        images = shared_image(self, call, self.which_light_paths(call))
-        channels = None if outputs is None else images[:, 3:].detach()
-        images = images if outputs is None else images[:, :3].clone(memory_format=torch.contiguous_format)
+        images, channels = shared_image(self, call), None
+        if outputs is not None:
+            channels, images = images[:, 3:].detach(), images[:, :3].clone(memory_format=torch.contiguous_format)
         images = self.gradient_watch.watched(self.with_terms(images, edges, call), call)
         return images if outputs is None else (images, self.quantities(call, edges, outputs, channels))
-
-    def which_light_paths(self, call: RenderCall) -> str:
-        """Which light is that of paths that begin at lamps, and says so if nobody has said it; see `Settings.light_paths`."""
-        caustic, can = self.jump_watch.caustic, paths_can_begin_at_lamps(call)
-        if self.light_paths == "auto" and caustic is not None:
-            self.jump_watch.say(caustic.traced() if can else caustic.lacking())
-        elif self.light_paths == "camera" and caustic is not None:
-            self.jump_watch.say(caustic.lacking())
-        return self.light_paths if self.light_paths != "auto" else "caustics" if caustic is not None and can else "camera"
 
     def with_terms(self, images: Tensor, edges: EdgesOfCall, call: RenderCall) -> Tensor:
         """Adds the boundary terms to the images, as far as `terms` asks for them."""
@@ -277,7 +263,7 @@ class Renderer(nn.Module):
                              seed_grad, beside={"origins": origins, "directions": directions})
         self.noise_watch.look(seed, call.parameters)
         edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1])
-        image = self.with_terms(rendered(call), edges, call)[0, :, :, 0].t()
+        image = self.with_terms(shared_image(self, call), edges, call)[0, :, :, 0].t()
         return self.gradient_watch.watched(image.clone(memory_format=torch.contiguous_format), call)
 
     @public_call
@@ -353,7 +339,7 @@ class Renderer(nn.Module):
         refuse_tracing()
         cache = PackCache(self.cache_for_aovs if aovs else self.cache)
         check_names(self, cache)
-        named, seen = self.scene.named_sensors, [shot.sensor for shot in shots]
+        named, seen, windows = self.scene.named_sensors, [shot.sensor for shot in shots], [shot.window for shot in shots]
         spp = samples_per_pixel(self.chosen_spp if spp is None else spp, seen)
         seeds = checked_seeds(seed, seed_grad, self.share_samples)
         device, fused = self.scene.device, self.runs_compiled()
@@ -361,17 +347,13 @@ class Renderer(nn.Module):
         parameters = wanted_parameters(self.scene, seen, cache, beside)
         record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
-        windows = [shot.window for shot in shots]
         plan = plan_lanes(windows, self.rr_depth, Request(
             len(shots), windows[0].columns.size, windows[0].rows.size, spp, self.chunk, self.depth_limit, self.scene.dtype,
             device, workers, self.adjoint if differentiating else None, record_bytes, fused))
         scene = pack(self.scene, cache, self.light_choice, aovs, [name for name, sensor in named.items() if sensor in seen])
         caster = self.caster_of(scene)
         views = [view_of(shot, seeds, seeds[0] ^ OF_DERIVATIVE == seeds[1], spp, scene, cache) for shot in shots]
-        if aovs:
-            self.cache_for_aovs = cache.close()
-        else:
-            self.cache = cache.close()
+        setattr(self, "cache_for_aovs" if aovs else "cache", cache.close())
         stages = compiled() if fused else EAGER
         settings = settings_of_integrand(self, scene, [view.camera for view in views])
         still = detached(scene)

@@ -82,11 +82,10 @@ def check_settings(renderer: nn.Module) -> None:
         known = ", ".join(name for name in adjoint.__all__ if name != AdjointStrategy.__name__)
         raise TypeError(f"adjoint must be one of {known}, or of a class derived from AdjointStrategy, "
                         f"got {renderer.adjoint!r}")
-    if renderer.light_choice not in (None, *CHOICES):
-        raise ValueError(f"light_choice={renderer.light_choice!r} is not known; "
-                         f"{nearest(str(renderer.light_choice), CHOICES)}")
-    if renderer.light_paths not in LIGHT_PATHS:
-        raise ValueError(f"light_paths={renderer.light_paths!r} is not known; {nearest(str(renderer.light_paths), LIGHT_PATHS)}")
+    for name, known in (("light_choice", (*CHOICES, None)), ("light_paths", LIGHT_PATHS)):
+        value = getattr(renderer, name)
+        if value not in known:
+            raise ValueError(f"{name}={value!r} is not known; {nearest(str(value), list(filter(None, known)))}")
     terms = renderer.terms
     if not isinstance(terms, Collection) or isinstance(terms, str) or any(term not in TERMS for term in terms):
         raise ValueError(f"terms={terms!r} is not known; it must be a set or list of some of {', '.join(TERMS)}")

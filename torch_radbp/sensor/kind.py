@@ -28,7 +28,7 @@ Lens = Any  # a NamedTuple of tensors, attached
 RIGID = 1e-3  # how far products of the rows of a pose may be from those of a rotation, as in Mitsuba
 
 
-class Sight(NamedTuple):
+class PointsSeen(NamedTuple):
     """World points as a camera sees them, (N,); attached to both."""
 
     position: Vec2  # on the image, fractions of its size
@@ -113,7 +113,7 @@ class ProjectiveKind(CameraKind):
             aperture: as of `sample_ray`.
         """
 
-    def sight(self, lens: Lens, p: Vec3, aperture: Vec2 | None) -> Sight:
+    def sight(self, lens: Lens, p: Vec3, aperture: Vec2 | None) -> PointsSeen:
         """World points as the camera sees them, of cameras that `sees_points`; attached to both.
 
         Args:

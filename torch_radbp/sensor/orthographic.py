@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_radbp.plugin import Film, Matrix4, Medium, Sampler, register
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
-from torch_radbp.sensor.kind import ProjectiveCamera, ProjectiveKind, Sight
+from torch_radbp.sensor.kind import PointsSeen, ProjectiveCamera, ProjectiveKind
 from torch_radbp.tensors.vec import Frame, Ray, Vec2, Vec3, cross, dot, normalize
 
 
@@ -52,10 +52,10 @@ class OrthographicKind(ProjectiveKind):
     def towards(self, lens: OrthographicLens, p: Vec3, aperture: None) -> Vec3:
         return Vec3(*(component.expand_as(p.x) for component in -normalize(lens.z)))
 
-    def sight(self, lens: OrthographicLens, p: Vec3, aperture: None) -> Sight:
+    def sight(self, lens: OrthographicLens, p: Vec3, aperture: None) -> PointsSeen:
         d, across = normalize(lens.z), cross(lens.x, lens.y)
         z = dot(p - near_corner(lens), d)
-        return Sight(self.project(lens, p, aperture), 0.25 * lens.aspect / dot(across, d).abs(), p - d * z,
+        return PointsSeen(self.project(lens, p, aperture), 0.25 * lens.aspect / dot(across, d).abs(), p - d * z,
                      (z > 0) & (z <= lens.depth))
 
     def eye(self, lens: OrthographicLens) -> Tensor:

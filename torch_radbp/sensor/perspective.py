@@ -12,7 +12,7 @@ from torch import Tensor
 from torch_radbp.plugin import Film, Matrix4, Medium, Sampler, nearest, positive, register, warn_of_radians
 from torch_radbp.plugin.domain import NUMBER, Domain
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
-from torch_radbp.sensor.kind import ProjectiveCamera, ProjectiveKind, Sight, number
+from torch_radbp.sensor.kind import PointsSeen, ProjectiveCamera, ProjectiveKind, number
 from torch_radbp.tensors.vec import TINY, Frame, Ray, Vec2, Vec3, dot, normalize
 
 FIELD_OF_VIEW = NUMBER._replace(low=0.0, high=180.0, low_is_in=False, high_is_in=False, unit=" degrees")
@@ -69,7 +69,7 @@ class PinholeKind(ProjectiveKind):
     def towards(self, lens: PinholeLens, p: Vec3, aperture: None) -> Vec3:
         return lens.origin - p
 
-    def sight(self, lens: PinholeLens, p: Vec3, aperture: None) -> Sight:
+    def sight(self, lens: PinholeLens, p: Vec3, aperture: None) -> PointsSeen:
         position = self.project(lens, p, aperture)
         return seen_from(lens, lens.origin, p, position)
 
@@ -86,8 +86,8 @@ class PinholeKind(ProjectiveKind):
                            Plane.through(lens.origin, ahead, -lens.near), Plane.through(lens.origin, -ahead, lens.far)])
 
 
-def seen_from(lens: PinholeLens, eye: Vec3, p: Vec3, position: Vec2) -> Sight:
-    """The `Sight` of points from a place in the plane of the lens; its area is that of slopes x / z and y / z.
+def seen_from(lens: PinholeLens, eye: Vec3, p: Vec3, position: Vec2) -> PointsSeen:
+    """The `PointsSeen` of points from a place in the plane of the lens; its area is that of slopes x / z and y / z.
 
     Args:
         lens: with an entry for each point, (N,).
@@ -100,7 +100,7 @@ def seen_from(lens: PinholeLens, eye: Vec3, p: Vec3, position: Vec2) -> Sight:
     ahead = (z > lens.near) & (z <= lens.far)
     z = torch.where(ahead, z, lens.near)
     area = 0.25 * lens.aspect / (lens.tan_x * lens.tan_x)
-    return Sight(position, area * distance / (z * z * z), eye + way * (lens.near / z), ahead)
+    return PointsSeen(position, area * distance / (z * z * z), eye + way * (lens.near / z), ahead)
 
 
 class FieldOfViewCamera(ProjectiveCamera):

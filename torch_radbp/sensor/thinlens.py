@@ -12,7 +12,7 @@ from torch_radbp.plugin import Film, Matrix4, Medium, Sampler, positive, registe
 from torch_radbp.plugin.domain import NUMBER, Domain
 from torch_radbp.sampling.warp import square_to_uniform_disk_concentric
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
-from torch_radbp.sensor.kind import ProjectiveKind, Sight, number
+from torch_radbp.sensor.kind import PointsSeen, ProjectiveKind, number
 from torch_radbp.sensor.perspective import FieldOfViewCamera, PinholeKind, PinholeLens, seen_from
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3, dot, normalize
 
@@ -62,7 +62,7 @@ class ThinLensKind(ProjectiveKind):
         start = lens.start(aperture)
         return lens.pinhole.axes.to_world(Vec3(start.x, start.y, torch.zeros_like(start.x))) + lens.pinhole.origin - p
 
-    def sight(self, lens: ThinLensLens, p: Vec3, aperture: Vec2) -> Sight:
+    def sight(self, lens: ThinLensLens, p: Vec3, aperture: Vec2) -> PointsSeen:
         return seen_from(lens.pinhole, p + self.towards(lens, p, aperture), p, self.project(lens, p, aperture))
 
     def eye(self, lens: ThinLensLens) -> Tensor:

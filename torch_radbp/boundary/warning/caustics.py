@@ -40,9 +40,9 @@ class Caustic(NamedTuple):
 
     def lacking(self) -> SceneWarning:
         """The warning that the image lacks it."""
-        return SceneWarning(f"{self.text}: paths from the camera cannot find such caustics of lights without extent, and the "
-                            f"image lacks them. Take light_paths=\"caustics\", whose paths begin at the lamps too, or give "
-                            f"the light an extent, such as a small sphere with an area emitter")
+        return SceneWarning(f"{self.text}: paths from the camera cannot find such caustics of lights without extent, and "
+                            f"the image lacks them. Take light_paths=\"caustics\", whose paths begin at the lamps, too, or "
+                            f"give the light an extent, such as a small sphere with an area emitter")
 
     def traced(self) -> SceneWarning:
         """The note that paths from the lamps bring it."""
