@@ -13,13 +13,15 @@ from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.path.lamp_rays import LampTensors, sample_lamps
 from torch_radbp.sampling.alias import alias_table
 from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.sampling.spheres import Sphere
 from torch_radbp.scene.tables.placement import power_of_two_above
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import ROUNDINGS
 from torch_radbp.tensors.stage import EAGER, Stages
-from torch_radbp.tensors.vec import Ray, Vec3
+from torch_radbp.tensors.vec import Ray, Vec3, dot
 
-MARGIN, LEAST_RADIUS = 1.001, 1e-6  # of the sphere around the scene
+MARGIN, LEAST_RADIUS = 1.001, 1e-6  # of spheres
+MOST_TARGETS = 8  # spheres; code grows with them
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,8 @@ class Lamps(PathSource):
         return replace(self, keys=self.keys[1:] * 2)
 
     def samples(self, chunk: LaneRange, which: int, stages: Stages, cones: bool) -> CameraSample:
-        lane = torch.arange(chunk.first, chunk.first + chunk.lanes, dtype=torch.int32, device=self.lamps.world.radius.device)
+        device = self.lamps.world.clearance.device
+        lane = torch.arange(chunk.first, chunk.first + chunk.lanes, dtype=torch.int32, device=device)
         return stages(sample_lamps)(self.lamps, lane, self.keys[which], ())
 
     @property
@@ -63,18 +66,45 @@ def lamps_as_source(scene: SceneTensors, keys: tuple[SampleKey, SampleKey], ligh
         pmf = lights.choice.pmf
         own = alias_table(torch.where(lights.kind == scene.layout.surround[0], torch.zeros_like(pmf), pmf))
         lights = lights._replace(choice=own)
-    return Lamps(LampTensors(lights, scene.radiance, surrounding(scene), scene.layout), keys)
+    return Lamps(LampTensors(lights, scene.radiance, surrounding(scene, light_paths), scene.layout), keys)
 
 
-def surrounding(scene: SceneTensors) -> Surrounding:
-    """A sphere around the box around the surfaces of a scene, detached."""
+def surrounding(scene: SceneTensors, light_paths: str) -> Surrounding:
+    """What the rays of lamps are wanted for: of caustics to meet surfaces with ideal lobes."""
     points = scene.triangles.vertices.p.map(torch.Tensor.detach)
     instances = scene.triangles.casting_instances
     if instances is not None:
         own, boxes = int(instances.first_vertex[0]), Vec3.of(instances.boxes.flatten(0, 1))
         points = Vec3(*(torch.cat([vertices[:own], corners]) for vertices, corners in zip(points, boxes)))
     extremes = [part.aminmax() for part in points]
-    middle = Vec3(*(0.5 * (least + most) for least, most in extremes))
-    radius = 0.5 * MARGIN * torch.stack([most - least for least, most in extremes]).norm()
     largest = torch.stack([torch.maximum(-least, most) for least, most in extremes]).max()
-    return Surrounding(middle, radius.clamp_min(LEAST_RADIUS), ROUNDINGS * 2.0**-24 * power_of_two_above(largest))
+    around = sphere_around(*(Vec3(*side) for side in zip(*extremes)))
+    targets = ideal_surfaces(scene) if light_paths == "caustics" and instances is None else ()
+    return Surrounding(around, targets, ROUNDINGS * 2.0**-24 * power_of_two_above(largest))
+
+
+def ideal_surfaces(scene: SceneTensors) -> tuple[Sphere, ...]:
+    """Spheres around the surfaces of each material with ideal lobes, or one around all of many; none: there is none."""
+    materials, triangles = scene.materials, scene.triangles
+    ideal = [look for look, of in enumerate(scene.layout.appearances) if of.kind.delta and not of.kind.invisible]
+    by_side = torch.isin(materials.appearance, torch.tensor(ideal, device=scene.device)).view(2, -1).any(0)
+    some = by_side[triangles.material.long()]
+    material = triangles.material[some].long()
+    met, group = material.unique(return_inverse=True)
+    if not len(met):
+        return ()
+    if len(met) > MOST_TARGETS:
+        met, group = met[:1], torch.zeros_like(group)
+    corners = torch.stack([torch.stack([part.detach()[corner[some].long()] for part in triangles.vertices.p])
+                           for corner in triangles.corners])
+    group = group.expand(3, -1)
+    first = corners.new_zeros(3, len(met))
+    least, most = (first.scatter_reduce(1, group, getattr(corners, side)(0), side, include_self=False)
+                   for side in ("amin", "amax"))
+    return tuple(sphere_around(Vec3(*low), Vec3(*high)) for low, high in zip(least.t(), most.t()))
+
+
+def sphere_around(low: Vec3, high: Vec3) -> Sphere:
+    """The sphere around a box, () each."""
+    size = high - low
+    return Sphere((low + high) * 0.5, (0.5 * MARGIN * torch.sqrt(dot(size, size))).clamp_min(LEAST_RADIUS))

@@ -16,6 +16,7 @@ from torch_radbp.interface.emitter import (
     Aim,
     EmittingTriangles,
     Pick,
+    RayNumbers,
     ShadowSource,
     SurfaceKind,
     Surrounding,
@@ -23,9 +24,11 @@ from torch_radbp.interface.emitter import (
 from torch_radbp.interface.emitter_bounds import LightBounds
 from torch_radbp.plugin import register
 from torch_radbp.sampling.sampler import unit
+from torch_radbp.sampling.spheres import towards_spheres
 from torch_radbp.sampling.warp import square_to_cosine_hemisphere, square_to_uniform_triangle
+from torch_radbp.tensors.differentiated import settled
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import Frame, Vec2, Vec3, angle_between, dot, interpolated
+from torch_radbp.tensors.vec import Frame, Vec3, angle_between, dot, interpolated
 
 SMALLEST_COSINE = 1e-9  # at the surface; keeps densities finite
 
@@ -72,18 +75,23 @@ class AreaKind(SurfaceKind):
         pdf = pick.pmf * lookup(table.inverse_area, row) * squared / cosine.abs().clamp_min(SMALLEST_COSINE)
         return Aim(d, pdf * facing.to(pdf.dtype), target, uv=uv, attributes=table.attributes_at(row, b.x, b.y), n=n)
 
-    def emit(self, table: EmittingTriangles, proposal: EmittingTriangles, pick: Pick, across: Vec2,
+    def emit(self, table: EmittingTriangles, proposal: EmittingTriangles, pick: Pick, numbers: RayNumbers,
              world: Surrounding) -> Aim:
-        """Points are uniform over the area, directions around the normal as the cosine."""
-        row, b = pick.row, square_to_uniform_triangle(*(unit(bits, across.x.dtype) for bits in (pick.u, pick.v)))
-        n, sends = lookup(table.n, row), None
-        d = Frame.of(n).to_world(square_to_cosine_hemisphere(across.x, across.y))
+        """Points are uniform over the area, directions around the normal as the cosine, or even towards what is wanted."""
+        row, b = pick.row, square_to_uniform_triangle(*(unit(bits, pick.pmf.dtype) for bits in (pick.u, pick.v)))
+        n, sends, across = lookup(table.n, row), None, numbers.across
+        target, pdf = interpolated(lookup(table.p, row), b.x, b.y), pick.pmf * lookup(table.inverse_area, row)
+        if world.targets:
+            d, density, _ = towards_spheres(world.targets, target.map(settled), numbers.target, across)
+            sends = dot(n, d).clamp_min(0.0)
+        else:
+            d, density = Frame.of(n).to_world(square_to_cosine_hemisphere(across.x, across.y)), 1.0 / math.pi
         if table.shading is not None:
-            sends = (dot(interpolated(lookup(table.shading, row), b.x, b.y), d) > 0).to(n.x.dtype)
-            sends = sends if table.smooth is None else torch.where(lookup(table.smooth, row), sends, 1.0)
+            front = (dot(interpolated(lookup(table.shading, row), b.x, b.y), d) > 0).to(n.x.dtype)
+            front = front if table.smooth is None else torch.where(lookup(table.smooth, row), front, 1.0)
+            sends = front if sends is None else sends * front
         uv = None if table.uv is None else interpolated(lookup(table.uv, row), b.x, b.y)
-        pdf = pick.pmf * lookup(table.inverse_area, row) * (1.0 / math.pi)
-        return Aim(d, pdf, interpolated(lookup(table.p, row), b.x, b.y), sends, uv, table.attributes_at(row, b.x, b.y), n=n)
+        return Aim(d, pdf * density, target, sends, uv, table.attributes_at(row, b.x, b.y), n=n)
 
     def sends(self, front: Tensor) -> Tensor:
         return front

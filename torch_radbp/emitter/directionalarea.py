@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.surface import SurfaceLight
-from torch_radbp.interface.emitter import Aim, EmittingTriangles, Pick, ShadowSource, SurfaceKind, Surrounding
+from torch_radbp.interface.emitter import Aim, EmittingTriangles, Pick, RayNumbers, ShadowSource, SurfaceKind, Surrounding
 from torch_radbp.plugin import register
 from torch_radbp.sampling.sampler import unit
 from torch_radbp.sampling.warp import square_to_uniform_triangle
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import Ray, Vec2, Vec3, crossing, dot, interpolated
+from torch_radbp.tensors.vec import Ray, Vec3, crossing, dot, interpolated
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,9 @@ class DirectionalAreaKind(SurfaceKind):
         return Aim(-n, pick.pmf * met.to(pick.pmf.dtype), interpolated(corners, u, v), uv=uv,
                    attributes=table.attributes_at(pick.row, u, v))
 
-    def emit(self, table: EmittingTriangles, proposal: EmittingTriangles, pick: Pick, across: Vec2,
+    def emit(self, table: EmittingTriangles, proposal: EmittingTriangles, pick: Pick, numbers: RayNumbers,
              world: Surrounding) -> Aim:
-        row, b = pick.row, square_to_uniform_triangle(*(unit(bits, across.x.dtype) for bits in (pick.u, pick.v)))
+        row, b = pick.row, square_to_uniform_triangle(*(unit(bits, pick.pmf.dtype) for bits in (pick.u, pick.v)))
         n, uv = lookup(table.n, row), None if table.uv is None else interpolated(lookup(table.uv, row), b.x, b.y)
         return Aim(n, pick.pmf * lookup(table.inverse_area, row), interpolated(lookup(table.p, row), b.x, b.y), uv=uv,
                    attributes=table.attributes_at(row, b.x, b.y), n=n)

@@ -9,10 +9,12 @@ import torch
 from torch import Tensor
 
 from torch_radbp.emitter.attributes import linear_inverse
-from torch_radbp.interface.emitter import NEAREST, Aim, LightKind, Pick, ShadowSource, Surrounding, Table
+from torch_radbp.interface.emitter import NEAREST, Aim, LightKind, Pick, RayNumbers, ShadowSource, Surrounding, Table
+from torch_radbp.sampling.spheres import towards_spheres
 from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF, square_to_uniform_sphere
+from torch_radbp.tensors.differentiated import settled
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import Frame, Vec2, Vec3, cross, dot
+from torch_radbp.tensors.vec import Frame, Vec2, Vec3, cross, dot, where
 
 FLATTEST = 1e-4  # cosine with a light's axis below which its image is not read
 
@@ -23,6 +25,7 @@ class PositionalKind(LightKind):
 
     delta: ClassVar[bool] = True
     bounded: ClassVar[bool] = True
+    aimed: ClassVar[bool] = True  # the light ends nowhere abruptly, so that directions may be sampled without its pose
 
     def aim(self, table: Table, proposal: Table, p: Vec3, pick: Pick) -> Aim:
         light = lookup(table, pick.row)
@@ -32,9 +35,13 @@ class PositionalKind(LightKind):
         profile, uv = self.profile(light, -d)
         return Aim(d, pick.pmf, light.place, strength if profile is None else strength * profile, uv)
 
-    def emit(self, table: Table, proposal: Table, pick: Pick, across: Vec2, world: Surrounding) -> Aim:
+    def emit(self, table: Table, proposal: Table, pick: Pick, numbers: RayNumbers, world: Surrounding) -> Aim:
         light = lookup(table, pick.row)
-        d, density = self.beam(light, across)
+        d, density = self.beam(light, numbers.across)
+        if world.targets and self.aimed:
+            aimed, there, size = towards_spheres(world.targets, light.place.map(settled), numbers.target, numbers.across)
+            narrower = size * settled(density) < 1.0  # than the beam
+            d, density = where(narrower, aimed, d), torch.where(narrower, there, density)
         strength, uv = self.profile(light, d)
         return Aim(d, pick.pmf * density, light.place, strength, uv)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -33,6 +33,8 @@ class ProjectorTable(NamedTuple):
 @dataclass(frozen=True)
 class ProjectorKind(PositionalKind):
     """Projectors: intensity of a flat, evenly lit screen, 1 / cos^3 of the angle with the axis, within the image."""
+
+    aimed: ClassVar[bool] = False
 
     def bounds(self, table: ProjectorTable, luminance: Tensor) -> LightBounds:
         place, axis = (v.map(lambda c: c.to(luminance)) for v in (table.place, normalize(table.to_local.n)))

@@ -11,7 +11,6 @@ factor; or the kind computes it itself.
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,10 +22,11 @@ from torch import Tensor
 from torch_radbp.interface.emitter_bounds import LightBounds
 from torch_radbp.plugin import Emitter
 from torch_radbp.plugin.jump_lines import JumpLines
-from torch_radbp.sampling.warp import square_to_uniform_disk_concentric
+from torch_radbp.sampling.spheres import Sphere, rays_to_spheres
+from torch_radbp.tensors.differentiated import settled
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import with_parts
-from torch_radbp.tensors.vec import Frame, Vec2, Vec3, interpolated
+from torch_radbp.tensors.vec import Vec2, Vec3, dot, interpolated
 
 NEAREST = 1e-9  # the least distance that counts; 1 / NEAREST^4 is finite in float32
 
@@ -57,11 +57,18 @@ class Aim(NamedTuple):
 
 
 class Surrounding(NamedTuple):
-    """A sphere around a scene; () each, detached."""
+    """What the rays of a lamp may be wanted for; detached."""
 
-    middle: Vec3
-    radius: Tensor
-    clearance: Tensor  # distance off surfaces at which rays start
+    around: Sphere  # around the scene
+    targets: tuple[Sphere, ...]  # around what rays must meet first; none: rays in all directions are wanted
+    clearance: Tensor  # () distance off surfaces at which rays start
+
+
+class RayNumbers(NamedTuple):
+    """The uniform numbers of a lamp's ray beside those of `Pick`, (N,) in [0, 1)."""
+
+    across: Vec2
+    target: Tensor
 
 
 class ShadowSource(NamedTuple):
@@ -119,12 +126,12 @@ class LightKind(ABC):
         Values and derivatives must be finite in every lane, also where a light of another kind was picked.
         """
 
-    def emit(self, table: Table, proposal: Table, pick: Pick, across: Vec2, world: Surrounding) -> Aim:
-        """Samples a ray of the light in row `pick.row`; attached to the table. Light from far away comes through a disk.
+    def emit(self, table: Table, proposal: Table, pick: Pick, numbers: RayNumbers, world: Surrounding) -> Aim:
+        """Samples a ray of the light in row `pick.row`; attached to the table. Light from far away comes through discs.
 
         Args:
-            across: (N,) uniform numbers in [0, 1), beside those of `pick`.
-            world: what light from far away must reach.
+            numbers: decide, beside `pick`.
+            world: what rays are wanted for.
 
         Returns:
             `d`: the direction in which it leaves, `target`: the point at which it does, `pdf`: their density over solid
@@ -132,11 +139,13 @@ class LightKind(ABC):
         """
         if not self.parallel:
             raise TypeError(f"{type(self).__name__} does not say which rays leave it")
-        middle = world.middle.map(lambda c: c.expand_as(across.x))
-        aim, disk = self.aim(table, proposal, middle, pick), square_to_uniform_disk_concentric(across.x, across.y)
-        s, t, n = Frame.of(aim.d)
-        start = middle + (s * disk.x + t * disk.y + n) * world.radius
-        return aim._replace(d=-aim.d, target=start, pdf=aim.pdf / (math.pi * world.radius * world.radius))
+        middle, radius = world.around
+        middle = middle.map(lambda c: c.expand_as(pick.pmf))
+        aim = self.aim(table, proposal, middle, pick)
+        p, density, _ = rays_to_spheres(world.targets or (world.around,), aim.d.map(settled), numbers.target, numbers.across)
+        # The ray through that point begins outside of the scene, and turns about the point with the light.
+        reach = settled(dot(middle - p, aim.d) + radius)
+        return aim._replace(d=-aim.d, target=p + aim.d * reach, pdf=aim.pdf * density)
 
 
 class SurroundKind(LightKind):

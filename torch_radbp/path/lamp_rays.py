@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.connection.light import Aims, sent
-from torch_radbp.interface.emitter import Pick, Surrounding
+from torch_radbp.interface.emitter import Pick, RayNumbers, Surrounding
 from torch_radbp.interface.texture import TextureValue
 from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.sampling.sampler import (
@@ -32,7 +32,7 @@ from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Ray, Vec2
 
 ACROSS_U, ACROSS_V, POINT_U, POINT_V = range(4)  # the random numbers of a ray
-CHOICE, SPLIT = range(2)  # and of its lamp, which are those of another point: four are all that a point has
+CHOICE, SPLIT, TARGET = range(3)  # and of its lamp, which are those of another point: four are all that a point has
 LAMP_COUNTER = int(depth_counter(-2, torch.device("cpu")))
 
 
@@ -56,14 +56,16 @@ def sample_lamps(lamps: LampTensors, lane: Tensor, key: SampleKey,
         key: of the call.
         texture_values: the values of textures that are read outside.
     """
-    keys, dtype = lane_key(key, torch.zeros_like(lane), lane), lamps.world.radius.dtype
+    keys, dtype = lane_key(key, torch.zeros_like(lane), lane), lamps.world.clearance.dtype
     numbers, proposal = bounce_key(keys, CAMERA_COUNTER), detached(lamps)
-    element, pmf = chosen_light(proposal.lights, bounce_key(keys, LAMP_COUNTER))
+    of_lamp = bounce_key(keys, LAMP_COUNTER)
+    element, pmf = chosen_light(proposal.lights, of_lamp)
     pick_u, pick_v = (random_bits(numbers, dimension) for dimension in (POINT_U, POINT_V))
     across = Vec2(*(uniform(numbers, dimension, dtype) for dimension in (ACROSS_U, ACROSS_V)))
+    decide = RayNumbers(across, uniform(of_lamp, TARGET, dtype))
     cases = light_cases(lamps, element, dict(enumerate(lamps.layout.lights)))
     rays = [case.kind.emit(lamps.lights.tables[case.number], proposal.lights.tables[case.number],
-                           Pick(rows_of_case(lamps, element, case), pmf, pick_u, pick_v), across, lamps.world)
+                           Pick(rows_of_case(lamps, element, case), pmf, pick_u, pick_v), decide, lamps.world)
             for case in cases]
     start = merged_by_case(cases, [ray.target for ray in rays])
     samples = Aims(element, cases, rays, start)
