@@ -12,16 +12,19 @@ from torch import Tensor
 
 from torch_radbp.adjoint.checked_sweep import CheckedSweep
 from torch_radbp.adjoint.images import render_images
-from torch_radbp.adjoint.record import record_wavefront
+from torch_radbp.adjoint.record import glues, record_wavefront
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import Sweep, numbered_leaves
 from torch_radbp.adjoint.taped_sweep import sweep_of
 from torch_radbp.call.chunks import LaneBlock
 from torch_radbp.call.finite import FirstNonFinite, NonFiniteError, all_finite, count_of_bad, gradient_error
 from torch_radbp.call.pixels import weighted
-from torch_radbp.call.render_call import RenderCall, integrand_of_wavefront, start_paths
+from torch_radbp.call.render_call import RenderCall, integrand_of_wavefront, start_paths, started
 from torch_radbp.call.wavefronts import Wavefront
+from torch_radbp.path.integrand import Integrand
 from torch_radbp.public_call import public_call
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.differentiated import differentiable
 from torch_radbp.tensors.lookup import summed
 from torch_radbp.tensors.record import leaves_of, mapped, rows_between, with_leaves
@@ -111,11 +114,10 @@ class RenderFunction(torch.autograd.Function):
             gradients = Gradients((*leaves, *of_source), call.memory)
             for index in share:
                 sweep = swept(index, gradients)
-                adj_start = adj_of_start(sweep)
-                for chunk, *lanes in call.wavefronts[index].parts() if of_source else ():
-                    adj_chunk = rows_between(adj_start, *lanes)
-                    for k, adjoint in source_adjoint(call, chunk, wanted_of_source, adj_chunk):
-                        gradients.add_whole(len(leaves) + k, adjoint)
+                adj_start, asked = adj_of_start(sweep), wanted + tuple(wanted_of_source)
+                for chunk, *lanes in call.wavefronts[index].parts():
+                    for k, adjoint in source_adjoint(call, sweep.integrand, chunk, asked, rows_between(adj_start, *lanes)):
+                        gradients.add_whole(k, adjoint)
             return gradients
 
         shares = in_turns(len(call.wavefronts), call.workers, differentiate_share)
@@ -172,37 +174,55 @@ def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
 
 
 class StartAdjoint(NamedTuple):
-    """The derivatives of the loss by how the paths of a wavefront begin, (N,)."""
+    """The derivatives of the loss by how the paths of a wavefront begin, (N,), and what their rays meet."""
 
     ray: Ray | None
     cone: Cone | None
     beta: Vec3
+    hit: Hit | None  # None: rays carry no derivatives
 
 
 def adj_of_start(sweep: Sweep) -> StartAdjoint:
     """What a sweep has found of the beginning of its paths: the loss is adj_1 beta_1 L_1."""
-    return StartAdjoint(sweep.memo.adj_ray, sweep.memo.adj_cone, sweep.adj_L * sweep.memo.L)
+    memo = sweep.memo
+    return StartAdjoint(memo.adj_ray, memo.adj_cone, sweep.adj_L * memo.L, memo.hit)
 
 
-def source_adjoint(call: RenderCall, chunk: LaneBlock, wanted: Sequence[bool],
+def source_adjoint(call: RenderCall, integrand: Integrand, chunk: LaneBlock, wanted: Sequence[bool],
                    adj_start: StartAdjoint) -> Iterator[tuple[int, Tensor]]:
-    """What rays, cones and power of one chunk add to the gradients of the wanted leaves of the source, with the number of
-    each among these; where each ray reads entries of its own, they are summed in float64."""
-    read, tensors = call.source.leaves_read(chunk), call.source.tensors
+    """What rays, cones and power of one chunk add to the gradients of the wanted leaves of scene and source.
+
+    Yields:
+        The number of each among the wanted ones, and what is added; where each ray reads entries of its own, they are summed
+        in float64.
+    """
+    tensors, scene, glued = call.source.tensors, call.scene, call.sink.at_vertices and glues(integrand)
+    shift, of_scene = len(leaves_of(scene)), scene_leaves_met(scene) if glued else ()
+    read = {*of_scene, *(shift + place for place in call.source.leaves_read(chunk))}
     leaves = [leaf.clone().requires_grad_() if want and place in read else leaf
-              for place, (leaf, want) in enumerate(zip(leaves_of(tensors), wanted))]
-    inputs = [(sum(wanted[:place]), leaves[place]) for place in read if wanted[place]]
+              for place, (leaf, want) in enumerate(zip((*leaves_of(scene), *leaves_of(tensors)), wanted))]
+    inputs = [(sum(wanted[:place]), leaves[place]) for place in sorted(read) if wanted[place]]
     if not inputs:
         return
-    source = call.source.with_tensors(summed(with_leaves(tensors, leaves)))
+    source = call.source.with_tensors(summed(with_leaves(tensors, leaves[shift:])))
     with torch.enable_grad():
-        start = start_paths(call._replace(source=source, stages=EAGER), Wavefront((chunk,)), 1)
+        if glued:
+            sample = source.glued(chunk, 1, summed(with_leaves(scene, leaves[:shift])), adj_start.hit)
+            start = started(call, sample)
+        else:
+            start = start_paths(call._replace(source=source, stages=EAGER), Wavefront((chunk,)), 1)
         pairs = [(output, adjoint) for output, adjoint in zip((start.ray, start.cone, start.beta), adj_start)
                  if adjoint is not None]
         outputs, adjoints = (leaves_of(parts) for parts in zip(*pairs))
         adjoints = vector_jacobian_product(outputs, [leaf for _, leaf in inputs], adjoints)
     for (number, leaf), adjoint in zip(inputs, adjoints):
         yield number, zeros_unless(adjoint, leaf)
+
+
+def scene_leaves_met(scene: SceneTensors) -> list[int]:
+    """The numbers of the leaves of a scene on which the points depend that rays meet."""
+    marked = with_leaves(scene.triangles, list(range(len(leaves_of(scene.triangles)))))
+    return [number for number in leaves_of((marked.vertices.p, marked.instances)) if number is not None]
 
 
 def render_with_derivative(call: RenderCall) -> Tensor:

@@ -50,14 +50,24 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
     samples, recorder = camera_samples(call, wavefront, which), Recorder(call.adjoint, integrand.max_depth, record)
     integrand = integrand_of_wavefront(call, integrand, wavefront, which)
     if call.sink.at_vertices:
-        deposits = call.sink.deposits(call)
-        trace_to_film(integrand, started(call, samples), deposits.add, recorder.visit if record else None, bounce)
+        deposits, hit = call.sink.deposits(call), None
+        if integrand.attached and glues(integrand):
+            still = integrand.still()
+            hit = still.caster.intersect(detached(samples.ray))
+            samples = joined([call.source.glued(chunk, which, integrand.scene, rows_between(hit, first, last))
+                              for chunk, first, last in wavefront.parts()])
+        trace_to_film(integrand, started(call, samples), deposits.add, recorder.visit if record else None, bounce, hit)
         return [deposits.total()], recorder.record(partial(start_paths, call, wavefront, which), None, samples)
     asked = record or call.quantities is not None  # of the quantities some ask for what camera rays meet
     L = trace(integrand, started(call, samples), recorder.visit if asked else None, bounce=bounce)
     radiance = L if record and call.adjoint.keep_radiance else None
     return (call.sink.deposit(call, wavefront, _shown(call, integrand, samples, recorder.hit, L), samples),
             recorder.record(partial(start_paths, call, wavefront, which), radiance, samples))
+
+
+def glues(integrand: Integrand) -> bool:
+    """True if what rays meet is glued to surfaces, other than with all sampling differentiated."""
+    return integrand.settings.moving and integrand.settings.sampling != "attached"
 
 
 def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> tuple[list[Tensor], PathRecord]:

@@ -10,15 +10,17 @@ from torch_radbp.call.chunks import LaneRange
 from torch_radbp.call.source import PathSource
 from torch_radbp.interface.emitter import Surrounding
 from torch_radbp.path.camera_rays import CameraSample
-from torch_radbp.path.lamp_rays import LampTensors, sample_lamps
+from torch_radbp.path.lamp_rays import LampTensors, Met, sample_lamps
+from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.alias import alias_table
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.sampling.spheres import Sphere
-from torch_radbp.scene.tables.placement import power_of_two_above
+from torch_radbp.scene.tables.placement import points_in_world, power_of_two_above
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
-from torch_radbp.scene.tables.triangle_corners import ROUNDINGS
+from torch_radbp.scene.tables.triangle_corners import ROUNDINGS, at_corners
 from torch_radbp.tensors.stage import EAGER, Stages
 from torch_radbp.tensors.vec import Ray, Vec3, dot
+from torch_radbp.vertex.interaction import corner_rows
 
 MARGIN, LEAST_RADIUS = 1.001, 1e-6  # of spheres
 MOST_TARGETS = 8  # spheres; code grows with them
@@ -44,7 +46,13 @@ class Lamps(PathSource):
     def samples(self, chunk: LaneRange, which: int, stages: Stages, cones: bool) -> CameraSample:
         device = self.lamps.world.clearance.device
         lane = torch.arange(chunk.first, chunk.first + chunk.lanes, dtype=torch.int32, device=device)
-        return stages(sample_lamps)(self.lamps, lane, self.keys[which], ())
+        return stages(sample_lamps)(self.lamps, lane, self.keys[which], (), None)
+
+    def glued(self, chunk: LaneRange, which: int, scene: SceneTensors, hit: Hit) -> CameraSample:
+        device = self.lamps.world.clearance.device
+        lane = torch.arange(chunk.first, chunk.first + chunk.lanes, dtype=torch.int32, device=device)
+        corners = at_corners(scene.triangles.vertices.p, corner_rows(scene, hit))
+        return sample_lamps(self.lamps, lane, self.keys[which], (), Met(points_in_world(scene, hit, corners), hit))
 
     @property
     def ray(self) -> Ray:

@@ -84,7 +84,7 @@ def started(call: RenderCall, sample: CameraSample) -> PathState:
     layout = call.scene.layout
     medium = (-1 if layout.around is None else layout.around) if layout.follows else None
     return start_path(sample.ray, sample.key, call.scene.lights.by_place, call.following, sample.cone, medium, sample.power,
-                      call.shared)
+                      call.shared, sample.slides)
 
 
 def start_paths(call: RenderCall, wavefront: Wavefront, which: int) -> PathState:

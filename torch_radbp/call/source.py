@@ -18,10 +18,12 @@ from torch_radbp.call.chunks import Chunk, LaneBlock, Rows
 from torch_radbp.call.view import View
 from torch_radbp.film.window import Window
 from torch_radbp.path.camera_rays import CameraSample, film_place, sample_camera
+from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import leaves_of
-from torch_radbp.tensors.stage import Stages
+from torch_radbp.tensors.stage import EAGER, Stages
 from torch_radbp.tensors.vec import Vec2
 
 FEW = 1 << 16  # lanes whose numbers are kept for the next call
@@ -53,6 +55,15 @@ class PathSource(ABC):
     @abstractmethod
     def of_derivative(self) -> PathSource:
         """The source whose image has the random numbers of the derivative."""
+
+    def glued(self, chunk: LaneBlock, which: int, scene: SceneTensors, hit: Hit) -> CameraSample:
+        """`samples` whose rays follow what they meet, if they may; attached to that, too. Not compiled.
+
+        Args:
+            scene: attached.
+            hit: (chunk.lanes,) what they meet.
+        """
+        return self.samples(chunk, which, EAGER, scene.layout.traces_cones)
 
     def leaves_read(self, chunk: LaneBlock) -> range:
         """Which leaves of `tensors` the rays of a chunk depend on, as `leaves_of` counts them."""

@@ -28,7 +28,7 @@ from torch_radbp.sampling.spheres import towards_spheres
 from torch_radbp.sampling.warp import square_to_cosine_hemisphere, square_to_uniform_triangle
 from torch_radbp.tensors.differentiated import settled
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import Frame, Vec3, angle_between, dot, interpolated
+from torch_radbp.tensors.vec import Frame, Vec3, angle_between, attached, dot, interpolated, normalize
 
 SMALLEST_COSINE = 1e-9  # at the surface; keeps densities finite
 
@@ -86,6 +86,12 @@ class AreaKind(SurfaceKind):
             sends = dot(n, d).clamp_min(0.0)
         else:
             d, density = Frame.of(n).to_world(square_to_cosine_hemisphere(across.x, across.y)), 1.0 / math.pi
+        if numbers.met is not None:
+            if sends is None:
+                sends = dot(n, settled(d))
+                density = density * settled(sends)
+            d = attached(d.map(settled), normalize(numbers.met - target))
+            sends = dot(n, d).clamp_min(0.0)
         if table.shading is not None:
             front = (dot(interpolated(lookup(table.shading, row), b.x, b.y), d) > 0).to(n.x.dtype)
             front = front if table.smooth is None else torch.where(lookup(table.smooth, row), front, 1.0)

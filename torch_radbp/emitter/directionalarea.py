@@ -23,6 +23,7 @@ class DirectionalAreaKind(SurfaceKind):
 
     delta: ClassVar[bool] = True
     parallel: ClassVar[bool] = True
+    aimed: ClassVar[bool] = False
 
     def check(self, triangles: EmittingTriangles) -> None:
         if triangles.shading is not None:

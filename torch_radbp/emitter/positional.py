@@ -14,7 +14,7 @@ from torch_radbp.sampling.spheres import towards_spheres
 from torch_radbp.sampling.warp import UNIFORM_SPHERE_PDF, square_to_uniform_sphere
 from torch_radbp.tensors.differentiated import settled
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import Frame, Vec2, Vec3, cross, dot, where
+from torch_radbp.tensors.vec import Frame, Vec2, Vec3, attached, cross, dot, normalize, where
 
 FLATTEST = 1e-4  # cosine with a light's axis below which its image is not read
 
@@ -25,7 +25,6 @@ class PositionalKind(LightKind):
 
     delta: ClassVar[bool] = True
     bounded: ClassVar[bool] = True
-    aimed: ClassVar[bool] = True  # the light ends nowhere abruptly, so that directions may be sampled without its pose
 
     def aim(self, table: Table, proposal: Table, p: Vec3, pick: Pick) -> Aim:
         light = lookup(table, pick.row)
@@ -42,6 +41,8 @@ class PositionalKind(LightKind):
             aimed, there, size = towards_spheres(world.targets, light.place.map(settled), numbers.target, numbers.across)
             narrower = size * settled(density) < 1.0  # than the beam
             d, density = where(narrower, aimed, d), torch.where(narrower, there, density)
+        if numbers.met is not None and self.aimed:
+            d, density = attached(d.map(settled), normalize(numbers.met - light.place)), settled(density)
         strength, uv = self.profile(light, d)
         return Aim(d, pick.pmf * density, light.place, strength, uv)
 

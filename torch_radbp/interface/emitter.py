@@ -26,7 +26,7 @@ from torch_radbp.sampling.spheres import Sphere, rays_to_spheres
 from torch_radbp.tensors.differentiated import settled
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import with_parts
-from torch_radbp.tensors.vec import Vec2, Vec3, dot, interpolated
+from torch_radbp.tensors.vec import Vec2, Vec3, attached, dot, interpolated
 
 NEAREST = 1e-9  # the least distance that counts; 1 / NEAREST^4 is finite in float32
 
@@ -69,6 +69,7 @@ class RayNumbers(NamedTuple):
 
     across: Vec2
     target: Tensor
+    met: Vec3 | None = None  # world points of surfaces to which the rays are glued, attached; None: they follow their lamp
 
 
 class ShadowSource(NamedTuple):
@@ -104,6 +105,7 @@ class LightKind(ABC):
     parallel: ClassVar[bool] = False  # a sample shines in one direction, the same everywhere; such are all `distant`
     surround: ClassVar[bool] = False  # see `SurroundKind`
     on_surface: ClassVar[bool] = False  # see `SurfaceKind`
+    aimed: ClassVar[bool] = True  # its rays end nowhere abruptly, so that they may follow what they meet
     bounded: ClassVar[bool] = False  # it has a position, and its light falls with the square of the distance: see `bounds`
 
     def table(self, emitters: Sequence[Light], like: Tensor) -> Table:
@@ -130,7 +132,8 @@ class LightKind(ABC):
         """Samples a ray of the light in row `pick.row`; attached to the table. Light from far away comes through discs.
 
         Args:
-            numbers: decide, beside `pick`.
+            numbers: decide, beside `pick`; with `met`, of kinds that are `aimed`, the rays' derivatives are those of rays to
+                these points, and their density has none.
             world: what rays are wanted for.
 
         Returns:
@@ -144,6 +147,7 @@ class LightKind(ABC):
         aim = self.aim(table, proposal, middle, pick)
         p, density, _ = rays_to_spheres(world.targets or (world.around,), aim.d.map(settled), numbers.target, numbers.across)
         # The ray through that point begins outside of the scene, and turns about the point with the light.
+        p = p if numbers.met is None else attached(p, numbers.met)
         reach = settled(dot(middle - p, aim.d) + radius)
         return aim._replace(d=-aim.d, target=p + aim.d * reach, pdf=aim.pdf * density)
 

@@ -33,6 +33,7 @@ class CameraSample(NamedTuple):
     weight: Tensor | None  # camera weight of their radiance; None: 1
     cone: Cone | None  # ray cone; None if no texture is filtered
     place: Vec2 | None  # position in the pixel, in [0, 1); None: they belong to no pixel
+    slides: Tensor | None = None  # bool: what rays meet first slides with them, and is not glued; None: all does
     power: Vec3 | None = None  # linear RGB throughput with which they begin, attached; None: 1
 
 

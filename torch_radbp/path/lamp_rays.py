@@ -11,6 +11,7 @@ from torch_radbp.connection.light import Aims, sent
 from torch_radbp.interface.emitter import Pick, RayNumbers, Surrounding
 from torch_radbp.interface.texture import TextureValue
 from torch_radbp.path.camera_rays import CameraSample
+from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import (
     CAMERA_COUNTER,
     BounceKey,
@@ -24,12 +25,13 @@ from torch_radbp.sampling.sampler import (
     unit,
 )
 from torch_radbp.scene.tables.light_choice import TreeChoice
-from torch_radbp.scene.tables.light_kinds import light_cases, merged_by_case, rows_of_case
+from torch_radbp.scene.tables.light_kinds import among, light_cases, merged_by_case, rows_of_case
 from torch_radbp.scene.tables.scene_tensors import Layout, LightTable
+from torch_radbp.scene.tables.triangle_corners import Corners, edges
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import stage
-from torch_radbp.tensors.vec import Ray, Vec2
+from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot
 
 ACROSS_U, ACROSS_V, POINT_U, POINT_V = range(4)  # the random numbers of a ray
 CHOICE, SPLIT, TARGET = range(3)  # and of its lamp, which are those of another point: four are all that a point has
@@ -45,9 +47,16 @@ class LampTensors(NamedTuple):
     layout: Layout
 
 
+class Met(NamedTuple):
+    """What rays of lamps meet first, (N,)."""
+
+    corners: Corners  # of the triangles, world, attached
+    hit: Hit
+
+
 @stage("lamps")
-def sample_lamps(lamps: LampTensors, lane: Tensor, key: SampleKey,
-                 texture_values: tuple[TextureValue, ...]) -> CameraSample:
+def sample_lamps(lamps: LampTensors, lane: Tensor, key: SampleKey, texture_values: tuple[TextureValue, ...],
+                 met: Met | None) -> CameraSample:
     """Samples one ray of light per lane, with its power over the density; attached to the lights.
 
     Args:
@@ -55,6 +64,7 @@ def sample_lamps(lamps: LampTensors, lane: Tensor, key: SampleKey,
         lane: (N,) int32, its number among all paths.
         key: of the call.
         texture_values: the values of textures that are read outside.
+        met: the points to which the rays of kinds that are `aimed` are glued; None: they follow their lamps.
     """
     keys, dtype = lane_key(key, torch.zeros_like(lane), lane), lamps.world.clearance.dtype
     numbers, proposal = bounce_key(keys, CAMERA_COUNTER), detached(lamps)
@@ -62,7 +72,9 @@ def sample_lamps(lamps: LampTensors, lane: Tensor, key: SampleKey,
     element, pmf = chosen_light(proposal.lights, of_lamp)
     pick_u, pick_v = (random_bits(numbers, dimension) for dimension in (POINT_U, POINT_V))
     across = Vec2(*(uniform(numbers, dimension, dtype) for dimension in (ACROSS_U, ACROSS_V)))
-    decide = RayNumbers(across, uniform(of_lamp, TARGET, dtype))
+    glued = None if met is None else met.hit.prim >= 0
+    point = None if met is None else glued_point(met)
+    decide = RayNumbers(across, uniform(of_lamp, TARGET, dtype), point)
     cases = light_cases(lamps, element, dict(enumerate(lamps.layout.lights)))
     rays = [case.kind.emit(lamps.lights.tables[case.number], proposal.lights.tables[case.number],
                            Pick(rows_of_case(lamps, element, case), pmf, pick_u, pick_v), decide, lamps.world)
@@ -70,11 +82,38 @@ def sample_lamps(lamps: LampTensors, lane: Tensor, key: SampleKey,
     start = merged_by_case(cases, [ray.target for ray in rays])
     samples = Aims(element, cases, rays, start)
     d, pdf, n = samples("d"), samples("pdf"), samples("n")
+    aimed = among(cases, [case.kind.aimed for case in cases], element)
     valid = pdf > 0
     power = sent(lamps, samples, texture_values) * (valid.to(dtype) / torch.where(valid, pdf, 1.0))
+    if met is not None and aimed is not None:
+        parallel = among(cases, [case.kind.parallel for case in cases], element)
+        power = power * torch.where(glued & aimed, area_ahead(met, start, d, parallel), 1.0)
     if n is not None:  # off the surface that it leaves
         start = start + n.map(lambda c: c.detach() * lamps.world.clearance)
-    return CameraSample(Ray(start, d), keys, None, None, None, power)
+    return CameraSample(Ray(start, d), keys, None, None, None, None if aimed is None else ~aimed, power)
+
+
+def glued_point(met: Met) -> Vec3:
+    """The points at fixed barycentric coordinates of triangles, attached to these."""
+    p0, e1, e2 = edges(*met.corners)
+    return p0 + e1 * met.hit.u.detach() + e2 * met.hit.v.detach()
+
+
+def area_ahead(met: Met, start: Vec3, d: Vec3, parallel: Tensor | None) -> Tensor:
+    """The change of what a piece of a triangle takes of a lamp's rays, of value 1: solid angle, or area across; attached.
+
+    Args:
+        met: the triangles.
+        start, d: (N,) the rays, attached.
+        parallel: (N,) bool: all rays of the lamp have one direction, and its area counts; None: nowhere.
+    """
+    _, e1, e2 = edges(*met.corners)
+    reach = glued_point(met) - start
+    element, squared = dot(cross(e1, e2), d), dot(reach, reach).clamp_min(TINY)
+    spread = element / (squared if parallel is None else torch.where(parallel, 1.0, squared))
+    fixed = spread.detach()
+    seen = fixed.abs() > TINY
+    return torch.where(seen, spread, 1.0) / torch.where(seen, fixed, 1.0)
 
 
 def chosen_light(lights: LightTable, numbers: BounceKey) -> tuple[Tensor, Tensor]:

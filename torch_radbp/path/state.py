@@ -109,7 +109,7 @@ class Arrival(NamedTuple):
 
 def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: bool = False,
                cone: Cone | None = None, medium: int | None = None, power: Vec3 | None = None,
-               shared: bool = False) -> PathState:
+               shared: bool = False, slides: Tensor | None = None) -> PathState:
     """The state before the first bounce, lanes numbered in order.
 
     Args:
@@ -119,10 +119,12 @@ def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: boo
         medium: the number of that in which they begin, -1: none; None: rays are not followed through media.
         power: throughput with which they begin; None: 1.
         shared: light is shared among paths that begin at the camera and at lamps.
+        slides: the points that rays meet slide with them over surfaces, instead of being glued to these; None: all do.
     """
     beta = Vec3(torch.ones_like(ray.d.x), torch.ones_like(ray.d.x), torch.ones_like(ray.d.x)) if power is None else power
     lane = torch.arange(len(ray.d.x), dtype=torch.int32, device=ray.d.x.device)
-    return PathState(ray, beta, torch.full_like(ray.d.x, torch.inf), key, lane,
+    pdf = torch.full_like(ray.d.x.detach(), torch.inf)
+    return PathState(ray, beta, pdf if slides is None else torch.where(slides, pdf, 1.0), key, lane,
                      Vantage(ray.o.map(settled), ray.d.map(settled)) if from_places else None,
                      torch.zeros_like(lane, dtype=torch.bool) if following else None, cone,
                      None if medium is None else torch.full_like(lane, medium), torch.zeros_like(lane) if shared else None)

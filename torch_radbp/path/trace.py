@@ -42,16 +42,16 @@ def trace(integrand: Integrand, start: PathState, visit: Visit | None = None, hi
 
 
 def trace_to_film(integrand: Integrand, start: PathState, deposit: Callable[[BroughtToFilm], None],
-                  visit: Visit | None = None, bounce: Bounce = bounced) -> None:
+                  visit: Visit | None = None, bounce: Bounce = bounced, hit: Hit | None = None) -> None:
     """Traces paths from lamps: each vertex brings something to the film.
 
     Args:
         integrand: the scene, with the camera in the place of the lights, and how to step.
         start: from `start_path`.
         deposit: called with what the vertices of a bounce bring, (N,).
-        visit, bounce: as for `trace`.
+        visit, bounce, hit: as for `trace`.
     """
-    onward, depth = Onward(start, None), 0
+    onward, depth = Onward(start, None, hit), 0
     with bounces_taken(integrand, start.pdf.dtype, bounce) as take:
         while depth + 1 < integrand.max_depth:  # at the last vertex nothing scatters
             if not most_of(onward.count):
