@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
+import torch
+from torch import Tensor
+
 from torch_radbp.bsdf.microfacet import DISTRIBUTIONS, SMALLEST_ALPHA
 from torch_radbp.bsdf.number import NumberOf
 from torch_radbp.plugin import BSDF, Texture, boolean, nearest
 from torch_radbp.plugin.domain import AMOUNT
+from torch_radbp.texture.bitmap import reader_of
 from torch_radbp.texture.rgb import as_texture
 
 ROUGHNESS = dict.fromkeys(("alpha", "alpha_u", "alpha_v"), AMOUNT._replace(floor=SMALLEST_ALPHA))  # domains
@@ -58,3 +64,17 @@ def roughness_numbers(owner: BSDF) -> tuple[NumberOf, ...]:
     """The roughness textures of `owner` as scalars, even if they are in colour."""
     names = ("alpha",) if owner.alpha is not None else ("alpha_u", "alpha_v")
     return tuple(NumberOf(owner, name) for name in names)
+
+
+def smallest_alpha(bsdf: BSDF) -> float:
+    """The least mean roughness of a material and of those nested in it, detached; infinite if none has any."""
+    found = [math.inf]
+    for plugin in bsdf.modules():
+        for name in (*ROUGHNESS, "roughness"):
+            value = getattr(plugin, name, None) if isinstance(plugin, BSDF) else None
+            if isinstance(value, Texture) and not reader_of(value).outside:
+                value = torch.cat([source.flatten() for source in value.sources()])
+            if isinstance(value, Tensor):
+                mean = float(value.detach().mean())
+                found.append(mean * mean if name == "roughness" else mean)
+    return min(found)

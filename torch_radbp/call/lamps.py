@@ -95,7 +95,8 @@ def ideal_surfaces(scene: SceneTensors) -> tuple[Sphere, ...]:
     """Spheres around the surfaces of each material with ideal lobes, or one around all of many; none: there is none."""
     materials, triangles = scene.materials, scene.triangles
     ideal = [look for look, of in enumerate(scene.layout.appearances) if of.kind.delta and not of.kind.invisible]
-    by_side = torch.isin(materials.appearance, torch.tensor(ideal, device=scene.device)).view(2, -1).any(0)
+    of_rows = torch.isin(materials.appearance, torch.tensor(ideal, device=scene.device))
+    by_side = (of_rows if materials.narrow is None else of_rows | materials.narrow).view(2, -1).any(0)
     some = by_side[triangles.material.long()]
     material = triangles.material[some].long()
     met, group = material.unique(return_inverse=True)

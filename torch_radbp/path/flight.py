@@ -85,7 +85,7 @@ class FlightVertex(VertexKind):
         if settings.nee:
             light = sample_light(scene, proposal, p, light_numbers(key), arrival.picked, texture_values)
             scatters_to = partial(phase_to, kind, table, fixed, p, wi)
-            there = both(there, connects(settings, scene.layout, state))
+            there = both(there, connects(settings, scene.layout, state, None))
             light, Ld = connected_to_light(scene, p, there, scatters_to, light, settings.sampling)
             Ld = Ld * scattered
 
@@ -98,7 +98,7 @@ class FlightVertex(VertexKind):
         # Play roulette.
         promise = max_component((state.beta * weight).detach())
         survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
-        survives = both(number(ROULETTE) < survival, may_go_on(settings, scene.layout, state, pdf))
+        survives = both(number(ROULETTE) < survival, may_go_on(settings, scene.layout, state, pdf, None))
         place = FlightPlace(kind, table, p, t, wi, wo)
         return Terms(none, Ld, light, weight, 1.0 / survival, pdf, survives, place)
 

@@ -1,9 +1,11 @@
 """Which light is that of paths from the camera, and which that of paths from lamps, so that none counts twice.
 
 Between lamp and camera light passes vertices x_1, ..., x_n. A path from a lamp can be connected to the camera where x_n
-scatters by a smooth lobe; it is good at what comes by way of an ideal x_1, a mirror or glass, where a path from the camera
-can connect to no light. Of each path either side knows both ends: how the vertex scattered that it has met first, and the
-one that it is at.
+scatters widely; it is good at what comes by way of a narrow x_1, a mirror, glass or a glossy surface beside the lamp, which
+a path from the camera finds by chance, or not at all. Narrow are ideal lobes, and all of a material whose roughness is small
+(`MaterialTable.narrow`). Of each path either side knows both ends: how the vertex scattered that it has met first, and the
+one that it is at. With "caustics" light is that of paths from lamps if n > 1, x_1 is narrow and x_n is not; with "all" if
+x_n is not.
 """
 
 from __future__ import annotations
@@ -14,14 +16,27 @@ from torch import Tensor
 from torch_radbp.path.state import PathState, Settings
 from torch_radbp.scene.tables.scene_tensors import Layout
 
-NOT_YET, SMOOTHLY, IDEALLY = range(3)  # `PathState.first`
+# `PathState.first`: not scattered yet, or this plus 1 if the first vertex was narrow, plus 2 if the last one was.
+NOT_YET, SCATTERED = 0, 1
 
 
-def next_first(state: PathState, pdf: Tensor) -> Tensor | None:
-    """`PathState.first` of paths that go on in directions sampled with a density, (N,); infinite: by an ideal lobe."""
+def narrowly(pdf: Tensor, narrow: Tensor | None) -> Tensor:
+    """(N,) bool: directions of a density are sampled narrowly. `narrow`: the material is; None: only ideal lobes are."""
+    return torch.isinf(pdf) if narrow is None else torch.isinf(pdf) | narrow
+
+
+def first_was_narrow(state: PathState) -> Tensor:
+    """(N,) bool: paths have been scattered, at first narrowly."""
+    return (state.first > NOT_YET) & (((state.first - SCATTERED) & 1) == 1)
+
+
+def next_first(state: PathState, pdf: Tensor, narrow: Tensor | None) -> Tensor | None:
+    """`PathState.first` of paths that go on; args as for `narrowly`."""
     if state.first is None:
         return None
-    return torch.where(state.first == NOT_YET, torch.where(torch.isinf(pdf), IDEALLY, SMOOTHLY).to(torch.int32), state.first)
+    here = narrowly(pdf, narrow).to(torch.int32)
+    first = torch.where(state.first == NOT_YET, here, (state.first - SCATTERED) & 1)
+    return SCATTERED + first + 2 * here
 
 
 def meets_lamps(settings: Settings, state: PathState, on_surface: Tensor) -> Tensor | None:
@@ -34,20 +49,25 @@ def meets_lamps(settings: Settings, state: PathState, on_surface: Tensor) -> Ten
     """
     if state.first is None:
         return None
-    smooth = state.first == SMOOTHLY
-    return ~smooth if settings.light_paths == "all" else ~(smooth & torch.isinf(state.pdf) & on_surface)
+    if settings.light_paths == "all":
+        return (state.first == NOT_YET) | first_was_narrow(state)
+    return ~((state.first == SCATTERED + 2) & on_surface)  # the last vertex was narrow, the first was not
 
 
-def connects(settings: Settings, layout: Layout, state: PathState) -> Tensor | None:
-    """(N,) bool: paths may be connected here to what is at the other end; None: all may."""
-    return state.first == IDEALLY if only_ideally(settings, layout, state) else None
+def connects(settings: Settings, layout: Layout, state: PathState, narrow: Tensor | None) -> Tensor | None:
+    """(N,) bool: paths may be connected here to what is at the other end; None: all may. `narrow`: see `narrowly`."""
+    if state.first is None:
+        return None
+    here = torch.zeros_like(state.first, dtype=torch.bool) if narrow is None else narrow
+    if layout.from_lamps:  # this is x_n
+        return ~here if settings.light_paths == "all" else first_was_narrow(state) & ~here
+    if settings.light_paths == "all":
+        return torch.where(state.first == NOT_YET, here, first_was_narrow(state))
+    return (state.first == NOT_YET) | first_was_narrow(state) | ~here  # this is x_1
 
 
-def may_go_on(settings: Settings, layout: Layout, state: PathState, pdf: Tensor) -> Tensor | None:
-    """(N,) bool: paths that go on in directions sampled with a density may bring something; None: all may."""
-    return (state.first != NOT_YET) | torch.isinf(pdf) if only_ideally(settings, layout, state) else None
-
-
-def only_ideally(settings: Settings, layout: Layout, state: PathState) -> bool:
-    """True if these paths count only if they are scattered ideally first."""
-    return state.first is not None and (settings.light_paths == "all") != layout.from_lamps
+def may_go_on(settings: Settings, layout: Layout, state: PathState, pdf: Tensor, narrow: Tensor | None) -> Tensor | None:
+    """(N,) bool: paths that go on may bring something; None: all may. Args as for `connects` and `narrowly`."""
+    if state.first is None or (settings.light_paths == "all") == layout.from_lamps:
+        return None
+    return (state.first != NOT_YET) | narrowly(pdf, narrow)

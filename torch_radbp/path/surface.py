@@ -22,6 +22,7 @@ from torch_radbp.sampling.sampler import bounce_key, uniform
 from torch_radbp.scene.tables.light_tree import Vantage
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import Corners
+from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Ray, Vec3, both, dot, max_component
 from torch_radbp.vertex.cone import Cone, cone_beyond
 from torch_radbp.vertex.emission import emission_places, vantage
@@ -70,10 +71,11 @@ class SurfaceVertex(VertexKind):
 
         # Ld: the light of one point on a light, as the material scatters it.
         material = material_at(scene, si, of_material)
+        narrow = None if scene.materials.narrow is None else lookup(scene.materials.narrow, si.material)
         light, Ld = None, Vec3.full(state.pdf, 0.0)
         if settings.nee:
             light = sample_light(scene, proposal, si.p, light_numbers(key), arrival.picked, of_sample)
-            may = both(si.valid, connects(settings, scene.layout, state))
+            may = both(si.valid, connects(settings, scene.layout, state, narrow))
             light, Ld = connected_to_light(scene, si.p, may, partial(scattered_to, material, si), light,
                                   sampling_at(material.kind, settings.sampling))
             Ld = attenuated(Ld, through)
@@ -86,9 +88,10 @@ class SurfaceVertex(VertexKind):
         promise = max_component(attenuated(state.beta * chosen.weight, through).detach())
         survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
         survives = si.valid & (chosen.pdf > 0) & (number(ROULETTE) < survival)
-        survives = both(survives, may_go_on(settings, scene.layout, state, chosen.pdf))
+        survives = both(survives, may_go_on(settings, scene.layout, state, chosen.pdf, narrow))
         thinning = 1.0 / survival if through is None else through / survival
-        return Terms(Le, Ld, light, chosen.weight, thinning, chosen.pdf, survives, SurfacePlace(si, material, chosen))
+        place = SurfacePlace(si, material, chosen)
+        return Terms(Le, Ld, light, chosen.weight, thinning, chosen.pdf, survives, place, narrow)
 
     def origin(self, terms: Terms, d: Vec3) -> Vec3:
         return terms.place.si.offset(d)

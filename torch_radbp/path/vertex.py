@@ -41,6 +41,7 @@ class Terms(NamedTuple):
     pdf: Tensor | None  # density of the sampled direction over solid angle
     survives: Tensor  # bool: the path goes on
     place: Any  # what the kind knows of the vertex
+    narrow: Tensor | None = None  # bool: all of it scatters narrowly, see `light_share.py`; None: only ideal lobes do
 
 
 @dataclass(frozen=True)
@@ -123,4 +124,5 @@ class VertexKind(ABC):
         return PathState(
             ray, beta, terms.pdf, state.key, state.lane, None,
             torch.full_like(state.followed, self.follows(terms)) if settings.following else None,
-            None if state.cone is None else self.cone(terms, state.cone), state.medium, next_first(state, terms.pdf))
+            None if state.cone is None else self.cone(terms, state.cone), state.medium,
+            next_first(state, terms.pdf, terms.narrow))

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.rendered import rendered
+from torch_radbp.bsdf.roughness import smallest_alpha
 from torch_radbp.call.chunks import LEAST_LANES, LaneRange
 from torch_radbp.call.lamps import lamps_as_source
 from torch_radbp.call.light_film import LightFilm
@@ -19,12 +20,14 @@ from torch_radbp.interface.emitter import LightKind
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.rendering.settings import settings_of_integrand
 from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.scene.packing.material_tables import one_sided
 from torch_radbp.scene.tables.scene_tensors import SceneTensors, proposal_of
 from torch_radbp.tensors.differentiated import detached
 
 if TYPE_CHECKING:
     from torch_radbp.rendering.renderer import Renderer
 
+NARROW = 0.25  # roughness below which a material scatters narrowly
 OF_LAMPS = 0x2545F491  # tells the random numbers of paths from lamps from those of camera paths
 
 
@@ -52,10 +55,11 @@ def shared_image(renderer: Renderer, call: RenderCall) -> Tensor:
     lit = lights_of_paths(call.scene, light_paths)
     if light_paths == "camera" or not lit:
         return rendered(call)
-    shared = call if all(kind.delta for kind in lit) and light_paths == "caustics" else call._replace(
-        shared=True, make_integrand=lambda scene: sharing(call.make_integrand(scene), light_paths),
-        integrand=sharing(call.integrand, light_paths))
-    images = rendered(shared)
+    narrow = None if renderer.light_paths == "auto" else narrow_materials(call)
+    call = with_narrow_materials(call, narrow)
+    # Paths from the camera find no light without extent by way of ideal vertices, so that there is nothing to share.
+    apart = light_paths == "caustics" and narrow is None and all(kind.delta for kind in lit)
+    images = rendered(call if apart else sharing(call, light_paths))
     found = torch.cat([image_from_lamps(renderer, call, number, light_paths) for number in range(len(call.views))])
     return images + found if images.shape[1] == 3 else torch.cat([images[:, :3] + found, images[:, 3:]], 1)
 
@@ -65,9 +69,29 @@ def paths_can_begin_at_lamps(call: RenderCall) -> bool:
     return not call.scene.layout.lit and all(view.camera.kind.sees_points for view in call.views)
 
 
-def sharing(integrand: Integrand, light_paths: str) -> Integrand:
-    """An integrand for paths that share light with those from the other end."""
-    return integrand._replace(settings=integrand.settings._replace(light_paths=light_paths), parts={})
+def narrow_materials(call: RenderCall) -> Tensor | None:
+    """(2 M,) bool: the materials of small roughness, from the front and from the back; None: there is none."""
+    narrow = [smallest_alpha(bsdf) < NARROW for bsdf in one_sided(call.module.bsdfs())]
+    return torch.tensor(narrow, device=call.scene.device) if any(narrow) else None
+
+
+def with_narrow_materials(call: RenderCall, narrow: Tensor | None) -> RenderCall:
+    """A call whose scene knows the materials of small roughness."""
+    def knowing(scene: SceneTensors) -> SceneTensors:
+        return scene._replace(materials=scene.materials._replace(narrow=narrow))
+
+    still = knowing(call.integrand.scene)
+    integrand = call.integrand._replace(scene=still, proposal=proposal_of(still), parts={})
+    return call._replace(scene=knowing(call.scene), integrand=integrand, make_integrand=call.make_integrand)
+
+
+def sharing(call: RenderCall, light_paths: str) -> RenderCall:
+    """A call whose paths share light with those from the other end."""
+    def shared(integrand: Integrand) -> Integrand:
+        return integrand._replace(settings=integrand.settings._replace(light_paths=light_paths), parts={})
+
+    return call._replace(shared=True, make_integrand=lambda scene: shared(call.make_integrand(scene)),
+                         integrand=shared(call.integrand))
 
 
 def lights_of_paths(scene: SceneTensors, light_paths: str) -> list[LightKind]:
@@ -107,4 +131,4 @@ def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_pa
     return rendered(call._replace(
         scene=scene, source=lamps, sink=LightFilm(detached(view.camera).film, (view.height, view.width), paths),
         wavefronts=wavefronts, make_integrand=make_integrand, integrand=integrand, together=False,
-        following=settings.following, shared=light_paths == "caustics", quantities=None))
+        following=settings.following, shared=True, quantities=None))

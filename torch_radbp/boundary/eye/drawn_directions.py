@@ -31,6 +31,7 @@ from torch_radbp.vertex.material import Material, evaluate, material_at, materia
 
 GUESSES = 6  # of each number
 STEPS = 14
+ALMOST_ONE = 1.0 - 2.0**-24  # the largest random number
 LARGEST_STEP = 0.15
 CLOSE = 1e-9  # square of the angle by which a direction that was found may be off
 SALT = 0x6A09E667  # tells the numbers that pick lobes from others
@@ -152,7 +153,9 @@ def inverted_sampling(material: Material, wi: Vec3, wo: Vec3, choice: Tensor) ->
         nearer = then.off < at.off
         at = with_leaves(at, [torch.where(nearer, *parts) for parts in zip(leaves_of(then), leaves_of(at))])
         reach = torch.where(nearer, (2.0 * reach).clamp_max(1.0), 0.25 * reach)
-    return DirectionNumbers(choice, at.u, at.v), torch.where(at.off < CLOSE, at.density, 0.0)
+    # In float32 a number just below 1 would become 1, which no random number is, and no direction belongs to.
+    u, v = (number.clamp_max(ALMOST_ONE) for number in (at.u, at.v))
+    return DirectionNumbers(choice, u, v), torch.where(at.off < CLOSE, at.density, 0.0)
 
 
 def drawn_direction(material: Material, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> tuple[Vec3, Tensor]:

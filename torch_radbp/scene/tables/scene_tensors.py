@@ -140,6 +140,7 @@ class MaterialTable(NamedTuple):
     turned: Tensor  # (2 M,) bool: the shading frame is flipped towards the viewer
     differs: Tensor | None  # (M,) bool: another appearance from behind, so that lanes queue by the side; None: no material
     count: Tensor  # () int32, M
+    narrow: Tensor | None = None  # (2 M,) bool: of small roughness, see `path/light_share.py`; None: nobody asks
 
 
 class BoundaryTable(NamedTuple):
