@@ -17,6 +17,7 @@ from torch_radbp.call.sink import Sink, SinkValues, Work
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.connection.camera import asked_by
 from torch_radbp.film.position import FilmTensors
+from torch_radbp.jit.order import chosen
 from torch_radbp.jit.scatter import PAGE_BITS, Addition, Sums, copies, scatter_add
 from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.path.integrand import Integrand
@@ -24,7 +25,7 @@ from torch_radbp.path.wavefront import BroughtToFilm
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.torch_internals import inside_dual_level
-from torch_radbp.tensors.vec import Vec2, Vec3
+from torch_radbp.tensors.vec import Vec2, Vec3, max_component, rows
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,9 @@ class Deposits:
             for pixel, count in self.film.around(brought.place):
                 self.attached = self.attached.index_add(1, pixel, value * count)
             return
-        scatter_add([Addition(pixel, parts, self.sums) for pixel, *parts in self.stages(splats)(self.film, *brought)])
+        # Many bring nothing: what the camera does not see, or is not theirs to bring.
+        value, place = rows(brought, chosen(max_component(brought.value.map(torch.abs)) != 0))
+        scatter_add([Addition(pixel, parts, self.sums) for pixel, *parts in self.stages(splats)(self.film, value, place)])
 
     def total(self) -> Tensor:
         """(3, pixels) float64, attached."""
