@@ -67,9 +67,9 @@ class CameraAsLight(LightKind):
 
 def from_lamps(scene: SceneTensors, camera: Camera) -> SceneTensors:
     """The scene for paths that begin at lamps: the camera stands in the place of the lights; attached to both."""
-    film = mapped(camera.film, lambda part: part.to(camera.dtype) if isinstance(part, Tensor) and part.ndim else part)
     first = camera.film.size_x.new_zeros(1)
-    table = CameraTable(mapped(camera.lens, lambda part: part[None] if isinstance(part, Tensor) else part), film,
+    table = CameraTable(mapped(camera.lens, lambda part: part[None] if isinstance(part, Tensor) else part),
+                        camera.film.without_border(),
                         Vec3(first, first, first))
     none = torch.zeros(1, dtype=torch.int32, device=scene.device)
     lights = LightTable(alias_table(torch.ones_like(first)), none, none, none, (table,), first[0])

@@ -41,6 +41,13 @@ class FilmTensors(NamedTuple):
         """Fractions of the whole image as pixels from the upper left corner of the window, (N,)."""
         return Vec2(position.x * self.size_x - self.crop_x, position.y * self.size_y - self.crop_y)
 
+    def without_border(self) -> FilmTensors:
+        """The film of points that come from everywhere: those beside the window count in it by the filter, too."""
+        reach = torch.full_like(self.columns, self.kernel.reach)
+        beside = Vec2(reach, reach)
+        whole_x, whole_y = (torch.ones_like(inside, dtype=self.size_x.dtype) for inside in (self.inside_x, self.inside_y))
+        return self._replace(before=beside, after=beside, inside_x=whole_x, inside_y=whole_y)
+
     def around(self, place: Vec2) -> list[tuple[Tensor, Tensor]]:
         """The pixels to which points on the film contribute, with weights: the filter over its integral where samples lie.
 

@@ -129,6 +129,6 @@ def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_pa
     most = renderer.chunk or max(LEAST_LANES, -(-paths // call.workers))
     wavefronts = [Wavefront((LaneRange(first, min(most, paths - first)),)) for first in range(0, paths, most)]
     return rendered(call._replace(
-        scene=scene, source=lamps, sink=LightFilm(detached(view.camera).film, (view.height, view.width), paths),
+        scene=scene, source=lamps, sink=LightFilm(detached(view.camera).film.without_border(), (view.height, view.width), paths),
         wavefronts=wavefronts, make_integrand=make_integrand, integrand=integrand, together=False,
         following=settings.following, shared=True, quantities=None))
