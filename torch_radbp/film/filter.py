@@ -54,12 +54,21 @@ class Kernel:
 
     def inside(self, span: Span) -> Tensor:
         """(span.size,) float64, on the CPU: each column's (or row's) integral of the filter over where samples lie."""
-        edges = torch.linspace(0, 2 * self.reach + 1, (2 * self.reach + 1) * STEPS + 1, dtype=torch.float64, device="cpu")
-        x = 0.5 * (edges[1:] + edges[:-1]) - (self.reach + 0.5)
-        of_pixels = self(x).view(-1, STEPS).mean(1)
+        of_pixels = self.of_pixels()
         sampled = torch.ones(span.sampled, dtype=torch.float64, device="cpu")
         return torch.nn.functional.conv1d(sampled[None, None], of_pixels[None, None], padding=self.reach)[0, 0][
             span.before:span.before + span.size]
+
+    def of_pixels(self) -> Tensor:
+        """(2 reach + 1,) float64, on the CPU: the filter's integrals over the pixels around one."""
+        edges = torch.linspace(0, 2 * self.reach + 1, (2 * self.reach + 1) * STEPS + 1, dtype=torch.float64, device="cpu")
+        x = 0.5 * (edges[1:] + edges[:-1]) - (self.reach + 0.5)
+        return self(x).view(-1, STEPS).mean(1)
+
+    @property
+    def integral(self) -> float:
+        """The filter's integral along one axis, pixels."""
+        return float(self.of_pixels().sum())
 
 
 def constant(x: Tensor, radius: float) -> Tensor:

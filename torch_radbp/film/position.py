@@ -45,7 +45,8 @@ class FilmTensors(NamedTuple):
         """The film of points that come from everywhere: those beside the window count in it by the filter, too."""
         reach = torch.full_like(self.columns, self.kernel.reach)
         beside = Vec2(reach, reach)
-        whole_x, whole_y = (torch.ones_like(inside, dtype=self.size_x.dtype) for inside in (self.inside_x, self.inside_y))
+        whole_x, whole_y = (torch.full_like(inside, self.kernel.integral, dtype=self.size_x.dtype)
+                            for inside in (self.inside_x, self.inside_y))
         return self._replace(before=beside, after=beside, inside_x=whole_x, inside_y=whole_y)
 
     def around(self, place: Vec2) -> list[tuple[Tensor, Tensor]]:

@@ -128,7 +128,8 @@ def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_pa
     paths = view.width * view.height * call.spp
     most = renderer.chunk or max(LEAST_LANES, -(-paths // call.workers))
     wavefronts = [Wavefront((LaneRange(first, min(most, paths - first)),)) for first in range(0, paths, most)]
+    sink = LightFilm(detached(view.camera).film.without_border(), (view.height, view.width), paths)
     return rendered(call._replace(
-        scene=scene, source=lamps, sink=LightFilm(detached(view.camera).film.without_border(), (view.height, view.width), paths),
+        scene=scene, source=lamps, sink=sink,
         wavefronts=wavefronts, make_integrand=make_integrand, integrand=integrand, together=False,
         following=settings.following, shared=True, quantities=None))
