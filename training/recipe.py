@@ -59,6 +59,7 @@ class Render(Table):
     caster: str | None = None
     # What gradients are made of: "interior", "primary" (curves at which the image jumps), "shadow" (borders of shadows).
     terms: Annotated[list[str], Field(min_length=1)] | None = None  # None: all
+    light_paths: Literal["camera", "caustics", "all", "auto"] | None = None  # which light comes by paths that begin at lamps
     device: Annotated[str, AfterValidator(_check_device)] | None = None  # "cpu", "cuda" or "cuda:1"; None: the CPU
     seed: Whole = Field(0, ge=0)
 

@@ -101,6 +101,7 @@ def _integrator(scene) -> Table:
     table.add_row("max_depth", depth, "1 = emission only, 2 = direct light")
     table.add_row("rr_depth", str(defaults.rr_depth), "scattering events before Russian roulette")
     table.add_row("hide_emitters", str(defaults.hide_emitters), "emitters seen directly are left out")
+    table.add_row("light_paths", defaults.light_paths, "which light comes by paths that begin at lamps")
     return table
 
 

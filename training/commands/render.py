@@ -46,6 +46,9 @@ def render(
     compile: Annotated[
         bool, typer.Option("--compile/--eager", help="Fused loops, or plain torch: slower, but nothing to compile.")
     ] = True,
+    light_paths: Annotated[
+        str | None, typer.Option(help=r"Light by paths from lamps: camera (none), caustics, all, auto.  \[default: the scene's]")
+    ] = None,
     device: Device = None,
     define: Define = None,
     allow_outside: AllowOutside = False,
@@ -68,7 +71,7 @@ def render(
         loaded = rb.load(scene, allow_outside=allow_outside, **parse_variables(define)).to(usable_device(device))
         indices = chosen_sensors(sensor, list(sensor_films(loaded)))
         renderer = rb.Renderer(
-            loaded, spp=spp, max_depth=max_depth, rr_depth=rr_depth, chunk=chunk, compile=compile
+            loaded, spp=spp, max_depth=max_depth, rr_depth=rr_depth, chunk=chunk, compile=compile, light_paths=light_paths
         )
         outputs = outputs_of(loaded, aov)
         paths = image_paths(output, list(indices), outputs)

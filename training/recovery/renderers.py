@@ -22,6 +22,7 @@ def make_renderer(scene, spec: schema.Render) -> rb.Renderer:
         compile=spec.compile,
         caster=spec.caster,
         **({} if spec.terms is None else {"terms": spec.terms}),
+        light_paths=spec.light_paths,
         share_samples=True,  # two independent buffers take each other's part
     )
 
