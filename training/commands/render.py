@@ -47,7 +47,8 @@ def render(
         bool, typer.Option("--compile/--eager", help="Fused loops, or plain torch: slower, but nothing to compile.")
     ] = True,
     light_paths: Annotated[
-        str | None, typer.Option(help=r"Light by paths from lamps: camera (none), caustics, all, auto.  \[default: the scene's]")
+        str | None,
+        typer.Option(help=r"Light by paths from lamps: camera (none), caustics, all, auto.  \[default: the scene's]"),
     ] = None,
     device: Device = None,
     define: Define = None,
