@@ -9,7 +9,7 @@ from torch_radbp.vertex.material import Material
 
 
 def test_a_number_just_below_one_stays_below_it():
-    """The slope of a microfacet grows without bound as its number nears 1. Here it is 1 - 2.9e-8, which float32 rounds to 1."""
+    """The slope of a microfacet grows without bound as its number nears 1. Here it is 1 - 2.9e-8, in float32 1."""
     glass = {"type": "roughdielectric", "alpha": 0.1}
     scene = load(torch.float32, camera=overhead(2), sky={"type": "constant"}, ball={"type": "sphere", "bsdf": glass})
     bsdf, = scene.bsdfs()

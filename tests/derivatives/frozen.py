@@ -20,7 +20,7 @@ from torch.func import functional_call
 from torch.overrides import TorchFunctionMode
 
 import torch_radbp as rb
-from torch_radbp.adjoint.attached import trace_attached
+from torch_radbp.adjoint.attached import bounce_attached
 from torch_radbp.adjoint.images import render_images
 from torch_radbp.scene.cache.pack_cache import PackCache
 from torch_radbp.scene.packing.pack import pack
@@ -177,4 +177,4 @@ class TapedImage(torch.nn.Module):
         if self.caster is not None:
             integrand = integrand._replace(caster=self.caster)
         with torch.no_grad():
-            return render_images(call, integrand, record=False, tracer=trace_attached)[0]
+            return render_images(call, integrand, record=False, bounce=bounce_attached(integrand))[0]

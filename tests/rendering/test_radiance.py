@@ -15,7 +15,7 @@ from tests.gradients import assert_informative, cotangent, relative_error
 from tests.jit.emulated import Emulated
 from tests.rendering.on_gpu import render_on
 from tests.scenes import cornell, diffuse, furnace, load, rectangle, rgb, sensor
-from torch_radbp.adjoint.attached import trace_attached
+from torch_radbp.adjoint.attached import bounce_attached
 from torch_radbp.adjoint.images import render_images
 from torch_radbp.call.view import OF_NO_SENSOR, Shot
 from torch_radbp.jit.nvidia.gpu import Gpu
@@ -249,7 +249,7 @@ def test_gradcheck_by_origins_and_directions(sampling):
             integrand = call.make_integrand(call.scene)
             integrand = integrand if sampling == "attached" else integrand._replace(caster=held)
             with torch.no_grad():
-                return render_images(call, integrand, record=False, tracer=trace_attached).values[0, :, :, 0].t()
+                return render_images(call, integrand, record=False, bounce=bounce_attached(integrand)).values[0, :, :, 0].t()
 
     attached = [part.clone().requires_grad_() for part in (origins, directions)]
     radiance = renderer.radiance(*attached, seed=5)

@@ -22,6 +22,7 @@ from torch_radbp.call.pixels import weighted
 from torch_radbp.call.render_call import RenderCall, integrand_of_wavefront, start_paths, started
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.trace import trace
 from torch_radbp.public_call import public_call
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
@@ -101,6 +102,8 @@ class RenderFunction(torch.autograd.Function):
                 record = record_wavefront(call, integrand, wavefront)
             adj_L = weighted(call.sink.adjoint(call, wavefront, record.place, adj_sums), record.weight)
             seen = call.sink.asked(integrand_of_wavefront(call, integrand, wavefront, 1), adj_sums)
+            if call.sink.at_vertices and call.adjoint.keep_radiance:  # what paths bring to the loss is known only now
+                record = record._replace(radiance=per_power(trace(seen, start := record.start()), start.beta))
             with sweep_of(seen, record, adj_L, numbered, gradients) as sweep:
                 call.adjoint.backward(sweep)
             return sweep
@@ -171,6 +174,11 @@ def asks_for_gradient(record) -> list[bool]:
 def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
     """The leaves of the forward pass that require a gradient."""
     return [source for source, need in zip(sources, ctx.needs_input_grad[1:]) if need]
+
+
+def per_power(L: Vec3, beta: Vec3) -> Vec3:
+    """L_1 of paths that begin with a throughput, from the sum that has it; where that is 0, so is what is asked for."""
+    return Vec3(*(part / torch.where(begun != 0, begun, 1.0) for part, begun in zip(L, beta)))
 
 
 class StartAdjoint(NamedTuple):

@@ -111,9 +111,9 @@ def shown(integrand: Integrand, state: PathState, vertex: Vertex, light: Vec3 | 
 def brighten(integrand: Integrand, L: Vec3 | BroughtToFilm, state: PathState, order: Tensor, lane: Tensor, Le: Vec3,
              Ld: Vec3 | None = None, visible: Tensor | None = None, film: Vec2 | None = None) -> None:
     """L += beta E at some lanes; of paths from lamps beta E, and where the camera sees it. Args as for `brightened`."""
-    if film is not None:
+    if isinstance(L, BroughtToFilm):
         put_rows(L, lane, BroughtToFilm(integrand.stages(shining)(state.beta, order, Le, Ld, visible), film))
-    elif isinstance(L, Vec3):
+    else:
         put_rows(L, lane, integrand.stages(brightened)(L, state.beta, order, lane, Le, Ld, visible))
 
 

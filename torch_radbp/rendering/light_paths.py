@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_radbp.adjoint.rendered import rendered
 from torch_radbp.bsdf.roughness import smallest_alpha
-from torch_radbp.call.chunks import LEAST_LANES, LaneRange
+from torch_radbp.call.chunks import LaneRange
 from torch_radbp.call.lamps import lamps_as_source
 from torch_radbp.call.light_film import LightFilm
 from torch_radbp.call.render_call import RenderCall
@@ -126,7 +126,8 @@ def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_pa
         return integrand._replace(scene=tensors, proposal=proposal_of(tensors), parts={})
 
     paths = view.width * view.height * call.spp
-    most = renderer.chunk or max(LEAST_LANES, -(-paths // call.workers))
+    most = max(wavefront.lanes for wavefront in call.wavefronts)  # what fits of paths from the camera fits of these
+    most = min(most, -(-paths // call.workers))
     wavefronts = [Wavefront((LaneRange(first, min(most, paths - first)),)) for first in range(0, paths, most)]
     sink = LightFilm(detached(view.camera).film.without_border(), (view.height, view.width), paths)
     return rendered(call._replace(
