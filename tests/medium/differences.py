@@ -19,6 +19,7 @@ OWN_SAMPLES = 1 << 16  # numbers of the batches of gradients, behind those of di
 CLOSE, FARTHEST = 0.03, 3.5  # of the vector; standard errors of one number
 NO_ROULETTE, FEWEST = 1000, 24  # batches, with which standard errors can be trusted
 LONGEST = 0.03  # step in fog that fills all space, where ways are long
+THICKEST = 0.15  # step where hardly any light is left: differences by 0.4 are off by 5%
 SMOKE = 1.0  # that extinctions of cells count as at least: a ray meets some of a cell, so that they change little
 WEIGHTS = (0.5, 1.5)  # of pixels: uneven, so that errors do not cancel, and of one sign, so that the derivative does not
 
@@ -106,7 +107,7 @@ class Experiment:
         self.directions = directions(self.leaf.detach(), self.parameter.poses)
         value, batch = self.leaf.detach().clone(), BatchRendering(spp, seed)
         grid = MEDIA[row.medium]["type"] == "heterogeneous"
-        most = LONGEST if row.boundary == "none" and not grid else math.inf
+        most = math.inf if grid else LONGEST if row.boundary == "none" else THICKEST if row.medium == "dense" else math.inf
         share, least = self.parameter.step, SMOKE if grid and row.parameter == "extinction" else self.parameter.least
 
         def step(direction: Tensor) -> float:
