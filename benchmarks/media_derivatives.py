@@ -12,7 +12,7 @@ where the parameter is at the end of its range. Of poses directions are compared
 
 Batches are added until the noise is below ``--noise``, for at most ``--seconds``. ``--mitsuba`` adds the gradient of
 `prbvolpath` (mitsuba==3.9.1), compared with the same differences, and its size along them, 1 where it is right; poses are
-not compared.
+not compared. What Mitsuba raises is printed in place of its verdict.
 
     python -m benchmarks.media_derivatives --only "smoke;fog" --seconds 60
     python -m benchmarks.media_derivatives --mitsuba
@@ -76,6 +76,8 @@ def translated(mi, described: dict) -> dict:
     for key, value in described.items():
         if isinstance(value, dict):
             value = translated(mi, value)
+            if key == "sigma_t" and value["type"] == "rgb":  # which it takes for a reflectance, at most 1
+                value = {"type": "constvolume", "value": value}
         elif key == "to_world":
             value = mi.ScalarTransform4f(np.asarray(value))
         elif key in ("data", "bitmap"):
@@ -100,8 +102,8 @@ def measured(row: Row, options: argparse.Namespace) -> tuple[list[str], list[str
         try:
             peer = Peer(experiment)
             run(peer, options)
-        except Exception as error:  # whatever Mitsuba raises is its answer
-            return [*line, "", "", "", "", f"fails: {str(error).splitlines()[0][:80]}"], [*verdicts, "fails"]
+        except RuntimeError as error:  # which all of Mitsuba's own errors are
+            return [*line, "", "", "", "", f"fails: {' '.join(str(error).split())[-160:]}"], [*verdicts, "fails"]
         theirs = peer.comparison()
         along = float((theirs.gradient * theirs.difference).sum()) / theirs.size**2
         line, verdicts = [*line, f"{along:.3f}", *cells(theirs)], [*verdicts, theirs.verdict]

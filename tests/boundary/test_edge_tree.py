@@ -13,11 +13,12 @@ from torch_radbp.boundary.curve.geometry import Geometry, in_world
 from torch_radbp.boundary.eye.edge_tree import angle_of_node, rounded
 from torch_radbp.boundary.eye.edges_tried import FEWEST, edges_tried, eyes_for_each
 from torch_radbp.boundary.eye.eyes import Eyes
-from torch_radbp.boundary.eye.seen_edges import Casting, angle_seen, edge_found, extent_of, places_seen
+from torch_radbp.boundary.eye.seen_edges import Casting, angle_seen, edge_found, places_seen
 from torch_radbp.boundary.eye.ways_down import ways_down
 from torch_radbp.boundary.terms import hidden_light
 from torch_radbp.jit.stages import compiled
 from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.scene.tables.scene_tensors import extent_of
 from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import Vec3, dot, rows
 

@@ -11,13 +11,14 @@ from tests.scenes.meshes import wavy
 from torch_radbp.boundary.curve.geometry import Between, geometry_of, positions
 from torch_radbp.boundary.eye.eyes import Eyes
 from torch_radbp.boundary.eye.lines_through_edges import solid_angle
-from torch_radbp.boundary.eye.seen_edges import corners_of, extent_of, places_seen
+from torch_radbp.boundary.eye.seen_edges import corners_of, places_seen
 from torch_radbp.boundary.terms import cuts as cuts_module
 from torch_radbp.boundary.terms import hidden_light
 from torch_radbp.boundary.terms.cuts import Cuts, cut_at, cut_course
 from torch_radbp.io.values.transform import rotate, scale, translate
 from torch_radbp.jit.stages import compiled
 from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.scene.tables.scene_tensors import extent_of
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import Ray, Vec2, dot, interpolated, normalize, rows, unit_normal

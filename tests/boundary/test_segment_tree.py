@@ -5,11 +5,12 @@ import torch
 
 from tests.boundary.random_places import eyes_around, of_each, triangles
 from torch_radbp.boundary.curve.intersections import Bodies, intersections
-from torch_radbp.boundary.eye.seen_edges import angle_of, extent_of
+from torch_radbp.boundary.eye.seen_edges import angle_of
 from torch_radbp.boundary.eye.segment_tree import ends_of, segment_found, segment_tree
 from torch_radbp.boundary.eye.ways_down import ways_down
 from torch_radbp.jit.stages import compiled
 from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.scene.tables.scene_tensors import extent_of
 from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import rows
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 import torch_radbp as rb
 from tests.gradients import unwarned_renderer
-from tests.scenes.media_rows import PARAMETERS, Row, scene_of
+from tests.scenes.media_rows import MEDIA, PARAMETERS, Row, scene_of
 from torch_radbp.check.gradient import BatchRendering, Measurement
 from torch_radbp.check.stencil import inside
 
@@ -19,6 +19,8 @@ OWN_SAMPLES = 1 << 16  # numbers of the batches of gradients, behind those of di
 CLOSE, FARTHEST = 0.03, 3.5  # of the vector; standard errors of one number
 NO_ROULETTE, FEWEST = 1000, 24  # batches, with which standard errors can be trusted
 LONGEST = 0.03  # step in fog that fills all space, where ways are long
+THICKEST = 0.15  # step where hardly any light is left: differences by 0.4 are off by 5%
+SMOKE = 1.0  # that extinctions of cells count as at least: a ray meets some of a cell, so that they change little
 WEIGHTS = (0.5, 1.5)  # of pixels: uneven, so that errors do not cancel, and of one sign, so that the derivative does not
 
 
@@ -104,13 +106,15 @@ class Experiment:
         self.cotangent /= film.numel()
         self.directions = directions(self.leaf.detach(), self.parameter.poses)
         value, batch = self.leaf.detach().clone(), BatchRendering(spp, seed)
-        share, most = self.parameter.step, LONGEST if row.boundary == "none" else math.inf
+        grid = MEDIA[row.medium]["type"] == "heterogeneous"
+        most = math.inf if grid else LONGEST if row.boundary == "none" else THICKEST if row.medium == "dense" else math.inf
+        share, least = self.parameter.step, SMOKE if grid and row.parameter == "extinction" else self.parameter.least
 
         def step(direction: Tensor) -> float:
             """As large as noise asks for; from 0, where differences are less exact, and have less noise, a small one."""
             own, largest = (float(each.abs().max()) for each in (value * direction, value))
             size = 1.0 if self.parameter.poses else largest if own > 0 and value.numel() > 3 else own
-            return min(share * max(size, self.parameter.least), most)
+            return min(share * max(size, least), most)
 
         self.measurements = [Measurement(self.renderer, f"scene.{self.name}", value, inside(
             self.scene, self.name, each, step(each), chosen=True, turns=False), batch) for each in self.directions]

@@ -25,6 +25,16 @@ ROWS = [
 ]
 
 
+@pytest.mark.deep
+def test_boundaries_that_move_are_seen_by_what_scatters_without_a_jump():
+    """A ball of another medium in a medium, seen by flights that scatter more than once."""
+    experiment = Experiment(Row("grey", "null", "glow", "pose of the core", embedded="core"), spp=2048)
+    for _ in range(40):
+        experiment.add_batch()
+    found = experiment.comparison()
+    assert 0 < found.noise < 0.03 and found.z < found.bound, found
+
+
 @pytest.mark.parametrize("row", ROWS, ids=str)
 def test_derivatives_are_those_of_differences(row):
     experiment = Experiment(row, spp=64, compile=False)

@@ -101,6 +101,24 @@ def test_single_scattering_and_its_derivatives_are_those_of_the_integral():
         assert ((samples.mean(0) - exact).abs() < 4 * error + 2e-5 * exact.abs()).all()  # pixels are not quite on the axis
 
 
+@pytest.mark.parametrize("shared", [False, True], ids=["own samples", "shared samples"])
+@pytest.mark.parametrize("depth", [2, 3])
+def test_where_rays_meet_nothing_derivatives_at_no_extinction_are_those_of_the_integral(depth, shared):
+    """A point light 1 beside the axis of a camera: albedo / (4 pi) times the angle under which it sees that axis."""
+    along, albedo = 4 - NEAR - 1.5, torch.tensor([0.9, 0.6, 0.3], dtype=torch.float64)
+    wanted = albedo / (4 * math.pi) * (math.pi / 2 + math.atan(along))
+    scene = load(torch.float64, camera=overhead(2, 4.0, 1e-4) | {"medium": haze((0, 0, 0), tuple(albedo.tolist()), 0.0)},
+                 pebble={"type": "sphere", "center": [8.0, 0.0, 0.0], "radius": 0.1, "bsdf": BLACK},
+                 bulb={"type": "point", "position": [1.0, 0.0, 1.5], "intensity": rgb(1, 1, 1)})
+    assert not rb.render(scene, spp=64, max_depth=depth).any()
+    found = torch.stack([image_and_gradients(
+        scene, NAMES[:1], seed=seed, spp=1024, max_depth=depth, share_samples=shared,
+        adj_image=torch.full((1, 3, 2, 2), 1 / 4, dtype=torch.float64))[1][0].flatten() for seed in range(16)])
+    error = found.std(0) / math.sqrt(len(found))
+    assert (error < 0.02 * wanted).all()
+    assert ((found.mean(0) - wanted).abs() < 4 * error).all()
+
+
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
 def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, sampling):

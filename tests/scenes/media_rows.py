@@ -83,7 +83,7 @@ PHASES: dict[str, dict[str, Any]] = {
     "sggx": {"type": "sggx", "S": {"type": "gridvolume", "data": np.reshape(FLAKES, (1, 1, 1, 6))}},
     **{f"blendphase {weight}": {"type": "blendphase", "weight": weight, "phase_0": {"type": "hg", "g": -0.5},
                                 "phase_1": {"type": "hg", "g": 0.7}} for weight in (0.0, 0.3, 1.0)},
-    "blendphase of a grid": {"type": "blendphase", "weight": grid(np.linspace(0, 1, 8).reshape(2, 2, 2, 1)),
+    "blendphase of a grid": {"type": "blendphase", "weight": grid(np.linspace(0.3, 0.7, 8).reshape(2, 2, 2, 1)),
                              "phase_0": {"type": "hg", "g": -0.5}, "phase_1": {"type": "rayleigh"}},
 }
 BOUNDARIES = {"null": {"type": "null"}, "dielectric": {"type": "dielectric", "int_ior": 1.3},
@@ -151,7 +151,7 @@ PARAMETERS = {
     "radiance": Parameter(("lamp.emitter.radiance.value", "ember.emitter.radiance.value", "wall.emitter.radiance.value",
                            "sky.radiance.value")),
     "intensity": Parameter(("bulb.intensity.value",)),
-    "roughness": Parameter(("body.bsdf.alpha.value",), 0.3),
+    "roughness": Parameter(("body.bsdf.alpha.value",)),
     "place of the bulb": Parameter(("bulb.position",), 0.02),
     "pose of the bulb": Parameter(("bulb.to_world",), 0.02, poses=True),
     "pose of the body": Parameter(("body.to_world",), 0.05, poses=True),
@@ -242,7 +242,7 @@ def embedded() -> list[Row]:
         Row("grey", "null", "constant", "extinction of the core", embedded="core"),
         Row("grey", "null", "area", "reflectance of the stone", embedded="stone"),
         Row("smoke", "null", "area", "reflectance of the wall", ground="wall"), Row("coloured", "null", "area", "radiance"),
-        Row("coloured", "null", "point", "intensity"), Row("coloured", "roughdielectric", "glow", "roughness")]
+        Row("coloured", "null", "point", "intensity"), Row("thin", "roughdielectric", "glow", "roughness")]
 
 
 def long_paths() -> list[Row]:

@@ -74,8 +74,8 @@ def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> 
     """Traces the samples of the image and, together with them, those of its derivative."""
     recorder = Recorder(call.adjoint, integrand.max_depth)
     integrand = integrand_of_wavefront(call, integrand, wavefront)
-    # Through media that are followed by steps the paths of image and derivative are sampled otherwise.
-    apart = bool(integrand.proposal.layout.tracked_media) or (
+    # Through media that scatter the paths of image and derivative are sampled otherwise.
+    apart = bool(integrand.proposal.layout.scattering_media) or (
         wavefront.lanes >= MANY and call.quantities is None and goes_whole(integrand, wavefront.lanes))
     traced = traced_apart if apart else traced_as_one
     image, derivative, hit, L = traced(call, integrand, wavefront, recorder)

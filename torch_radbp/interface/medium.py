@@ -100,8 +100,14 @@ class MediumKind:
         """
         raise TypeError(f"{type(self).__name__} is not followed by steps")
 
-    def sampled_for_derivatives(self, table: Table) -> Table:
-        """The table by which paths are sampled whose samples are of the derivative alone."""
+    def sampled_for_derivatives(self, table: Table, extent: Tensor, of_image: bool) -> Table:
+        """The table by which paths are sampled whose samples are of the derivative.
+
+        Args:
+            table: of the medium.
+            extent: () of the scene.
+            of_image: they are of the image, too.
+        """
         return table
 
     def extinction(self, table: Table, p: Vec3, wi: Vec3) -> Vec3:

@@ -62,8 +62,8 @@ class HeterogeneousKind(MediumKind):
     albedo: VolumeKind
     phase_function: PhaseKind
 
-    def sampled_for_derivatives(self, table: HeterogeneousTable) -> HeterogeneousTable:
-        return table._replace(floor=table.floor_of_derivatives)
+    def sampled_for_derivatives(self, table: HeterogeneousTable, extent: Tensor, of_image: bool) -> HeterogeneousTable:
+        return table if of_image else table._replace(floor=table.floor_of_derivatives)
 
     def extinction(self, table: HeterogeneousTable, p: Vec3, wi: Vec3) -> Vec3:
         area = self.phase_function.projected_area(table.phase, p, wi)

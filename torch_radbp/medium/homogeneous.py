@@ -1,4 +1,9 @@
-"""A medium that is the same everywhere."""
+"""A medium that is the same everywhere.
+
+Where rays meet nothing, and there is hardly any extinction, what little is scattered comes from anywhere along them: as much
+from each solid angle under which a lamp sees them. Some of the samples of derivatives end there after distances t of the
+density l / (t + l)^2, with l the extent of the scene, which falls no faster than light does.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +18,14 @@ from torch_radbp.interface.phase import PhaseKind
 from torch_radbp.phase.isotropic import Isotropic
 from torch_radbp.plugin import Medium, Phase, Texture, Volume, finite, register
 from torch_radbp.plugin.domain import AMOUNT, FRACTION, NUMBER, Domain
+from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import TINY, Ray, Vec3
+from torch_radbp.tensors.vec import TINY, Ray, Vec3, where
 from torch_radbp.volume.constvolume import as_constant
 
 THINNEST = 0.05  # the least optical thickness of a way by which distances are sampled
+LONGEST = 1e9  # ways beyond it have no end
+SPREAD = 0.5  # of the samples of derivatives by the extinction
 
 
 class HomogeneousTable(NamedTuple):
@@ -26,6 +34,8 @@ class HomogeneousTable(NamedTuple):
     sigma_t: Vec3  # extinction, 1 / length
     albedo: Vec3  # the share of it that is scattered
     phase: Any  # numbers of the phase function
+    spread: Tensor  # (1,) the share of flights that are spread over ways without end, if nothing is scattered; detached
+    extent: Tensor  # (1,) of the scene, by which they are; 0: none are
 
 
 @dataclass(frozen=True)
@@ -39,14 +49,31 @@ class HomogeneousKind(MediumKind):
         return self.extinction(table, ray.o, ray.d).map(lambda sigma: torch.exp(-sigma * distance))
 
     def sample_flight(self, table: HomogeneousTable, ray: Ray, way: Tensor, u: Tensor, v: Tensor) -> Tensor:
-        # The exponential distribution of one of the three colours.
-        sigma = at_least(self.extinction(table, ray.o, ray.d), way)
-        return -torch.log1p(-u) / colour_chosen(sigma, v)
+        # The exponential distribution of one of the three colours; but first those that are spread.
+        sigma = self.extinction(table, ray.o, ray.d)
+        share, extent = colour_chosen(self.spread(table, sigma, way), v), everywhere(table.extent, way)
+        first, rest = u / share.clamp_min(TINY), (u - share).clamp_min(0.0) / (1.0 - share)
+        distance = -torch.log1p(-rest) / colour_chosen(at_least(sigma, way), v)
+        return torch.where(u < share, extent * first / (1.0 - first).clamp_min(TINY), distance)
 
     def flight_pdf(self, table: HomogeneousTable, ray: Ray, way: Tensor, distance: Tensor) -> tuple[Vec3, Vec3]:
-        sigma = at_least(self.extinction(table, ray.o, ray.d), way)
-        through = sigma.map(lambda each: torch.exp(-each * distance))
-        return sigma * through, through
+        sigma = self.extinction(table, ray.o, ray.d)
+        share, extent = self.spread(table, sigma, way), everywhere(table.extent, way)
+        sigma, far = at_least(sigma, way), 1.0 / (extent + distance).clamp_min(TINY)
+        through = sigma.map(lambda each: torch.exp(-each * distance)) * share.map(lambda each: 1.0 - each)
+        farther = through + share * (extent * far)
+        # As a rate, so that images, of which no flights are spread, stay as they were to the last bit.
+        density = sigma * through + share * (extent * far * far)
+        rate = density * farther.map(lambda each: 1.0 / each.clamp_min(TINY))
+        return where(extent > 0, rate, sigma) * farther, farther
+
+    def spread(self, table: HomogeneousTable, sigma: Vec3, way: Tensor) -> Vec3:
+        """The shares of flights, (N,), that are spread over the way, by the colour that decides."""
+        share, extent = everywhere(table.spread, way), everywhere(table.extent, way)
+        return sigma.map(lambda each: torch.where((way > LONGEST) & (extent > 0), share * torch.exp(-each * extent), 0.0))
+
+    def sampled_for_derivatives(self, table: HomogeneousTable, extent: Tensor, of_image: bool) -> HomogeneousTable:
+        return table._replace(extent=extent.to(table.extent).expand_as(table.extent))
 
     def extinction(self, table: HomogeneousTable, p: Vec3, wi: Vec3) -> Vec3:
         sigma, area = everywhere(table.sigma_t, p.x), self.phase_function.projected_area(table.phase, p, wi)
@@ -67,8 +94,8 @@ class Homogeneous(Medium):
     """A medium that absorbs and scatters light everywhere alike, such as fog.
 
     Parameters: `sigma_t`, `albedo`, `scale`, and those of the phase function. Derivatives: with respect to all of them, also
-    where the albedo is 0, or the extinction on ways that end at surfaces. The distances at which paths scatter are sampled
-    by one of the three colours, and weighted against all.
+    where the albedo or the extinction is 0. The distances at which paths scatter are sampled by one of the three colours,
+    and weighted against all.
 
     Args:
         albedo: the share of the extinction that is scattered, in [0, 1].
@@ -103,7 +130,9 @@ class Homogeneous(Medium):
 
     def row(self) -> HomogeneousTable:
         sigma_t = (self.sigma_t.colour() * self.scale).map(not_below_zero)
-        return HomogeneousTable(sigma_t, self.albedo.colour(), self.phase_function.row())
+        spread = SPREAD if any_differentiated(sigma_t) else 0.0
+        return HomogeneousTable(sigma_t, self.albedo.colour(), self.phase_function.row(), self.scale.new_tensor(spread),
+                                torch.zeros_like(self.scale))
 
 
 def not_below_zero(sigma: Tensor) -> Tensor:
@@ -117,6 +146,6 @@ def at_least(sigma: Vec3, way: Tensor) -> Vec3:
     return sigma.map(lambda each: torch.maximum(each, THINNEST / way.clamp_min(TINY)))
 
 
-def everywhere(row: Vec3, like: Tensor) -> Vec3:
+def everywhere(row: Any, like: Tensor) -> Any:
     """The values of the only row, for every lane."""
     return lookup(row, torch.zeros_like(like, dtype=torch.int32))

@@ -39,7 +39,7 @@ from torch_radbp.scene.tables.triangle_corners import Corners, at_corners
 from torch_radbp.tensors.differentiated import settled
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, both, max_component
 from torch_radbp.vertex.cone import Cone, cone_beyond
-from torch_radbp.vertex.interaction import corner_rows
+from torch_radbp.vertex.interaction import corner_rows, is_met
 from torch_radbp.vertex.outgoing_ray import glued_direction
 
 
@@ -142,7 +142,8 @@ class FlightVertex(VertexKind):
         # The direction follows the point of the surface that the ray would meet, as from a surface.
         if there is None:
             there = at_corners(scene.triangles.vertices.p, corner_rows(scene, following))
-        d, change = glued_direction(points_in_world(scene, following, there), p, wo, following, following.prim >= 0)
+        there = points_in_world(scene, following, there)
+        d, change = glued_direction(there, p, wo, following, is_met(scene, following))
         phase, _ = kind.phase(table, p, wi, d)
         fixed, _ = kind.phase(table, p, wi, wo)
         return terms.weight * (change * (1.0 + (phase - fixed) / fixed.detach())), Ray(p, d)

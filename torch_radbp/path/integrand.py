@@ -19,7 +19,7 @@ from torch_radbp.raycast.protocol import RayCaster
 from torch_radbp.sampling.sampler import depth_counter
 from torch_radbp.scene.tables.appearance import Appearance
 from torch_radbp.scene.tables.part import part_of
-from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.scene.tables.scene_tensors import SceneTensors, extent_of
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.stage import Stage, Stages
 
@@ -77,13 +77,14 @@ class Integrand(NamedTuple):
         """The integrand on detached tensors."""
         return self._replace(scene=self.proposal, parts={}) if self.attached else self
 
-    def for_derivatives(self) -> Integrand:
-        """The integrand for paths whose samples are of the derivative alone."""
+    def for_derivatives(self, of_image: bool = False) -> Integrand:
+        """The integrand for paths whose samples are of the derivative; `of_image`: and of the image, too."""
         kinds = self.proposal.layout.media
-        if not self.proposal.layout.tracked_media:
+        if not self.proposal.layout.scattering_media:
             return self
+        extent = extent_of(self.proposal)
         scene, proposal = (scene._replace(media=tuple(
-            kind.sampled_for_derivatives(table) for kind, table in zip(kinds, scene.media)))
+            kind.sampled_for_derivatives(table, extent, of_image) for kind, table in zip(kinds, scene.media)))
             for scene in (self.scene, self.proposal))
         return self._replace(scene=scene if self.attached else proposal, proposal=proposal, parts={})
 

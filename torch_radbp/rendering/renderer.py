@@ -356,12 +356,12 @@ class Renderer(nn.Module):
         setattr(self, "cache_for_aovs" if aovs else "cache", cache.close())
         stages = compiled() if fused else EAGER
         settings = settings_of_integrand(self, scene, [view.camera for view in views])
-        still = detached(scene)
-        integrand = Integrand(still, proposal_of(still), caster, settings, self.depth_limit, self.rr_depth, stages, {})
 
         def make_integrand(tensors: SceneTensors) -> Integrand:
-            return integrand._replace(scene=tensors, proposal=proposal_of(tensors), parts={})
+            made = Integrand(tensors, proposal_of(tensors), caster, settings, self.depth_limit, self.rr_depth, stages, {})
+            return made.for_derivatives(of_image=True) if seeds[0] == seeds[1] else made
 
+        integrand = make_integrand(detached(scene))
         call = RenderCall(scene, caster, make_integrand, integrand, stages, self.adjoint, Cameras(views), Films(),
                           wavefronts_of(views, plan, spp, workers), spp, seeds[0] == seeds[1], record_bytes, plan.together,
                           workers, self.memory, settings.following, self.scene, parameters)

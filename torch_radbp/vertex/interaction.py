@@ -54,6 +54,15 @@ class SurfaceInteraction(NamedTuple):
         return self.p + self.n * torch.copysign(self.clearance, dot(self.n, d))
 
 
+def is_met(scene: SceneTensors, hit) -> Tensor:
+    """(N,) bool: a ray meets a surface to which vertices are glued. Others are invisible boundaries of media, to which a ray
+    is on its way when its flight ends: directions stay where they are on them as beside them, so that nothing jumps."""
+    met = hit.prim >= 0
+    if scene.boundaries is None:
+        return met
+    return met & ~lookup(scene.boundaries.invisible, lookup(scene.triangles.boundary, hit.prim.clamp_min(0)))
+
+
 def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | None = None, here: Corners | None = None,
                         front: Tensor | None = None, cone: Cone | None = None) -> SurfaceInteraction:
     """Computes the surface interaction from the triangle that a ray has hit.
@@ -81,6 +90,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     if slides is not None and triangles.plain is not None:
         slides = slides | slides_from(corners, hit.t, lookup(triangles.plain, prim))
     if slides is not None:
+        slides = slides if scene.boundaries is None else slides | ~is_met(scene, hit)
         hit = where_the_ray_goes(ray, p0, e1, e2, hit, slides & valid)
     p = p0 + e1 * hit.u + e2 * hit.v  # not o + t d, which for a long ray lies off the surface by rounding
     if slides is not None:

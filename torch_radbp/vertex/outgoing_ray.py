@@ -7,8 +7,8 @@ becomes one over surfaces, whose element of solid angle
 
     G = |n' . d| A' / |x' - x|^2
 
-changes, too: the weight is multiplied by G over its own value. A direction in which the ray meets nothing is fixed. Where
-the next vertex is close by, it does a part of either (`nearby.py`).
+changes, too: the weight is multiplied by G over its own value. A direction in which the ray meets nothing is fixed, or an
+invisible boundary of a medium (`is_met`). Where the next vertex is close by, it does a part of either (`nearby.py`).
 
 Reference: Zhang et al. 2020, "Path-Space Differentiable Rendering", section 4; Worchel et al. 2025, arXiv 2504.05750.
 """
@@ -23,7 +23,7 @@ from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import Corners, at_corners, edges
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, attached, cross, dot, normalize, where
-from torch_radbp.vertex.interaction import SurfaceInteraction, corner_rows, where_the_ray_goes
+from torch_radbp.vertex.interaction import SurfaceInteraction, corner_rows, is_met, where_the_ray_goes
 from torch_radbp.vertex.material import BSDFSample, Material, evaluate, sampling_at
 from torch_radbp.vertex.nearby import Floor, Nearby, Slide, slide_at
 
@@ -58,7 +58,7 @@ def attached_outgoing_ray(scene: SceneTensors, material: Material, si: SurfaceIn
     if there is None:
         there = at_corners(scene.triangles.vertices.p, corner_rows(scene, following))
     there = points_in_world(scene, following, there)
-    glued = chance & (sample.pdf > 0) & (following.prim >= 0)
+    glued = chance & (sample.pdf > 0) & is_met(scene, following)
     d, change = glued_direction(there, o, fixed, following, glued, slide_of(scene, si, there, fixed, following))
     specular = ray if sampling == "hybrid" else Ray(o, fixed)
     if not material.kind.smooth:

@@ -29,6 +29,7 @@ from torch_radbp.sampling.sampler import (
     random_bits,
     uniform,
 )
+from torch_radbp.scene.tables.scene_tensors import extent_of
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, angle_between, cross, crossing, dot, normalize, rows
@@ -231,12 +232,6 @@ def salted(view: View, salt: int) -> SampleKey:
 def uniform_numbers(key: SampleKey, lane: Tensor, counter: Tensor | int, dtype: torch.dtype) -> Tensor:
     """A uniform random number in [0, 1) per lane, (N,) int32."""
     return uniform(bounce_key(LaneKey(hash32(lane + key.seed), torch.zeros_like(lane)), counter), 0, dtype)
-
-
-def extent_of(geometry: Geometry) -> Tensor:
-    """() float64, the longest side of the vertices' bounding box."""
-    ends = [part.aminmax() for part in geometry.triangles.vertices.p]
-    return torch.stack([end.max - end.min for end in ends]).amax().double()
 
 
 def onto_surfaces(integrand: Integrand, passed: Passed) -> tuple[Passed, Hit]:

@@ -42,7 +42,6 @@ from torch_radbp.boundary.eye.seen_edges import (
     corners_of,
     course_of,
     crossed_at,
-    extent_of,
     onto_surfaces,
     places_on,
     places_seen,
@@ -60,7 +59,7 @@ from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.event import Ends
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import SampleKey
-from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.scene.tables.scene_tensors import SceneTensors, extent_of
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.stage import Stages, stage

@@ -31,7 +31,7 @@ from torch import Tensor
 from torch_radbp.boundary.curve.geometry import Between, Corners, Geometry, geometry_of
 from torch_radbp.boundary.curve.segments import Segments, height_above, heights_by, level_on_lines, place_of
 from torch_radbp.boundary.eye.deposit import Deposit, attached_geometry
-from torch_radbp.boundary.eye.seen_edges import BESIDE, Passed, extent_of, salted, unhidden
+from torch_radbp.boundary.eye.seen_edges import BESIDE, Passed, salted, unhidden
 from torch_radbp.boundary.eye.segment_tree import (
     SegmentTree,
     ends_of,
@@ -48,7 +48,7 @@ from torch_radbp.boundary.terms.hidden_light import light_beyond, most_paths, nu
 from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, glues, shadow_term
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.scene.tables.scene_tensors import SceneTensors, extent_of
 from torch_radbp.tensors.differentiated import primal
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import joined

@@ -20,13 +20,13 @@ from torch_radbp.boundary.eye.seen_edges import (
     corners_of,
     course_of,
     crossed_at,
-    extent_of,
     point_of_edge,
 )
 from torch_radbp.boundary.eye.slid import less_what_slides
 from torch_radbp.boundary.eye.viewpoints import Viewpoints, vertex_at
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.tables.scene_tensors import extent_of
 from torch_radbp.tensors.differentiated import primal
 from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.stage import Stages, stage

@@ -25,7 +25,7 @@ from torch_radbp.boundary.curve.rendering import asks_for_derivatives
 from torch_radbp.boundary.eye.deposit import Deposit, attached_geometry, swept_areas
 from torch_radbp.boundary.eye.drawn_directions import DirectionNumbers, Drawn, directions_drawn, drawn
 from torch_radbp.boundary.eye.lines_through_edges import solid_angle
-from torch_radbp.boundary.eye.seen_edges import BEFORE, BESIDE, Passed, extent_of, places_seen, salted, unhidden
+from torch_radbp.boundary.eye.seen_edges import BEFORE, BESIDE, Passed, places_seen, salted, unhidden
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, arriving, path_of, vertex_at, vertex_on, viewpoints
 from torch_radbp.boundary.terms.border import SOFT, Lights
 from torch_radbp.boundary.terms.cuts import CutsOfView, all_cuts, cut_at, matter, some_cuts
@@ -36,6 +36,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.packing.material_tables import one_sided
+from torch_radbp.scene.tables.scene_tensors import extent_of
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, masked, normalize, rows

@@ -31,7 +31,7 @@ from torch import Tensor
 from torch_radbp.boundary.curve.geometry import geometry_of
 from torch_radbp.boundary.eye.deposit import Deposit
 from torch_radbp.boundary.eye.lines_through_edges import scattered_towards, solid_angle
-from torch_radbp.boundary.eye.seen_edges import BEFORE, BESIDE, Passed, extent_of, places_seen, salted
+from torch_radbp.boundary.eye.seen_edges import BEFORE, BESIDE, Passed, places_seen, salted
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, eyes_at, path_of, vertex_at, viewpoints
 from torch_radbp.boundary.terms import split
 from torch_radbp.boundary.terms.cuts import CutsOfView, cuts_that_matter, jumps_of_cuts
@@ -43,7 +43,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.sorting import queued
 from torch_radbp.path.trace import trace
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.scene.tables.scene_tensors import SceneTensors, extent_of
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, rows
 
 SALT = 0x27D4EB2F  # tells the random numbers of these places from others

@@ -28,14 +28,13 @@ from torch_radbp.boundary.eye.seen_edges import (
     corners_of,
     density_seen,
     evenly_seen,
-    extent_of,
     passed_at,
     point_of_edge,
 )
 from torch_radbp.boundary.terms.border import LitEdges
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.path.direct_light import LightDraw
-from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.scene.tables.scene_tensors import SceneTensors, extent_of
 from torch_radbp.tensors.vec import Ray, Vec3, cross, dot, rows
 
 ENDS = 0.02, 0.98  # shares of the way along an edge at which it is asked where its shadow falls

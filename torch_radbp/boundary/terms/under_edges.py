@@ -25,7 +25,7 @@ from torch_radbp.boundary.curve.geometry import Geometry, geometry_of, positions
 from torch_radbp.boundary.curve.places import Places, Sight, lot_of, on_film, sight_of
 from torch_radbp.boundary.curve.segments import place_of, segment_place, segment_weight
 from torch_radbp.boundary.eye.light_points import light_line, light_points
-from torch_radbp.boundary.eye.seen_edges import BEFORE, BESIDE, FAR, crossed_at, extent_of
+from torch_radbp.boundary.eye.seen_edges import BEFORE, BESIDE, FAR, crossed_at
 from torch_radbp.boundary.eye.seen_on_film import camera_sample, seen_at, sees
 from torch_radbp.boundary.terms.border import SHARE, samples_of
 from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, films_have_area, shadow_term
@@ -34,7 +34,7 @@ from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.event import Ends
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.running_sum import running_sum
-from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.scene.tables.scene_tensors import SceneTensors, extent_of
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, normalize, rows, unit_normal
 
 

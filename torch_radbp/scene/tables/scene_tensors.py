@@ -199,6 +199,12 @@ class SceneTensors(NamedTuple):
                                    if not (kind.surround or kind.on_surface)])
 
 
+def extent_of(scene: Any) -> Tensor:
+    """() float64, the longest side of the bounding box of the vertices of a `SceneTensors` or a `Geometry`."""
+    ends = [part.aminmax() for part in scene.triangles.vertices.p]
+    return torch.stack([end.max - end.min for end in ends]).amax().double()
+
+
 def proposal_of(scene: SceneTensors) -> SceneTensors:
     """The scene record that decides sampling of directions, lobes and lights: the same tables, detached."""
     return detached(scene)
