@@ -15,12 +15,24 @@ from torch_radbp.adjoint.schedule import (
     LOAD,
     backward_plan,
     kept_depths,
-    peak_states,
-    replayed_steps,
 )
 
 LENGTHS = range(1, 71)
 STRIDES = (1, 2, 3, 5, 7, 10, 64, 100, "sqrt", "log")
+
+
+def peak_states(bounces: int, stride: int | str) -> int:
+    """The greatest number of states that exist at once, the current one of a replay not counted."""
+    held = peak = len(kept_depths(bounces, stride))
+    for action in backward_plan(bounces, kept_depths(bounces, stride), stride):
+        held += {KEEP: 1, DROP: -1}.get(action.kind, 0)
+        peak = max(peak, held)
+    return peak
+
+
+def replayed_steps(bounces: int, stride: int | str) -> int:
+    """The number of bounces that the backward sweep replays."""
+    return sum(action.kind == ADVANCE for action in backward_plan(bounces, kept_depths(bounces, stride), stride))
 
 
 def words(bounces, stride, longest=None):

@@ -90,17 +90,3 @@ def bisect(first: int, end: int, plan: list[Action]) -> None:
     plan.append(Action(KEEP, middle))
     bisect(middle, end, plan)
     bisect(first, middle, plan)
-
-
-def peak_states(bounces: int, stride: int | str) -> int:
-    """The greatest number of states that exist at once, the current one of a replay not counted."""
-    held = peak = len(kept_depths(bounces, stride))
-    for action in backward_plan(bounces, kept_depths(bounces, stride), stride):
-        held += {KEEP: 1, DROP: -1}.get(action.kind, 0)
-        peak = max(peak, held)
-    return peak
-
-
-def replayed_steps(bounces: int, stride: int | str) -> int:
-    """The number of bounces that the backward sweep replays."""
-    return sum(action.kind == ADVANCE for action in backward_plan(bounces, kept_depths(bounces, stride), stride))

@@ -18,8 +18,8 @@ from torch_radbp.formats.files import opened
 from torch_radbp.formats.picture_size import MAX_PIXELS
 from torch_radbp.formats.text_lines import BYTE_ORDER_MARK
 from torch_radbp.io.colmap_binary import binary_cameras, binary_images
-from torch_radbp.io.opencv import LARGEST, SMALLEST, Intrinsics, pose_of, sensor_of
-from torch_radbp.plugin import ReconstructionFilter, SceneError, nearest
+from torch_radbp.io.opencv import LARGEST, SMALLEST, Intrinsics, SensorAttributes, pose_of, sensor_of
+from torch_radbp.plugin import SceneError, nearest
 from torch_radbp.public_call import passing_on, public_call
 from torch_radbp.sensor.calibrated import (
     BROWN_CONRADY,
@@ -27,7 +27,6 @@ from torch_radbp.sensor.calibrated import (
     FISHEYE,
     THIN_PRISM_FISHEYE,
     Calibrated,
-    CameraAttributes,
 )
 
 MODELS = {  # the parameters in their order; f is both focal lengths
@@ -49,9 +48,9 @@ STRAIGHT = 1e-6  # radians of an omega, with which FOV is a pinhole up to roundi
 
 
 @public_call
-@passing_on(CameraAttributes.__annotations__, Calibrated.__init__)
-def cameras_from_colmap(folder: str | os.PathLike, *, scale: float = 1.0, rfilter: ReconstructionFilter | str | None = None,
-                        **attributes: Unpack[CameraAttributes]) -> dict[str, Calibrated]:
+@passing_on(SensorAttributes.__annotations__, sensor_of)
+def cameras_from_colmap(folder: str | os.PathLike, *, scale: float = 1.0,
+                        **attributes: Unpack[SensorAttributes]) -> dict[str, Calibrated]:
     """The sensors `calibrated` of a COLMAP model, by the name of their image and in the order of the file.
 
         cameras = rb.cameras_from_colmap("sparse/0", scale=0.25)
@@ -62,7 +61,7 @@ def cameras_from_colmap(folder: str | os.PathLike, *, scale: float = 1.0, rfilte
 
     Args:
         folder: with cameras.txt and images.txt; or, without these, cameras.bin and images.bin.
-        scale, rfilter, **attributes: as of `camera_from_opencv`.
+        scale, **attributes: as of `camera_from_opencv`.
 
     Raises:
         SceneError: names file and line, or record, of what cannot be read, and the camera models that are supported.
@@ -79,7 +78,7 @@ def cameras_from_colmap(folder: str | os.PathLike, *, scale: float = 1.0, rfilte
             raise line.fail(f"no camera has the id {camera}; {of_cameras.name} has {', '.join(cameras) or 'none'}")
         if name in sensors:
             raise line.fail(f"a second image is called {name!r}")
-        sensors[name] = sensor_of(cameras[camera], pose, scale, rfilter, attributes)
+        sensors[name] = sensor_of(cameras[camera], pose, scale, **attributes)
     if not sensors:
         raise SceneError(f"{of_images}: has no image")
     return sensors

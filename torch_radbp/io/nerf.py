@@ -18,10 +18,10 @@ from torch_radbp.formats.image import READABLE
 from torch_radbp.formats.leniency import Repairs
 from torch_radbp.formats.memory import memory_for
 from torch_radbp.formats.picture_size import MAX_PIXELS
-from torch_radbp.io.opencv import FROM_OPENGL, LARGEST, ORTHOGONAL, SMALLEST, Intrinsics, sensor_of
-from torch_radbp.plugin import ReconstructionFilter, SceneError, nearest
+from torch_radbp.io.opencv import FROM_OPENGL, LARGEST, ORTHOGONAL, SMALLEST, Intrinsics, SensorAttributes, sensor_of
+from torch_radbp.plugin import SceneError, nearest
 from torch_radbp.public_call import passing_on, public_call
-from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated, CameraAttributes
+from torch_radbp.sensor.calibrated import BROWN_CONRADY, FISHEYE, Calibrated
 
 INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y", "k1", "k2", "k3", "k4", "p1", "p2",
               "camera_model", "is_fisheye")
@@ -43,10 +43,10 @@ MISSING = ("skip", "error")
 
 
 @public_call
-@passing_on(CameraAttributes.__annotations__, Calibrated.__init__)
+@passing_on(SensorAttributes.__annotations__, sensor_of)
 def cameras_from_nerf(path: str | os.PathLike, *, width: int | None = None, height: int | None = None, scale: float = 1.0,
-                      rfilter: ReconstructionFilter | str | None = None, missing: str = "skip", strict: bool = False,
-                      **attributes: Unpack[CameraAttributes]) -> dict[str, Calibrated]:
+                      missing: str = "skip", strict: bool = False,
+                      **attributes: Unpack[SensorAttributes]) -> dict[str, Calibrated]:
     """The sensors `calibrated` of a NeRF data set, by the `file_path` of their image (without "./") and in its order.
 
         cameras = rb.cameras_from_nerf("lego/transforms_train.json")
@@ -65,7 +65,7 @@ def cameras_from_nerf(path: str | os.PathLike, *, width: int | None = None, heig
     Args:
         path: of the .json file.
         width, height: of images whose size neither the file says nor the image beside it.
-        scale, rfilter, **attributes: as of `camera_from_opencv`.
+        scale, **attributes: as of `camera_from_opencv`.
         missing: what to do with frames whose size only their image could say, which is not there: "skip" them, with a
             warning, or "error".
         strict: raise errors instead of warnings of what is left out or repaired.
@@ -75,13 +75,12 @@ def cameras_from_nerf(path: str | os.PathLike, *, width: int | None = None, heig
         FileNotFoundError: if there is no such file.
     """
     with Repairs(strict):
-        return nerf_cameras(Path(path), None, width=width, height=height, scale=scale, rfilter=rfilter, missing=missing,
-                            **attributes)
+        return nerf_cameras(Path(path), None, width=width, height=height, scale=scale, missing=missing, **attributes)
 
 
 def nerf_cameras(path: Path, names: Collection[str] | None, *, width: int | None = None, height: int | None = None,
-                 scale: float = 1.0, rfilter: ReconstructionFilter | str | None = None, missing: str = "skip",
-                 **attributes: Unpack[CameraAttributes]) -> dict[str, Calibrated]:
+                 scale: float = 1.0, missing: str = "skip",
+                 **attributes: Unpack[SensorAttributes]) -> dict[str, Calibrated]:
     """Reads the cameras of some frames, or of all; arguments and errors as of `cameras_from_nerf`."""
     missing_of(missing)
     document = read_json(path)
@@ -99,7 +98,7 @@ def nerf_cameras(path: Path, names: Collection[str] | None, *, width: int | None
             if size is None:
                 repairs.add(frame.name, left_out(path))
                 continue
-            camera = sensor_of(intrinsics(frame, given[frame.name], size), pose(frame), scale, rfilter, attributes)
+            camera = sensor_of(intrinsics(frame, given[frame.name], size), pose(frame), scale, **attributes)
             camera.up = (0.0, 0.0, 1.0)
             cameras[frame.name] = camera
         for key in sorted({*document}.union(*(frame.entry for frame in frames)) - {*INTRINSICS, *WITHOUT_EFFECT}):

@@ -37,11 +37,30 @@ class Intrinsics(NamedTuple):
     coefficients: dict[str, float] = {}
 
 
-@public_call
+class SensorAttributes(CameraAttributes, total=False):
+    """Keyword arguments of the sensors of calibrations that no calibration contains."""
+
+    rfilter: ReconstructionFilter | str | None
+
+
 @passing_on(CameraAttributes.__annotations__, Calibrated.__init__)
+def sensor_of(camera: Intrinsics, to_world: np.ndarray, scale: float,
+              rfilter: ReconstructionFilter | str | None = None, **attributes: Unpack[CameraAttributes]) -> Calibrated:
+    """Builds a sensor from intrinsics and a pose, its image scaled to whole pixels."""
+    width, height = (max(1, round(size * positive("scale", scale))) for size in (camera.width, camera.height))
+    x, y = width / camera.width, height / camera.height
+    film = HDRFilm(width=width, height=height, rfilter=filter_of(rfilter))
+    return Calibrated(
+        fx=camera.fx * x, fy=camera.fy * y, cx=(camera.cx + 0.5) * x - 0.5, cy=(camera.cy + 0.5) * y - 0.5,
+        skew=camera.skew * x, distortion=camera.model, **camera.coefficients,
+        to_world=torch.from_numpy(to_world), film=film, **attributes)
+
+
+@public_call
+@passing_on(SensorAttributes.__annotations__, sensor_of)
 def camera_from_opencv(K: Any, R: Any, t: Any, width: int, height: int, distortion: Sequence[float] = (),
-                       fisheye: bool = False, *, scale: float = 1.0, rfilter: ReconstructionFilter | str | None = None,
-                       **attributes: Unpack[CameraAttributes]) -> Calibrated:
+                       fisheye: bool = False, *, scale: float = 1.0,
+                       **attributes: Unpack[SensorAttributes]) -> Calibrated:
     """The sensor `calibrated` of a camera as OpenCV describes it: x = K (R X + t).
 
         camera = rb.camera_from_opencv(K, R, t, 640, 480, distortion)
@@ -55,26 +74,26 @@ def camera_from_opencv(K: Any, R: Any, t: Any, width: int, height: int, distorti
         distortion: k1, k2, p1, p2[, k3[, k4, k5, k6]] or of a fisheye k1, k2, k3, k4; those given are parameters.
         fisheye: whether that is a Kannala-Brandt lens.
         scale: of the image that is rendered, 0.25 for a quarter of the width and of the height.
-        rfilter: of the film, or its name, such as "box"; Gaussian by default.
-        **attributes: near_clip, far_clip and sampler of the sensor.
+        **attributes: near_clip, far_clip and sampler of the sensor; rfilter of its film, or its name, such as "box",
+            Gaussian by default.
 
     Raises:
         ValueError: if a shape or a matrix is not as said, or has a gradient, which would not reach it.
     """
-    return sensor_of(intrinsics_of(K, width, height, distortion, fisheye), pose_of(R, t), scale, rfilter, attributes)
+    return sensor_of(intrinsics_of(K, width, height, distortion, fisheye), pose_of(R, t), scale, **attributes)
 
 
 @public_call
-@passing_on(CameraAttributes.__annotations__, Calibrated.__init__)
-def cameras_from_kornia(pinhole: Any, *, scale: float = 1.0, rfilter: ReconstructionFilter | str | None = None,
-                        **attributes: Unpack[CameraAttributes]) -> list[Calibrated]:
+@passing_on(SensorAttributes.__annotations__, sensor_of)
+def cameras_from_kornia(pinhole: Any, *, scale: float = 1.0,
+                        **attributes: Unpack[SensorAttributes]) -> list[Calibrated]:
     """The sensors `calibrated` of a `kornia.geometry.camera.PinholeCamera`, one for each of its batch.
 
     Its pixels are OpenCV's, its extrinsics lead from the world to the camera.
 
     Args:
         pinhole: with intrinsics and extrinsics (B, 4, 4), height and width (B,).
-        scale, rfilter, **attributes: as of `camera_from_opencv`.
+        scale, **attributes: as of `camera_from_opencv`.
 
     Raises:
         TypeError: if it is no such camera.
@@ -90,7 +109,7 @@ def cameras_from_kornia(pinhole: Any, *, scale: float = 1.0, rfilter: Reconstruc
     extrinsics = array("extrinsics", extrinsics, tuple(extrinsics.shape))
     widths, heights = ([whole("width" if side == 0 else "height", value) for value in size.flatten()]
                        for side, size in enumerate(sizes))
-    return [camera_from_opencv(K[:3, :3], E[:3, :3], E[:3, 3], width, height, scale=scale, rfilter=rfilter, **attributes)
+    return [camera_from_opencv(K[:3, :3], E[:3, :3], E[:3, 3], width, height, scale=scale, **attributes)
             for K, E, width, height in zip(intrinsics, extrinsics, widths, heights)]
 
 
@@ -126,18 +145,6 @@ def pose_of(R: Any, t: Any) -> np.ndarray:
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation.T @ FROM_OPENCV, -rotation.T @ translation.reshape(3)
     return pose
-
-
-def sensor_of(camera: Intrinsics, to_world: np.ndarray, scale: float, rfilter: ReconstructionFilter | str | None,
-              attributes: CameraAttributes) -> Calibrated:
-    """Builds a sensor from intrinsics and a pose, its image scaled to whole pixels."""
-    width, height = (max(1, round(size * positive("scale", scale))) for size in (camera.width, camera.height))
-    x, y = width / camera.width, height / camera.height
-    film = HDRFilm(width=width, height=height, rfilter=filter_of(rfilter))
-    return Calibrated(
-        fx=camera.fx * x, fy=camera.fy * y, cx=(camera.cx + 0.5) * x - 0.5, cy=(camera.cy + 0.5) * y - 0.5,
-        skew=camera.skew * x, distortion=camera.model, **camera.coefficients,
-        to_world=torch.from_numpy(to_world), film=film, **attributes)
 
 
 def filter_of(rfilter: ReconstructionFilter | str | None) -> ReconstructionFilter | None:

@@ -16,16 +16,16 @@ from torch_radbp.formats.leniency import Repairs
 from torch_radbp.formats.memory import memory_for
 from torch_radbp.io.colmap import cameras_from_colmap
 from torch_radbp.io.nerf import nerf_cameras
+from torch_radbp.io.opencv import SensorAttributes, sensor_of
 from torch_radbp.photographs.area_average import area_average
 from torch_radbp.photographs.cameras import checked_size, named_as_in_a_scene, scaled_to_files
 from torch_radbp.photographs.folders import colmap_pictures, nerf_pictures
 from torch_radbp.photographs.image_cache import ImageCache
 from torch_radbp.photographs.picture import Picture, as_source, background_colour, checked_curve, picture_name, read_picture
 from torch_radbp.photographs.size_batches import SizeBatches
-from torch_radbp.plugin import ReconstructionFilter, integer, nearest, positive
+from torch_radbp.plugin import integer, nearest, positive
 from torch_radbp.public_call import passing_on
 from torch_radbp.scene.modules.scene import Scene
-from torch_radbp.sensor.calibrated import Calibrated, CameraAttributes
 from torch_radbp.sensor.kind import ProjectiveCamera
 
 CACHE = 1 << 30  # bytes
@@ -108,12 +108,12 @@ class Photographs(Dataset[Photograph]):
         self.sizes = [checked_size(name, self.cameras[name], picture) for name, picture in zip(self.names, self.pictures)]
 
     @classmethod
-    @passing_on(CameraAttributes.__annotations__, Calibrated.__init__)
+    @passing_on(SensorAttributes.__annotations__, sensor_of)
     def from_nerf(cls, path: str | os.PathLike, *, images: str | os.PathLike | None = None,
                   masks: str | os.PathLike | None = None, scale: float = 1.0, curve: str | float = "srgb",
                   background: float | Sequence[float] = 0.0, cache_bytes: int = CACHE, missing: str = "skip",
-                  rfilter: ReconstructionFilter | str | None = None, width: int | None = None, height: int | None = None,
-                  strict: bool = False, **attributes: Unpack[CameraAttributes]) -> Photographs:
+                  width: int | None = None, height: int | None = None, strict: bool = False,
+                  **attributes: Unpack[SensorAttributes]) -> Photographs:
         """Loads the photographs of a NeRF data set, as instant-ngp, nerfstudio and the Blender scenes write it.
 
         Args:
@@ -126,26 +126,26 @@ class Photographs(Dataset[Photograph]):
             curve, background, cache_bytes: as of `Photographs`.
             missing: what to do with frames whose image is not there: "skip" them, with a warning, or "error".
             strict: raise errors instead of warnings of what is left out or repaired.
-            rfilter, width, height, **attributes: as of `rb.cameras_from_nerf`.
+            width, height, **attributes: as of `rb.cameras_from_nerf`.
 
         Raises:
             SceneError, ValueError, FileNotFoundError: as `rb.cameras_from_nerf` and `Photographs`.
         """
         with Repairs(strict):
             files = nerf_pictures(Path(path), images, masks, missing)
-            cameras = nerf_cameras(Path(path), files, width=width, height=height, rfilter=rfilter,
-                                   missing="error", **attributes)  # for each file one
+            cameras = nerf_cameras(Path(path), files, width=width, height=height, missing="error",
+                                   **attributes)  # for each file one
             pictures = list(files.values())
         return cls([each.image for each in pictures], scaled_to_files(cameras, pictures, scale),
                    [each.mask for each in pictures], curve=curve, background=background, cache_bytes=cache_bytes)
 
     @classmethod
-    @passing_on(CameraAttributes.__annotations__, Calibrated.__init__)
+    @passing_on(SensorAttributes.__annotations__, sensor_of)
     def from_colmap(cls, folder: str | os.PathLike, images: str | os.PathLike, *, masks: str | os.PathLike | None = None,
                     scale: float = 1.0, curve: str | float = "srgb", background: float | Sequence[float] = 0.0,
                     cache_bytes: int = CACHE, missing: str = "skip",
-                    rfilter: ReconstructionFilter | str | None = None, strict: bool = False,
-                    **attributes: Unpack[CameraAttributes]) -> Photographs:
+                    strict: bool = False,
+                    **attributes: Unpack[SensorAttributes]) -> Photographs:
         """Loads the photographs of a COLMAP model.
 
         Args:
@@ -156,13 +156,13 @@ class Photographs(Dataset[Photograph]):
                 `at_scale`.
             curve, background, cache_bytes: as of `Photographs`.
             missing, strict: as of `from_nerf`.
-            rfilter, **attributes: as of `rb.cameras_from_colmap`.
+            **attributes: as of `rb.cameras_from_colmap`.
 
         Raises:
             SceneError, ValueError, FileNotFoundError: as `rb.cameras_from_colmap` and `Photographs`.
         """
         with Repairs(strict):
-            cameras = cameras_from_colmap(folder, rfilter=rfilter, **attributes)
+            cameras = cameras_from_colmap(folder, **attributes)
             files = colmap_pictures(folder, cameras, images, masks, missing)
         cameras, pictures = {name: cameras[name] for name in files}, list(files.values())
         return cls([each.image for each in pictures], scaled_to_files(cameras, pictures, scale),
