@@ -192,8 +192,8 @@ class StartAdjoint(NamedTuple):
 
 def adj_of_start(sweep: Sweep) -> StartAdjoint:
     """What a sweep has found of the beginning of its paths: the loss is adj_1 beta_1 L_1."""
-    memo = sweep.memo
-    return StartAdjoint(memo.adj_ray, memo.adj_cone, sweep.adj_L * memo.L, memo.hit)
+    memo, kept = sweep.memo, sweep.record.radiance
+    return StartAdjoint(memo.adj_ray, memo.adj_cone, sweep.adj_L * (memo.L if kept is None else kept), memo.hit)
 
 
 def source_adjoint(call: RenderCall, integrand: Integrand, chunk: LaneBlock, wanted: Sequence[bool],
