@@ -392,9 +392,9 @@ SUN = {"type": "directional", "direction": [0.0, 0, -1], "irradiance": rgb(3, 3,
 BALL = {"type": "sphere", "radius": 0.4, "bsdf": {"type": "dielectric"}}
 
 
-def caustics(max_depth: int = 4, **objects) -> list[str]:
-    """The warnings about light that is not found."""
-    renderer = rb.Renderer(load(camera=sensor(4), **objects), spp=1, max_depth=max_depth)
+def caustics(max_depth: int = 4, light_paths: str = "camera", **objects) -> list[str]:
+    """The warnings about light that paths from the camera do not find."""
+    renderer = rb.Renderer(load(camera=sensor(4), **objects), spp=1, max_depth=max_depth, light_paths=light_paths)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for seed in range(2):
@@ -407,7 +407,10 @@ def caustics(max_depth: int = 4, **objects) -> list[str]:
 def test_caustics_of_a_light_without_extent_are_said_to_be_missing(kind, lamp):
     aside = SUN | {"direction": [1.0, 0, -1]} if lamp is SUN else lamp | {"position": [-2.0, 0, 0.5]}
     message, = caustics(lamp=aside, floor=FLOOR, ball=BALL | {"bsdf": {"type": kind}})
-    assert "`lamp`" in message and "`ball`" in message and "area emitter" in message
+    assert "`lamp`" in message and "`ball`" in message and "area emitter" in message and "lacks them" in message
+    message, = caustics(lamp=aside, floor=FLOOR, ball=BALL | {"bsdf": {"type": kind}}, light_paths="auto")
+    assert "`lamp`" in message and "`ball`" in message and "begin at the lamps" in message
+    assert caustics(lamp=aside, floor=FLOOR, ball=BALL | {"bsdf": {"type": kind}}, light_paths="caustics") == []
 
 
 def test_no_caustics_are_missing_where_paths_find_them_or_there_are_none():

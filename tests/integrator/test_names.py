@@ -16,11 +16,10 @@ def scene_of(dtype=torch.float64, material=None, **integrator):
 
 
 # What Mitsuba 3.9.1 answers: path's default depth is unlimited, that of the differentiable integrators 6.
-DEPTHS = {"path": -1, "volpath": -1, "volpathmis": -1, "prb": 6, "prb_basic": 6, "prbvolpath": 6, "ptracer": -1,
-          "prb_projective": 6}
+DEPTHS = {"path": -1, "volpath": -1, "volpathmis": -1, "prb": 6, "prb_basic": 6, "prbvolpath": 6, "prb_projective": 6}
 
 
-@pytest.mark.filterwarnings("ignore:(ptracer|prb_projective) is rendered as")
+@pytest.mark.filterwarnings("ignore:prb_projective is rendered as")
 @pytest.mark.parametrize("name", DEPTHS)
 def test_an_integrator_is_path_tracing_with_the_depth_of_its_name(name):
     renderer = rb.Renderer(scene_of(type=name), spp=2)
@@ -50,11 +49,6 @@ def test_direct_without_samples_of_emitters_has_no_next_event_estimation():
 def test_more_samples_of_direct_are_warned_of(samples):
     with pytest.warns(UserWarning, match="takes one of each for every camera ray"):
         scene_of(type="direct", **samples)
-
-
-def test_ptracer_says_that_it_starts_at_the_camera():
-    with pytest.warns(UserWarning, match="ptracer is rendered as path"):
-        scene_of(type="ptracer")
 
 
 @pytest.mark.parametrize("name, plain", [("prb_projective", "prb"), ("direct_projective", "direct")])

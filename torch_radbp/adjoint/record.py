@@ -30,7 +30,7 @@ from torch_radbp.path.trace import trace, trace_to_film, walk
 from torch_radbp.path.wavefront import bounced
 from torch_radbp.path.whole_paths import goes_whole
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.differentiated import any_differentiated, detached
 from torch_radbp.tensors.record import joined, leaves_of, rows_between
 from torch_radbp.tensors.vec import Vec3
 from torch_radbp.threads.team import each, threads
@@ -51,7 +51,7 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
     integrand = integrand_of_wavefront(call, integrand, wavefront, which)
     if call.sink.at_vertices:
         deposits, hit = call.sink.deposits(call), None
-        if integrand.attached and glues(integrand):
+        if glues_rays(integrand) and (integrand.attached or any_differentiated((samples.ray, samples.power))):
             still = integrand.still()
             hit = still.caster.intersect(detached(samples.ray))
             samples = joined([call.source.glued(chunk, which, integrand.scene, rows_between(hit, first, last))
@@ -65,7 +65,7 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
             recorder.record(partial(start_paths, call, wavefront, which), radiance, samples))
 
 
-def glues(integrand: Integrand) -> bool:
+def glues_rays(integrand: Integrand) -> bool:
     """True if what rays meet is glued to surfaces, other than with all sampling differentiated."""
     return integrand.settings.moving and integrand.settings.sampling != "attached"
 

@@ -10,11 +10,11 @@ from torch_radbp.call.chunks import LaneRange
 from torch_radbp.call.source import PathSource
 from torch_radbp.interface.emitter import Surrounding
 from torch_radbp.path.camera_rays import CameraSample
-from torch_radbp.path.lamp_rays import LampTensors, Met, sample_lamps
+from torch_radbp.path.lamp_rays import LampTensors, MetFirst, sample_lamps
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.alias import alias_table
 from torch_radbp.sampling.sampler import SampleKey
-from torch_radbp.sampling.spheres import Sphere
+from torch_radbp.sampling.spheres import BoundingSphere
 from torch_radbp.scene.tables.placement import points_in_world, power_of_two_above
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import ROUNDINGS, at_corners
@@ -52,7 +52,7 @@ class Lamps(PathSource):
         device = self.lamps.world.clearance.device
         lane = torch.arange(chunk.first, chunk.first + chunk.lanes, dtype=torch.int32, device=device)
         corners = at_corners(scene.triangles.vertices.p, corner_rows(scene, hit))
-        return sample_lamps(self.lamps, lane, self.keys[which], (), Met(points_in_world(scene, hit, corners), hit))
+        return sample_lamps(self.lamps, lane, self.keys[which], (), MetFirst(points_in_world(scene, hit, corners), hit))
 
     @property
     def ray(self) -> Ray:
@@ -91,7 +91,7 @@ def surrounding(scene: SceneTensors, light_paths: str) -> Surrounding:
     return Surrounding(around, targets, ROUNDINGS * 2.0**-24 * power_of_two_above(largest))
 
 
-def ideal_surfaces(scene: SceneTensors) -> tuple[Sphere, ...]:
+def ideal_surfaces(scene: SceneTensors) -> tuple[BoundingSphere, ...]:
     """Spheres around the surfaces of each material with ideal lobes, or one around all of many; none: there is none."""
     materials, triangles = scene.materials, scene.triangles
     ideal = [look for look, of in enumerate(scene.layout.appearances) if of.kind.delta and not of.kind.invisible]
@@ -113,7 +113,7 @@ def ideal_surfaces(scene: SceneTensors) -> tuple[Sphere, ...]:
     return tuple(sphere_around(Vec3(*low), Vec3(*high)) for low, high in zip(least.t(), most.t()))
 
 
-def sphere_around(low: Vec3, high: Vec3) -> Sphere:
+def sphere_around(low: Vec3, high: Vec3) -> BoundingSphere:
     """The sphere around a box, () each."""
     size = high - low
-    return Sphere((low + high) * 0.5, (0.5 * MARGIN * torch.sqrt(dot(size, size))).clamp_min(LEAST_RADIUS))
+    return BoundingSphere((low + high) * 0.5, (0.5 * MARGIN * torch.sqrt(dot(size, size))).clamp_min(LEAST_RADIUS))

@@ -22,7 +22,7 @@ from torch import Tensor
 from torch_radbp.interface.emitter_bounds import LightBounds
 from torch_radbp.plugin import Emitter
 from torch_radbp.plugin.jump_lines import JumpLines
-from torch_radbp.sampling.spheres import Sphere, rays_to_spheres
+from torch_radbp.sampling.spheres import BoundingSphere, rays_to_spheres
 from torch_radbp.tensors.differentiated import settled
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import with_parts
@@ -59,8 +59,8 @@ class Aim(NamedTuple):
 class Surrounding(NamedTuple):
     """What the rays of a lamp may be wanted for; detached."""
 
-    around: Sphere  # around the scene
-    targets: tuple[Sphere, ...]  # around what rays must meet first; none: rays in all directions are wanted
+    around: BoundingSphere  # around the scene
+    targets: tuple[BoundingSphere, ...]  # around what rays must meet first; none: rays in all directions are wanted
     clearance: Tensor  # () distance off surfaces at which rays start
 
 

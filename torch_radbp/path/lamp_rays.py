@@ -47,7 +47,7 @@ class LampTensors(NamedTuple):
     layout: Layout
 
 
-class Met(NamedTuple):
+class MetFirst(NamedTuple):
     """What rays of lamps meet first, (N,)."""
 
     corners: Corners  # of the triangles, world, attached
@@ -56,7 +56,7 @@ class Met(NamedTuple):
 
 @stage("lamps")
 def sample_lamps(lamps: LampTensors, lane: Tensor, key: SampleKey, texture_values: tuple[TextureValue, ...],
-                 met: Met | None) -> CameraSample:
+                 met: MetFirst | None) -> CameraSample:
     """Samples one ray of light per lane, with its power over the density; attached to the lights.
 
     Args:
@@ -93,13 +93,13 @@ def sample_lamps(lamps: LampTensors, lane: Tensor, key: SampleKey, texture_value
     return CameraSample(Ray(start, d), keys, None, None, None, None if aimed is None else ~aimed, power)
 
 
-def glued_point(met: Met) -> Vec3:
+def glued_point(met: MetFirst) -> Vec3:
     """The points at fixed barycentric coordinates of triangles, attached to these."""
     p0, e1, e2 = edges(*met.corners)
     return p0 + e1 * met.hit.u.detach() + e2 * met.hit.v.detach()
 
 
-def area_ahead(met: Met, start: Vec3, d: Vec3, parallel: Tensor | None) -> Tensor:
+def area_ahead(met: MetFirst, start: Vec3, d: Vec3, parallel: Tensor | None) -> Tensor:
     """The change of what a piece of a triangle takes of a lamp's rays, of value 1: solid angle, or area across; attached.
 
     Args:

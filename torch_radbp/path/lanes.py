@@ -5,8 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.dual import tangents_and_tensors
+from torch_radbp.jit.dual import dual, tangents_and_tensors
 from torch_radbp.jit.order import put
+from torch_radbp.tensors.differentiated import tangent_of
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.vec import Vec3
 
@@ -18,6 +19,8 @@ def put_rows(record, place: Tensor, entries) -> None:
         for target, new in zip(targets, found):
             target.index_copy_(0, place.long(), new)
     else:
+        found = [new if tangent_of(target) is None or tangent_of(new) is not None else dual(new, torch.zeros_like(new))
+                 for target, new in zip(targets, found)]
         put(tangents_and_tensors(targets), place, tangents_and_tensors(found))
 
 

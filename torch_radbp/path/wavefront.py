@@ -112,7 +112,8 @@ def brighten(integrand: Integrand, L: Vec3 | BroughtToFilm, state: PathState, or
              Ld: Vec3 | None = None, visible: Tensor | None = None, film: Vec2 | None = None) -> None:
     """L += beta E at some lanes; of paths from lamps beta E, and where the camera sees it. Args as for `brightened`."""
     if isinstance(L, BroughtToFilm):
-        put_rows(L, lane, BroughtToFilm(integrand.stages(shining)(state.beta, order, Le, Ld, visible), film))
+        if film is not None:  # else these end, and are seen nowhere
+            put_rows(L, lane, BroughtToFilm(integrand.stages(shining)(state.beta, order, Le, Ld, visible), film))
     else:
         put_rows(L, lane, integrand.stages(brightened)(L, state.beta, order, lane, Le, Ld, visible))
 

@@ -13,7 +13,7 @@ from torch_radbp.sampling.warp import square_to_uniform_disk_concentric
 from torch_radbp.tensors.vec import TINY, Frame, Vec2, Vec3, dot, where
 
 
-class Sphere(NamedTuple):
+class BoundingSphere(NamedTuple):
     """A sphere, () each; detached."""
 
     middle: Vec3
@@ -28,7 +28,7 @@ class Towards(NamedTuple):
     size: Tensor  # solid angle, or area, of all spheres together; where they overlap it counts as often
 
 
-def towards_spheres(spheres: Sequence[Sphere], p: Vec3, choice: Tensor, across: Vec2) -> Towards:
+def towards_spheres(spheres: Sequence[BoundingSphere], p: Vec3, choice: Tensor, across: Vec2) -> Towards:
     """Samples directions from points into the cones around spheres, evenly; all of them where a point lies in a sphere.
 
     Args:
@@ -51,7 +51,7 @@ def towards_spheres(spheres: Sequence[Sphere], p: Vec3, choice: Tensor, across: 
     return Towards(d, covering(meets, d.x) / (2.0 * math.pi * total), 2.0 * math.pi * total)
 
 
-def rays_to_spheres(spheres: Sequence[Sphere], d: Vec3, choice: Tensor, across: Vec2) -> Towards:
+def rays_to_spheres(spheres: Sequence[BoundingSphere], d: Vec3, choice: Tensor, across: Vec2) -> Towards:
     """Samples points on parallel rays through spheres, evenly over the discs in which these are seen.
 
     Args:

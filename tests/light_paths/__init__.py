@@ -1,0 +1,1 @@
+"""Paths that begin at lamps: images, derivatives, and which light is whose."""

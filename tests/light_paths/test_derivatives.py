@@ -1,0 +1,122 @@
+"""Derivatives of paths from lamps: every strategy, both modes, and differences."""
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+import torch_radbp as rb
+from tests.deep import deep_but
+from tests.gradients import EXACT, REPLAY, assert_informative, assert_transposed, image_and_gradients, relative_error
+from tests.light_paths.scenes import lit_ball
+from tests.scenes import diffuse, load, look_at, overhead, rectangle, rgb
+
+GLASS, ROUGH, PLASTIC = {"type": "dielectric"}, {"type": "roughdielectric", "alpha": 0.3}, {"type": "plastic"}
+ROWS = {
+    "point over a diffuse ball": ("point", {}, ["lamp.position", "lamp.intensity.value", "floor.bsdf.reflectance.value",
+                                                "floor.to_world", "camera.to_world", "ball.to_world"]),
+    "spot through glass": ("spot", {"bsdf": GLASS}, ["lamp.to_world", "lamp.cutoff_angle", "floor.to_world", "ball.to_world",
+                                                     "camera.to_world", "camera.x_fov", "ball.bsdf.eta"]),
+    "area through rough glass": ("area", {"bsdf": ROUGH}, ["lamp.to_world", "lamp.emitter.radiance.data",
+                                                           "ball.bsdf.alpha.value"]),
+    "projector beside plastic": ("projector", {"bsdf": PLASTIC}, ["lamp.to_world", "lamp.irradiance.data"]),
+    "directional by a beam": ("directionalarea", {"bsdf": GLASS}, ["lamp.emitter.radiance.value", "ball.to_world"]),
+    "sun": ("directional", {"bsdf": GLASS}, ["lamp.to_world", "lamp.irradiance.value", "ball.to_world"]),
+    "sky over plastic": ("envmap", {"bsdf": PLASTIC}, ["lamp.data", "ball.bsdf.diffuse_reflectance.value"]),
+}
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+def scene_of(row: str) -> tuple[rb.Scene, list[str]]:
+    lamp, ball, names = ROWS[row]
+    return lit_ball(lamp, dtype=torch.float64, size=6, rfilter="gaussian", **ball), names
+
+
+def result(row: str, light_paths: str, **settings) -> tuple[Tensor, list[Tensor]]:
+    scene, names = scene_of(row)
+    return image_and_gradients(scene, names, spp=48, light_paths=light_paths, terms=("interior",), max_depth=4, **settings)
+
+
+@pytest.mark.parametrize("light_paths", ["caustics", "all"])
+@pytest.mark.parametrize("sampling", ["hybrid", "detached", "attached"])
+@pytest.mark.parametrize("row", deep_but(["point over a diffuse ball", "spot through glass"], ROWS))
+def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(row, sampling, light_paths):
+    image, expected = result(row, light_paths, sampling=sampling, adjoint=rb.TapeAdjoint(), compile=False)
+    if light_paths == "all":
+        assert_informative(image, expected)
+    for adjoint in (*EXACT[:-1], *REPLAY):
+        for compile in (True, False)[:1 + (adjoint == EXACT[0])]:
+            found, gradients = result(row, light_paths, sampling=sampling, adjoint=adjoint, compile=compile)
+            assert relative_error(found, image) < 1e-12
+            for name, gradient, wanted in zip(ROWS[row][2], gradients, expected):
+                assert (gradient - wanted).abs().max() <= 1e-10 * wanted.abs().max().clamp_min(1e-6), (adjoint, name)
+
+
+@pytest.mark.parametrize("sampling", ["hybrid", "attached"])
+@pytest.mark.parametrize("row", ROWS)
+def test_forward_mode_and_the_backward_pass_are_transposed(row, sampling):
+    scene, names = scene_of(row)
+    for name in names[:1]:
+        assert_transposed(scene, name, spp=4, light_paths="all", terms=("interior",), sampling=sampling)
+
+
+def plate(lamp: dict) -> rb.Scene:
+    """A lamp over a half space of glass, in which the camera looks down at a floor: no edge is lit, none is in view."""
+    glass = rectangle((0, 0, 1.5), 9.0, bsdf={"type": "dielectric", "specular_reflectance": 0.0})
+    return load(torch.float64, integrator={"type": "path", "max_depth": 3}, camera=overhead(16, 1.0, 0.5, "gaussian"),
+                floor=rectangle((0, 0, 0), 20.0, bsdf=diffuse(0.6, 0.5, 0.4)), glass=glass, lamp=lamp)
+
+
+SPOT = {"type": "spot", "to_world": look_at((0.2, 0.1, 2.5), (0, 0, 0), (0, 1, 0)), "cutoff_angle": 40.0,
+        "intensity": rgb(9, 9, 9)}
+PANEL = rectangle((0, 0, 2.5), 0.3, (1, 0, 0), 180, emitter={"type": "area", "radiance": rgb(9, 9, 9)})
+BULB = {"type": "point", "position": [0.1, 0, 1.6], "intensity": rgb(9, 9, 9)}
+
+
+def bulb_in_a_ball() -> rb.Scene:
+    return load(torch.float64, integrator={"type": "path", "max_depth": 3}, camera=overhead(16, 0.9, 0.5, "gaussian"),
+                floor=rectangle((0, 0, 0), 20.0, bsdf=diffuse(0.6, 0.5, 0.4)), lamp=BULB,
+                glass={"type": "sphere", "center": [0, 0, 1.5], "radius": 0.5, "bsdf": GLASS})
+
+
+MOVES = {
+    "glass before a spot": (lambda: plate(SPOT), "glass.to_world", (2, 3), 0.01),
+    "index of refraction": (lambda: plate(SPOT), "glass.bsdf.eta", (), 0.01),
+    "spot": (lambda: plate(SPOT), "lamp.to_world", (2, 3), 0.01),
+    "floor": (lambda: plate(SPOT), "floor.to_world", (2, 3), 0.01),
+    "camera": (lambda: plate(SPOT), "camera.to_world", (0, 0), 0.01),
+    "panel": (lambda: plate(PANEL), "lamp.to_world", (2, 3), 0.02),
+    "glass around a bulb": (bulb_in_a_ball, "glass.to_world", (2, 3), 0.01),
+    "bulb": (bulb_in_a_ball, "lamp.position", (2,), 0.01),
+    "index around a bulb": (bulb_in_a_ball, "glass.bsdf.eta", (), 0.01),
+}
+
+
+@pytest.mark.parametrize("name", deep_but(["glass before a spot", "index of refraction", "camera", "bulb"], MOVES))
+def test_derivatives_are_those_of_differences(name):
+    """Of means over seeds, by their standard errors."""
+    build, parameter, place, step = MOVES[name]
+    settings = {"spp": 64, "light_paths": "caustics", "terms": ("interior",), "max_depth": 3}
+    found, expected = [], []
+    scene = build()
+    renderer, wanted = rb.Renderer(scene, **settings), scene.get_parameter(parameter)
+    ramp = torch.linspace(0.0, 2.0, 16, dtype=torch.float64)
+    w = 0.5 + ramp + ramp[:, None]
+    for seed in range(12):
+        wanted.requires_grad_(False)
+        sides = []
+        for sign in (1, -1):
+            with torch.no_grad():
+                wanted[place] += sign * step
+                sides.append(renderer(seed=seed))
+                wanted[place] -= sign * step
+        expected.append(float(((sides[0] - sides[1]) * w).sum()) / (2 * step))
+        wanted.requires_grad_()
+        gradient, = torch.autograd.grad((renderer(seed=seed + 100) * w).sum(), [wanted])
+        found.append(float(gradient[place]))
+    found, expected = torch.tensor(found), torch.tensor(expected)
+    error = math.sqrt(float(found.var() + expected.var()) / len(found))
+    assert error < 0.1 * abs(float(expected.mean()))
+    assert abs(float(found.mean() - expected.mean())) < max(3.5 * error, 0.01 * abs(float(expected.mean())))
+
