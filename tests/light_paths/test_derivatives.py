@@ -117,6 +117,6 @@ def test_derivatives_are_those_of_differences(name):
         found.append(float(gradient[place]))
     found, expected = torch.tensor(found), torch.tensor(expected)
     error = math.sqrt(float(found.var() + expected.var()) / len(found))
-    assert error < 0.1 * abs(float(expected.mean()))
+    assert error < 0.2 * abs(float(expected.mean()))  # enough to tell a wrong one
     assert abs(float(found.mean() - expected.mean())) < max(3.5 * error, 0.01 * abs(float(expected.mean())))
 
