@@ -1,6 +1,7 @@
 """Derivatives of paths from lamps: every strategy, both modes, and differences."""
 
 import math
+import warnings
 
 import pytest
 import torch
@@ -120,3 +121,13 @@ def test_derivatives_are_those_of_differences(name):
     assert error < 0.2 * abs(float(expected.mean()))  # enough to tell a wrong one
     assert abs(float(found.mean() - expected.mean())) < max(3.5 * error, 0.01 * abs(float(expected.mean())))
 
+
+
+@pytest.mark.parametrize("name, moves", [("glass.to_world", True), ("glass.bsdf.eta", False)])
+def test_edges_that_light_from_lamps_passes_are_said_to_be_missing_where_anything_moves(name, moves):
+    scene = plate(SPOT)
+    scene.get_parameter(name).requires_grad_()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        rb.Renderer(scene, spp=1, light_paths="caustics")(seed=0)
+    assert moves == any("paths from lamps bring caustics" in str(warning.message) for warning in caught)

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.rendered import rendered
+from torch_radbp.boundary.terms.jump_watch import SilhouetteWarning
 from torch_radbp.bsdf.roughness import smallest_alpha
 from torch_radbp.call.chunks import LaneRange
 from torch_radbp.call.lamps import lamps_as_source
@@ -22,7 +23,7 @@ from torch_radbp.rendering.settings import settings_of_integrand
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene.packing.material_tables import one_sided
 from torch_radbp.scene.tables.scene_tensors import SceneTensors, proposal_of
-from torch_radbp.tensors.differentiated import detached
+from torch_radbp.tensors.differentiated import any_differentiated, detached
 
 if TYPE_CHECKING:
     from torch_radbp.rendering.renderer import Renderer
@@ -99,6 +100,15 @@ def lights_of_paths(scene: SceneTensors, light_paths: str) -> list[LightKind]:
     return [kind for kind in scene.layout.lights if light_paths == "all" or not kind.surround]
 
 
+def left_out_of_paths(light_paths: str) -> SilhouetteWarning:
+    """The warning that no term has the edges that light from lamps passes."""
+    light = "caustics" if light_paths == "caustics" else "light"
+    return SilhouetteWarning(f"shapes, lamps or cameras move, and paths from lamps bring {light}: what edges and borders "
+                             f"of shadows contribute to the derivatives of that light is left out, or not exact. Those by "
+                             f"colours, powers, roughness, indices of refraction and heights of bump maps lack at most the "
+                             f"edges that turned light passes. check_gradient measures how much it is")
+
+
 def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_paths: str = "all") -> Tensor:
     """(1, 3, H, W) what paths from lamps bring to the image of view `number`; attached to the scene, in either mode.
 
@@ -119,6 +129,8 @@ def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_pa
     lamps, scene = lamps_as_source(call.scene, keys, light_paths), from_lamps(call.scene, view.camera)
     settings = settings_of_integrand(renderer, scene, lamps.ray)._replace(
         nee=True, hide_emitters=False, light_paths=light_paths)
+    if any_differentiated((scene.triangles, view.camera, lamps.ray)):
+        renderer.jump_watch.say(left_out_of_paths(light_paths))
     still = detached(scene)
     integrand = call.integrand._replace(scene=still, proposal=proposal_of(still), settings=settings, parts={}, clipping=None)
 
