@@ -15,7 +15,7 @@ from tests.scenes.endless import envmap, smooth_noise
 from torch_radbp.io.values.transform import rotate, scale, translate
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
-SETTINGS = {"light_paths": "camera", "spp": 16, "max_depth": 5, "rr_depth": 100}
+SETTINGS = {"spp": 16, "max_depth": 5, "rr_depth": 100}
 MOST = 3.5  # times what is allocated
 
 

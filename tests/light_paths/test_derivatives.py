@@ -82,13 +82,17 @@ SPOT = {"type": "spot", "to_world": look_at((0.2, 0.1, 2.5), (0, 0, 0), (0, 1, 0
 PANEL = rectangle((0, 0, 2.5), 0.3, (1, 0, 0), 180, emitter={"type": "area", "radiance": rgb(9, 9, 9)})
 BULB = {"type": "point", "position": [0.1, 0, 1.6], "intensity": rgb(9, 9, 9)}
 SUN = {"type": "directional", "direction": [0.1, 0.2, -1.0], "irradiance": rgb(3, 4, 5)}
-WAVES = torch.sin(torch.linspace(0, 6.28, 16))[:, None].expand(16, 16)[..., None].numpy()
-BUMPS = {"type": "bumpmap", "scale": 0.01, "arbitrary": {"type": "bitmap", "data": WAVES, "raw": True, "wrap_mode": "clamp"},
+ACROSS = torch.linspace(-1.0, 1.0, 64) ** 2
+PARABOLA = -(ACROSS + ACROSS[:, None])[..., None].numpy()
+BUMPS = {"type": "bumpmap", "scale": 0.3,
+         "arbitrary": {"type": "bitmap", "data": PARABOLA, "raw": True, "wrap_mode": "clamp"},
          "bsdf": {"type": "dielectric", "specular_reflectance": 0.0}}
 
 
 def bumpy_plate() -> rb.Scene:
-    return over_a_floor(SPOT, glass=rectangle((0, 0, 1.5), 9.0, bsdf=BUMPS))
+    """A lens of bumps, wider than the light."""
+    return over_a_floor(SPOT | {"to_world": look_at((0, 0, 2.5), (0, 0, 0), (0, 1, 0))},
+                        glass=rectangle((0, 0, 1.5), 1.5, bsdf=BUMPS))
 
 
 def bulb_in_a_ball() -> rb.Scene:
@@ -123,6 +127,8 @@ MOVES = {
     "index before a panel": (lambda: plate(PANEL), "glass.bsdf.eta", (), 0.02),
     "sun": (lambda: plate(SUN), "lamp.irradiance.value", (0,), 0.2),
     "colour under the sun": (lambda: plate(SUN), "glass.bsdf.specular_transmittance.value", (), 0.05),
+    "bumps": (bumpy_plate, "glass.bsdf.scale", (), 0.03),
+    "heights of bumps": (bumpy_plate, "glass.bsdf.nested_texture.data", (slice(28, 36), slice(28, 36), 0), 0.004),
     "index of bumps": (bumpy_plate, "glass.bsdf.nested_bsdf.eta", (), 0.01),
     "glass around a bulb": (bulb_in_a_ball, "glass.to_world", DOWN, 0.01),
     "glass grows around a bulb": (bulb_in_a_ball, "glass.to_world", (2, 2), 0.01),

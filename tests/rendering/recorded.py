@@ -70,6 +70,12 @@ def calls_of(name: str, sampling: str, dtype: torch.dtype = torch.float64) -> Ca
         renderer = rb.Renderer(scene, spp=2, max_depth=4, rr_depth=2, sampling=sampling, compile=False)
         image = renderer(seed=SEED)
         image.backward(cotangent(image.detach()))
+        if not any(isinstance(emitter.radiated(), rb.NeuralTexture) for emitter in scene.emitters):
+            seeing = [number for number, each in enumerate(scene.sensors) if each.tensors().kind.sees_points]
+            renderer.light_paths = "all"
+            image = renderer(seed=SEED, sensors=seeing[:1])
+            image.backward(cotangent(image.detach()))
+            renderer.light_paths = "camera"
         with torch.no_grad():
             tangents = {name: torch.zeros_like(value) for name, value in scene.named_parameters()}
             tangents[next(name for name in tangents if name.endswith("to_world"))][0, 3] = 1.0

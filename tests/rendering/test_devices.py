@@ -76,6 +76,7 @@ OF_FEW_EDGES = {"edge_tried"}  # few beside the samples
 OF_WAYS = {"let_through", "next_leg", "next_shadow_leg", "runs_in", "shadow_ahead", "shadow_begun", "surface_ahead",
            "tracking_begun", "tracking_on", "way_begun"}  # followed through media
 OF_MEDIA = {"free_flight", *OF_WAYS}  # that scatter
+OF_LAMPS = {"sample_lamps", "shining", "splats"}  # of paths from lamps, which begin at no network
 # Stages that a scene does without.
 NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},
           "lamps": {"places", *OF_TWO_SIDES, *OF_JUMPS, *OF_MIRRORS, *OF_FEW_EDGES},
@@ -93,7 +94,8 @@ NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},
 def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling):
     calls, scene = calls_of(name, sampling), build(name)
     without = NOT_IN.get(name, {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES}) | (OF_SHADOWS if sampling == "attached" else set())
-    assert {stage for stage, cases in calls.items() if not cases} <= without | OF_CONTACTS | OF_MEDIA
+    without |= OF_CONTACTS | OF_MEDIA | (OF_LAMPS if name == "shining networks" else set())
+    assert {stage for stage, cases in calls.items() if not cases} <= without
     scatterers = {arguments[0].layout.scatterer for arguments in calls["bounce"].values()}
     assert scatterers - {None} == set(rb.scene.packing.pack.pack(scene).layout.appearances)
     for name, cases in calls.items():

@@ -94,7 +94,8 @@ class RenderFunction(torch.autograd.Function):
         numbered = numbered_leaves(call.scene, wanted)
         leaves = [leaf for leaf, want in zip(leaves_of(call.scene), wanted) if want]
         of_source = [leaf for leaf, want in zip(leaves_of(call.source.tensors), wanted_of_source) if want]
-        adj_sums = call.sink.adj_sums(call, gradient, ctx.filters)
+        adj_sums, all_wanted = call.sink.adj_sums(call, gradient, ctx.filters), (*wanted, *wanted_of_source)
+        start_counts = bool(of_source) or call.sink.at_vertices
 
         def swept(index: int, gradients: Gradients, sweep_of: Callable = sweep_of) -> Sweep:
             wavefront, record = call.wavefronts[index], records[index]
@@ -117,9 +118,10 @@ class RenderFunction(torch.autograd.Function):
             gradients = Gradients((*leaves, *of_source), call.memory)
             for index in share:
                 sweep = swept(index, gradients)
-                adj_start, asked = adj_of_start(sweep), wanted + tuple(wanted_of_source)
-                for chunk, *lanes in call.wavefronts[index].parts():
-                    for k, adjoint in source_adjoint(call, sweep.integrand, chunk, asked, rows_between(adj_start, *lanes)):
+                adj_start = adj_of_start(sweep) if start_counts else None
+                del sweep  # and with it the states of its paths
+                for chunk, *lanes in call.wavefronts[index].parts() if start_counts else ():
+                    for k, adjoint in source_adjoint(call, integrand, chunk, all_wanted, rows_between(adj_start, *lanes)):
                         gradients.add_whole(k, adjoint)
             return gradients
 

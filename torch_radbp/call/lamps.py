@@ -46,13 +46,14 @@ class Lamps(PathSource):
     def samples(self, chunk: LaneRange, which: int, stages: Stages, cones: bool) -> CameraSample:
         device = self.lamps.world.clearance.device
         lane = torch.arange(chunk.first, chunk.first + chunk.lanes, dtype=torch.int32, device=device)
-        return stages(sample_lamps)(self.lamps, lane, self.keys[which], (), None)
+        return stages(sample_lamps)(self.lamps, lane, self.keys[which], (), cones, None)
 
     def glued(self, chunk: LaneRange, which: int, scene: SceneTensors, hit: Hit) -> CameraSample:
         device = self.lamps.world.clearance.device
         lane = torch.arange(chunk.first, chunk.first + chunk.lanes, dtype=torch.int32, device=device)
         corners = at_corners(scene.triangles.vertices.p, corner_rows(scene, hit))
-        return sample_lamps(self.lamps, lane, self.keys[which], (), MetFirst(points_in_world(scene, hit, corners), hit))
+        met, cones = MetFirst(points_in_world(scene, hit, corners), hit), scene.layout.traces_cones
+        return sample_lamps(self.lamps, lane, self.keys[which], (), cones, met)
 
     @property
     def ray(self) -> Ray:

@@ -32,6 +32,7 @@ from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot
+from torch_radbp.vertex.cone import Cone
 
 ACROSS_U, ACROSS_V, POINT_U, POINT_V = range(4)  # the random numbers of a ray
 CHOICE, SPLIT, TARGET = range(3)  # and of its lamp, which are those of another point: four are all that a point has
@@ -56,7 +57,7 @@ class MetFirst(NamedTuple):
 
 @stage("lamps")
 def sample_lamps(lamps: LampTensors, lane: Tensor, key: SampleKey, texture_values: tuple[TextureValue, ...],
-                 met: MetFirst | None) -> CameraSample:
+                 cones: bool, met: MetFirst | None) -> CameraSample:
     """Samples one ray of light per lane, with its power over the density; attached to the lights.
 
     Args:
@@ -64,6 +65,7 @@ def sample_lamps(lamps: LampTensors, lane: Tensor, key: SampleKey, texture_value
         lane: (N,) int32, its number among all paths.
         key: of the call.
         texture_values: the values of textures that are read outside.
+        cones: whether textures ask for them: those of lamps begin without a width, so that textures are read sharply.
         met: the points to which the rays of kinds that are `aimed` are glued; None: they follow their lamps.
     """
     keys, dtype = lane_key(key, torch.zeros_like(lane), lane), lamps.world.clearance.dtype
@@ -90,7 +92,9 @@ def sample_lamps(lamps: LampTensors, lane: Tensor, key: SampleKey, texture_value
         power = power * torch.where(glued & aimed, area_ahead(met, start, d, parallel), 1.0)
     if n is not None:  # off the surface that it leaves
         start = start + n.map(lambda c: c.detach() * lamps.world.clearance)
-    return CameraSample(Ray(start, d), keys, None, None, None, None if aimed is None else ~aimed, power)
+    nothing = torch.zeros_like(pdf.detach())
+    cone = Cone(nothing, nothing) if cones else None
+    return CameraSample(Ray(start, d), keys, None, cone, None, None if aimed is None else ~aimed, power)
 
 
 def glued_point(met: MetFirst) -> Vec3:
