@@ -20,12 +20,13 @@ import torch_radbp as rb
 
 
 def show(**images):
-    """Images (C, H, W) side by side; a single channel from its least to its largest value."""
+    """Images (C, H, W) side by side; one channel from its least to its largest value."""
     plt.figure(figsize=(3 * len(images), 3.2))
     for place, (title, image) in enumerate(images.items(), 1):
         plt.subplot(1, len(images), place, title=title)
         picture = image.detach().clamp(max=1).movedim(0, -1)
-        plt.imshow(picture ** (1 / 2.2) if picture.shape[-1] == 3 else picture, cmap="gray")
+        coloured = picture.shape[-1] == 3
+        plt.imshow(picture ** (1 / 2.2) if coloured else picture, cmap="gray")
         plt.axis("off")
     plt.show()
 
@@ -37,8 +38,8 @@ def show(**images):
 
 # %%
 ball = rb.load(rb.asset("lens/scene.xml"), resolution=128)
-ways = {way: rb.render(ball, spp=64, light_paths=way)[0] for way in ("camera", "caustics")}
-show(**ways)
+ways = "camera", "caustics"
+show(**{way: rb.render(ball, spp=64, light_paths=way)[0] for way in ways})
 
 # %% [markdown]
 # What is bright, and where, tells how strongly the glass refracts. Its index of refraction is found from the caustic. The
@@ -87,12 +88,15 @@ flat = rb.render(plate, spp=64)
 grid = rb.optim.CoarseToFine((16, 16))
 torch.nn.utils.parametrize.register_parametrization(heights, "data", grid)
 renderer = rb.Renderer(plate, spp=8, share_samples=True)
-losses = optimise(renderer, target, heights.parametrizations.data.original, steps=80, lr=5e-4)
+coarse = heights.parametrizations.data.original
+losses = optimise(renderer, target, coarse, steps=80, lr=5e-4)
 found = heights.data.detach()
 show(before=flat[0], target=target[0], after=rb.render(plate, spp=64)[0])
 show(found=found.movedim(-1, 0), truth=true_heights.movedim(-1, 0))
-alike = torch.corrcoef(torch.stack([found.flatten(), true_heights.flatten()]))[0, 1].item()
-print(f"loss {losses[0]:.4f}, now {losses[-5:].mean():.4f}; correlation of heights: {alike:.2f}")
+both = torch.stack([found.flatten(), true_heights.flatten()])
+alike = torch.corrcoef(both)[0, 1].item()
+print(f"loss {losses[0]:.4f}, now {losses[-5:].mean():.4f}")
+print(f"correlation of heights: {alike:.2f}")
 
 # %% [markdown]
 # The grid of 16 x 16 cells finds large waves first; `rb.optim.refine` goes on with more, and so does the recipe: `radbp
