@@ -121,6 +121,14 @@ def relief(size: int = 32) -> torch.Tensor:
     return torch.from_numpy((0.5 + 0.5 * normals).astype(np.float32))
 
 
+def water(size: int = 64) -> torch.Tensor:
+    """Heights of a plate of glass as of water, flatter towards its corners, that add to zero."""
+    x, y = np.meshgrid((np.arange(size) + 0.5) / size * 2 - 1, (np.arange(size) + 0.5) / size * 2 - 1)
+    waves = np.sin(4 * x + 2 * y + 1) * np.sin(5 * y - 3 * x) + 0.5 * np.sin(9 * x * y + 3 * x) + 0.3 * np.cos(7 * y + 4 * x)
+    heights = 0.004 * waves * (1 - 0.5 * (x**2 + y**2))
+    return torch.from_numpy((heights - heights.mean()).astype(np.float32))
+
+
 if __name__ == "__main__":
     for picture in (painting, plaster, parquet):
         save(f"textured_room/{picture.__name__}.png", picture())
@@ -128,3 +136,4 @@ if __name__ == "__main__":
     rb.save_image(ASSETS / "lit_balls" / "sky.exr", sky().movedim(-1, 0))
     rb.save_image(ASSETS / "relief" / "normals.exr", relief().movedim(-1, 0))
     rb.save_image(ASSETS / "relief" / "flat.exr", torch.tensor([0.5, 0.5, 1.0])[:, None, None].expand(3, 32, 32))
+    rb.save_image(ASSETS / "caustic" / "heights.exr", water()[None])

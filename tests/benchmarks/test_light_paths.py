@@ -24,8 +24,8 @@ def test_every_scene_can_be_loaded():
 
 
 def test_paths_from_the_camera_judge_where_they_find_all_light():
-    for lamp, material in (("point", "diffuse"), ("area", "glass")):
-        assert Row(lamp, material, "thinlens").found_from_the_camera
+    assert Row("point", "diffuse", "thinlens").found_from_the_camera
+    assert Row("area", "glass", "thinlens").found_from_the_camera
     assert not Row("point", "glass", "thinlens").found_from_the_camera
 
 

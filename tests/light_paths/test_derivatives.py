@@ -184,3 +184,15 @@ def test_edges_that_light_from_lamps_passes_are_said_to_be_missing_where_anythin
         warnings.simplefilter("always")
         rb.Renderer(scene, spp=1, light_paths="caustics")(seed=0)
     assert moves == any("paths from lamps bring caustics" in str(warning.message) for warning in caught)
+
+
+def test_a_box_filter_is_said_to_see_nothing_of_where_light_lands():
+    scene = plate(SPOT)
+    scene.get_parameter("glass.bsdf.eta").requires_grad_()
+    with warnings.catch_warnings(record=True) as smooth:
+        warnings.simplefilter("always")
+        rb.Renderer(scene, spp=1, light_paths="caustics")(seed=0)
+    scene.sensors[0].film.rfilter = lit_ball("point").sensors[0].film.rfilter
+    with pytest.warns(rb.SilhouetteWarning, match="box filter"):
+        rb.Renderer(scene, spp=1, light_paths="caustics")(seed=0)
+    assert not any("box filter" in str(warning.message) for warning in smooth)

@@ -131,6 +131,10 @@ def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_pa
         nee=True, hide_emitters=False, light_paths=light_paths)
     if any_differentiated((scene.triangles, view.camera, lamps.ray)):
         renderer.jump_watch.say(left_out_of_paths(light_paths))
+    if settings.moving and view.camera.film.kernel.flat:
+        renderer.jump_watch.say(SilhouetteWarning(
+            "light of paths from lamps lands elsewhere where what turns it changes, which a film with a box filter does not "
+            "see: derivatives lack it. Take a smooth filter, such as gaussian"))
     still = detached(scene)
     integrand = call.integrand._replace(scene=still, proposal=proposal_of(still), settings=settings, parts={}, clipping=None)
 

@@ -46,7 +46,7 @@ class RendererSettings(TypedDict, total=False):
     light_choice: str | None
     terms: Collection[str]
     share_samples: bool
-    light_paths: str
+    light_paths: str | None
 
 
 def checked_scene(scene: Scene) -> Scene:

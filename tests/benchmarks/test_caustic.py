@@ -1,0 +1,61 @@
+"""The comparison of loops that shape a plate of glass: what it counts, and both sides."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from PIL import Image
+
+from benchmarks.caustic import EVERY, OurLoop, Run, Schedule, larger, run
+from benchmarks.scenes.caustic import PICTURES, PIXELS
+
+HERE = Path(__file__).parents[2]
+
+
+def test_a_run_knows_losses_and_plates_after_steps_and_seconds():
+    found = Run([0.5 * (step + 1) for step in range(30)], [float(step) for step in range(30)], list(torch.arange(3.0)))
+    assert [found.until(seconds) for seconds in (0.1, 5.0, 9.9, 10.0, 99.0)] == [10, 10, 10, 20, 30]
+    assert found.loss(20) == 14.5 and found.plate(20) == 1.0
+    assert found.curve().seconds == [0.0, 5.0, 10.0, 15.0]
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_pictures_have_many_tones_and_a_mean_of_one(name):
+    picture = PICTURES[name]()
+    assert picture.shape == (PIXELS, PIXELS) and abs(picture.mean() - 1) < 1e-5
+    assert picture.min() > 0.05, "no caustic is black, since light is lost nowhere"
+    assert picture.std() > 0.3
+
+
+def test_the_schedule_is_the_tutorials():
+    schedule = Schedule()
+    calm = [number for number in range(1000) if schedule.calms(number)]
+    assert calm == [700, 900] and schedule.spp == 128 and schedule.rate == 3e-5 / 4
+
+
+def test_a_larger_grid_shows_the_same_plane():
+    rise = torch.arange(8.0).expand(8, 8)
+    assert torch.allclose(larger(rise, 16)[:, 1:-1].diff(dim=1), torch.tensor(0.5))
+
+
+def test_our_loop_comes_nearer_to_the_picture():
+    found = run(OurLoop(PICTURES["letters"]()), its=2 * EVERY, seconds=float("inf"))
+    assert len(found.losses) == 2 * EVERY and len(found.plates) == 2
+    assert found.loss(2 * EVERY) < 0.9 * found.loss(EVERY)
+
+
+@pytest.mark.deep
+def test_both_renderers_run(tmp_path):
+    pytest.importorskip("mitsuba")
+    done = subprocess.run([sys.executable, "-m", "benchmarks.caustic", "--its", "20", "--spp", "64", "--pictures", "letters",
+                           "--out", tmp_path], capture_output=True, text=True, cwd=HERE)
+    if "libLLVM" in done.stderr or "LLVM ERROR" in done.stderr:
+        pytest.skip("Mitsuba finds no LLVM that it works with")
+    assert done.returncode == 0, done.stderr
+    rows = [line.split(" | ") for line in done.stdout.splitlines()[2:]]
+    assert [row[1] for row in rows[:1]] == ["20 steps"] and len(rows) == 4
+    assert 0.9 < float(rows[0][4]) < 1.1, "after equal steps both have the same loss"
+    assert Image.open(tmp_path / "curves.png").size == (1120, 400)
+    assert Image.open(tmp_path / "caustics.png").width > 500
