@@ -4,14 +4,13 @@ import math
 
 import pytest
 import torch
-from torch import Tensor
 
 import torch_radbp as rb
 from tests.deep import deep_but
+from tests.light_paths.agreement import SEEDS, SPP, assert_agree, images
 from tests.light_paths.scenes import CAMERAS, LAMPS, lit_ball
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
 
-SEEDS, SPP = 12, 64
 IDEAL = {"glass": {"type": "dielectric"}, "mirror": {"type": "conductor"}, "plastic": {"type": "plastic"}}
 ROUGH = {"rough mirror": {"type": "roughconductor", "alpha": 0.1}, "rough glass": {"type": "roughdielectric", "alpha": 0.1},
          "rough plastic": {"type": "roughplastic", "alpha": 0.2}}
@@ -21,24 +20,6 @@ OTHERS = {
     "blend of glass": {"type": "blendbsdf", "weight": 0.4, "bsdf_0": IDEAL["glass"], "bsdf_1": diffuse(0.5, 0.6, 0.7)},
     "wide glass": {"type": "roughdielectric", "alpha": 0.4},
 }
-
-
-def images(scene: rb.Scene, light_paths: str, **settings) -> Tensor:
-    renderer = rb.Renderer(scene, light_paths=light_paths, **settings)
-    with torch.no_grad():
-        return torch.cat([renderer(seed=seed, spp=SPP) for seed in range(SEEDS)])
-
-
-def assert_agree(one: Tensor, other: Tensor, most: float = 4.5) -> None:
-    """Means over seeds agree, by their standard errors: of the whole image, of its quarters, and of its pixels."""
-    assert one.mean() > 1e-3 and torch.isfinite(other).all()
-    for size in (one.shape[-1], one.shape[-1] // 2):
-        parts = [torch.nn.functional.avg_pool2d(each.double(), size) for each in (one, other)]
-        error = (sum(part.var(0) for part in parts) / SEEDS).sqrt() + 1e-6 * parts[0].mean()
-        assert ((parts[0].mean(0) - parts[1].mean(0)).abs() / error).max() < most
-    pixels = [each.double() for each in (one, other)]
-    error = (sum(part.var(0) for part in pixels) / SEEDS).sqrt() + 1e-4 * one.mean()
-    assert (((pixels[0].mean(0) - pixels[1].mean(0)) / error) ** 2).mean() < 2.5
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -86,7 +86,7 @@ def test_compiled_rays_are_the_eager_ones(coefficients):
     numbers = torch.arange(256, dtype=torch.int32)
     arguments = (detached(sensor.tensors()), film_order(16, 7, numbers.device), numbers, numbers % 7,
                  sample_key(3, 0, True, numbers.device), True)
-    (expected, _, weight, cone, _), (found, _, counts, fused, _) = (
+    (expected, _, weight, cone, *_), (found, _, counts, fused, *_) = (
         stages(sample_camera)(*arguments) for stages in (EAGER, compiled()))
     assert torch.equal(weight, counts) and weight.min() == weight.max() == 1
     for part, wanted in zip((*found.o, *found.d, *fused), (*expected.o, *expected.d, *cone)):

@@ -13,8 +13,8 @@ from torch_radbp.plugin import Film, Matrix4, Medium, Plugin, Sampler, nearest, 
 from torch_radbp.plugin.domain import NUMBER, Domain
 from torch_radbp.sensor.distortion import BrownConrady, Distortion, FieldOfView, KannalaBrandt, ThinPrismFisheye
 from torch_radbp.sensor.frustum import Frustum, Plane, doubled
-from torch_radbp.sensor.kind import ProjectiveCamera, ProjectiveKind, number
-from torch_radbp.sensor.perspective import Perspective
+from torch_radbp.sensor.kind import PointsSeen, ProjectiveCamera, ProjectiveKind, number
+from torch_radbp.sensor.perspective import Perspective, seen_from
 from torch_radbp.tensors.vec import Frame, Ray, Vec2, Vec3, dot, normalize
 
 FOCAL_LENGTH = NUMBER._replace(low=0.0, low_is_in=False, unit=" pixels")
@@ -68,7 +68,6 @@ class CalibratedKind(ProjectiveKind):
     """Calibrated cameras: rays start at one point, in directions that the distortion decides."""
 
     fisheye: bool
-    everywhere: bool  # every pixel has a direction, so that rays need no weights
 
     def sample_ray(self, lens: CalibratedLens, position: Vec2, aperture: None) -> tuple[Ray, Tensor | None]:
         local, seen = lens.distortion.direction(lens.point(position))
@@ -140,6 +139,17 @@ class CalibratedKind(ProjectiveKind):
             along = normalize(local.map(lambda part: part[inside]))
             inside[inside.clone()] = seen & (dot(normalize(back), along) > 1.0 - 1e-6)
         return crosses.index_put((crosses.nonzero().squeeze(1),), inside.any(1))
+
+
+@dataclass(frozen=True)
+class UndistortedKind(CalibratedKind):
+    """Calibrated cameras without distortion."""
+
+    sees_points: ClassVar[bool] = True
+
+    def sight(self, lens: CalibratedLens, p: Vec3, aperture: None) -> PointsSeen:
+        area = lens.fx * lens.fy / (lens.width * lens.height)
+        return seen_from(lens, lens.origin, p, self.project(lens, p, aperture), area)
 
 
 def _around(slopes: Tensor) -> tuple[Tensor, Tensor]:
@@ -249,7 +259,9 @@ class Calibrated(ProjectiveCamera):
 
     def kind(self) -> CalibratedKind:
         undistorted = all(getattr(self, name) is None for name in self.optional_parameters)
-        return CalibratedKind(self.is_fisheye, undistorted and self.distortion == BROWN_CONRADY)
+        if undistorted and self.distortion == BROWN_CONRADY:
+            return UndistortedKind(fisheye=False)
+        return CalibratedKind(self.is_fisheye)
 
     def lens(self) -> CalibratedLens:
         matrix = self.to_world

@@ -41,6 +41,11 @@ class PinholeLens(NamedTuple):
         scale = 0.5 / self.tan_x
         return Vec2(0.5 - slopes.x * scale - self.shift_x, 0.5 - slopes.y * (scale * self.aspect) - self.shift_y)
 
+    @property
+    def area(self) -> Tensor:
+        """The area of the image, which is 1, for each of slopes x / z and y / z."""
+        return 0.25 * self.aspect / (self.tan_x * self.tan_x)
+
 
 @dataclass(frozen=True)
 class PinholeKind(ProjectiveKind):
@@ -71,7 +76,7 @@ class PinholeKind(ProjectiveKind):
 
     def sight(self, lens: PinholeLens, p: Vec3, aperture: None) -> PointsSeen:
         position = self.project(lens, p, aperture)
-        return seen_from(lens, lens.origin, p, position)
+        return seen_from(lens, lens.origin, p, position, lens.area)
 
     def eye(self, lens: PinholeLens) -> Tensor:
         origin = torch.stack(tuple(lens.origin)).double()
@@ -86,21 +91,22 @@ class PinholeKind(ProjectiveKind):
                            Plane.through(lens.origin, ahead, -lens.near), Plane.through(lens.origin, -ahead, lens.far)])
 
 
-def seen_from(lens: PinholeLens, eye: Vec3, p: Vec3, position: Vec2) -> PointsSeen:
-    """The `PointsSeen` of points from a place in the plane of the lens; its area is that of slopes x / z and y / z.
+def seen_from(lens: Any, eye: Vec3, p: Vec3, position: Vec2, area: Tensor) -> PointsSeen:
+    """The `PointsSeen` of points from a place in the plane of the lens.
 
     Args:
         lens: with an entry for each point, (N,).
         eye: (N,) the place.
         p: (N,) the points.
         position: (N,) on the image.
+        area: (N,) that of the image, which is 1, for each of slopes x / z and y / z.
     """
     way = p - eye
     z, distance = dot(way, lens.axes.n), torch.sqrt(dot(way, way).clamp_min(TINY))
     ahead = (z > lens.near) & (z <= lens.far)
     z = torch.where(ahead, z, lens.near)
-    area = 0.25 * lens.aspect / (lens.tan_x * lens.tan_x)
-    return PointsSeen(position, area * distance / (z * z * z), eye + way * (lens.near / z), ahead)
+    share = torch.where(ahead, lens.near / z, 0.0)  # the other points, too, have a direction
+    return PointsSeen(position, area * distance / (z * z * z), eye + way * share, ahead)
 
 
 class FieldOfViewCamera(ProjectiveCamera):

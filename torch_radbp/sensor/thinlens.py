@@ -63,7 +63,8 @@ class ThinLensKind(ProjectiveKind):
         return lens.pinhole.axes.to_world(Vec3(start.x, start.y, torch.zeros_like(start.x))) + lens.pinhole.origin - p
 
     def sight(self, lens: ThinLensLens, p: Vec3, aperture: Vec2) -> PointsSeen:
-        return seen_from(lens.pinhole, p + self.towards(lens, p, aperture), p, self.project(lens, p, aperture))
+        pinhole, position = lens.pinhole, self.project(lens, p, aperture)
+        return seen_from(pinhole, p + self.towards(lens, p, aperture), p, position, pinhole.area)
 
     def eye(self, lens: ThinLensLens) -> Tensor:
         """The middle of the lens: silhouettes are looked for from there."""
