@@ -357,7 +357,7 @@ def test_sharp_shadows_seen_in_a_mirror_are_warned_of_where_they_are_not_compute
     with pytest.warns(SilhouetteWarning, match=f"`light`, a light without.*{warned}") if warned else (
             warnings.catch_warnings()):
         warnings.simplefilter("always" if warned else "error", SilhouetteWarning)
-        rb.Renderer(scene, spp=1, max_depth=max_depth)(seed=1)
+        rb.Renderer(scene, spp=1, max_depth=max_depth, light_paths="camera")(seed=1)
 
 
 @pytest.mark.parametrize("kind, others, said", [
