@@ -121,7 +121,7 @@ def relief(size: int = 32) -> torch.Tensor:
     return torch.from_numpy((0.5 + 0.5 * normals).astype(np.float32))
 
 
-def water(size: int = 64) -> torch.Tensor:
+def water(size: int = 32) -> torch.Tensor:
     """Heights of a plate of glass as of water, flatter towards its corners, that add to zero."""
     x, y = np.meshgrid((np.arange(size) + 0.5) / size * 2 - 1, (np.arange(size) + 0.5) / size * 2 - 1)
     waves = np.sin(4 * x + 2 * y + 1) * np.sin(5 * y - 3 * x) + 0.5 * np.sin(9 * x * y + 3 * x) + 0.3 * np.cos(7 * y + 4 * x)

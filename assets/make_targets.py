@@ -34,8 +34,8 @@ TARGETS = {
     **{f"smoke/view_{view}.exr": ("smoke/scene.xml", 64, 1024, view) for view in range(5)},
     **{f"cloud/view_{view}.exr": ("cloud/scene.xml", 48, 2048, view) for view in range(9)},
     "translucent_ball/target.exr": ("translucent_ball/scene.xml", 64, 4096),
-    "caustic/target.exr": ("caustic/scene.xml", 64, 8192),
-    "lens/target.exr": ("lens/scene.xml", 64, 8192),
+    "caustic/target.exr": ("caustic/scene.xml", 40, 8192),
+    "lens/target.exr": ("lens/scene.xml", 40, 8192),
 }
 PASS_SPP = 128
 

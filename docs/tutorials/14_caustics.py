@@ -74,7 +74,7 @@ print(f"the index of refraction was 1.7, is {eta.item():.4f}, and should be {tru
 # %% [markdown]
 # ## A plate of glass
 #
-# Parallel light falls through a plate whose upper side has waves, as of water. They are heights of a `bumpmap`, 64 x 64
+# Parallel light falls through a plate whose upper side has waves, as of water. They are heights of a `bumpmap`, 32 x 32
 # of them: normals follow the heights, and nothing is moved. From a flat plate, whose light is even, the loss finds the
 # heights by which light goes where it should. Heights have no absolute level, since only slopes are seen.
 

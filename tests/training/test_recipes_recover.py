@@ -8,14 +8,14 @@ from torch_radbp.training.run import run
 
 # Recipe -> parameter -> largest figures of it in the summary.
 BOUNDS = {
-    "caustic": {"plate.bsdf.nested_texture.data": {"rmse": 0.0011}},
+    "caustic": {"plate.bsdf.nested_texture.data": {"rmse": 0.0012}},
     "cloud": {"cloud.interior.sigma_t.data": {"rmse": 0.1}},
     "figurine_joint": {"body.vertex_positions": {"chamfer": 0.02}, "view_3.to_world": {"angle": 0.19, "distance": 0.027},
                        "body.bsdf.base_color.data": {"rmse": 0.15}, "body.bsdf.roughness.data": {"rmse": 0.15},
                        "sky.data": {"rmse": 0.25}, "gains": {"rmse": 0.02}},
     "figurine_pose": {"figurine.to_world": {"angle": 0.25, "distance": 0.007}},
     "lamp_place": {"lamp.position": {"largest_error": 0.002}},
-    "lens": {"ball.bsdf.eta": {"largest_error": 0.0018}},
+    "lens": {"ball.bsdf.eta": {"largest_error": 0.0029}},
     "mirror_pose": {"figurine.to_world": {"angle": 1.0, "distance": 0.0035}},
     "room_camera": {"sensor.to_world": {"angle": 0.2, "distance": 0.008}},
     "smoke": {"smoke.interior.sigma_t.data": {"rmse": 0.035}},
