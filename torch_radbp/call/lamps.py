@@ -18,6 +18,7 @@ from torch_radbp.sampling.spheres import BoundingSphere
 from torch_radbp.scene.tables.placement import points_in_world, power_of_two_above
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import ROUNDINGS, at_corners
+from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.stage import EAGER, Stages
 from torch_radbp.tensors.vec import Ray, Vec3, dot
 from torch_radbp.vertex.interaction import corner_rows
@@ -58,6 +59,9 @@ class Lamps(PathSource):
     @property
     def ray(self) -> Ray:
         """(1,) one of the rays: attached if they are, and not only their power."""
+        if not any_differentiated(self.lamps):
+            nothing = Vec3.buffer(self.lamps.world.clearance[None])
+            return Ray(nothing, nothing)
         return self.samples(LaneRange(0, 1), 0, EAGER, False).ray
 
 

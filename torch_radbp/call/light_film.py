@@ -79,15 +79,14 @@ class Deposits:
         self.film, self.stages = film, stages
         pixels, device = shape[0] * shape[1], film.size_x.device
         self.attached: Tensor | None = None  # (3, pixels), where autograd records, or in forward mode
-        number = copies(pixels, device)
-        totals = torch.zeros(3, pixels, number, dtype=torch.float64, device=device)
-        self.totals = totals
-        self.sums = Sums(list(totals), torch.zeros(-(-pixels >> PAGE_BITS), dtype=torch.bool, device=device))
+        totals = torch.zeros(pixels, 3, copies(pixels, device), dtype=torch.float64, device=device)
+        self.totals = totals.unbind(1)  # those of a pixel lie side by side
+        self.sums = Sums(self.totals, torch.zeros(-(-pixels >> PAGE_BITS), dtype=torch.bool, device=device))
 
     def add(self, brought: BroughtToFilm) -> None:
         """Adds what vertices bring, (N,)."""
         if any_differentiated(brought) or inside_dual_level():
-            self.attached = torch.zeros_like(self.totals[..., 0]) if self.attached is None else self.attached
+            self.attached = self.totals[0].new_zeros(3, len(self.totals[0])) if self.attached is None else self.attached
             value = torch.stack(tuple(brought.value)).double()
             for pixel, count in self.film.around(brought.place):
                 self.attached = self.attached.index_add(1, pixel, value * count)
@@ -98,7 +97,7 @@ class Deposits:
 
     def total(self) -> Tensor:
         """(3, pixels) float64, attached."""
-        total = self.totals.sum(2)
+        total = torch.stack(self.totals).sum(2)
         return total if self.attached is None else total + self.attached
 
 

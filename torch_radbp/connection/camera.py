@@ -55,13 +55,17 @@ class CameraAsLight(LightKind):
         aperture = Vec2(unit(pick.u, p.x.dtype), unit(pick.v, p.x.dtype)) if self.camera.has_aperture else None
         sight = self.camera.sight(lens, p, aperture)
         place = film.place(sight.position)
-        pixels = film.around(place)
-        counts = sight.ahead & (sum(count.abs() for _, count in pixels) > 0)
         # The image is the integral over positions on the film, each pixel having an area of 1.
         density = sight.density * (film.size_x * film.size_y)
         sent = Vec3(density, density, density)
         if self.asked:
-            sent = sum((lookup(table.pixels, pixel) * count for pixel, count in pixels), Vec3.full(density, 0.0)) * density
+            asked = none = Vec3.full(density, 0.0)
+            columns, rows = film.columns_and_rows(place)
+            for row, down in rows:
+                pixels = ((lookup(table.pixels, row * film.columns + column), across) for column, across in columns)
+                asked = asked + sum((pixel * across for pixel, across in pixels), none) * down
+            sent = asked * density
+        counts = sight.ahead & film.sees(place)
         return Aim(normalize(sight.target - p), pick.pmf * counts.to(density.dtype), sight.target, uv=place, radiance=sent)
 
 

@@ -47,6 +47,18 @@ class Kernel:
             return self.side_by_side(u, self.reach, *self.numbers)
         return [self(u - (0.5 + offset)) for offset in range(-self.reach, self.reach + 1)]
 
+    def nearby(self, u: Tensor) -> tuple[Tensor | int, list[Tensor]]:
+        """As `around`, without the outermost pixel in which a sample cannot count.
+
+        Returns:
+            The offset of the first pixel, (N,) int32 or one for all, and the weights.
+        """
+        values = self.around(u)
+        if math.ceil(2 * self.radius) == len(values):
+            return -self.reach, values
+        beyond = u > self.radius + 0.5 - self.reach  # the first is too far away, else the last
+        return beyond.to(torch.int32) - self.reach, [torch.where(beyond, *pair) for pair in zip(values[1:], values)]
+
     @property
     def flat(self) -> bool:
         """True if all samples have equal weights, each in its own pixel alone."""

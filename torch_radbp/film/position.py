@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import operator
+from functools import reduce
 from typing import NamedTuple
 
 import torch
@@ -59,9 +61,23 @@ class FilmTensors(NamedTuple):
             For each pixel around them its row-major number in the window, (N,) int32, and what a point counts there, (N,)
             float64, 0 where it does not.
         """
-        columns = _counted(self.kernel, self.inside_x, self.columns, self.before.x, self.after.x, place.x)
-        rows = _counted(self.kernel, self.inside_y, self.rows, self.before.y, self.after.y, place.y)
+        columns, rows = self.columns_and_rows(place)
         return [(row * self.columns + column, down * across) for row, down in rows for column, across in columns]
+
+    def columns_and_rows(self, place: Vec2) -> tuple[list[tuple[Tensor, Tensor]], list[tuple[Tensor, Tensor]]]:
+        """The columns and the rows of `around`, each with a factor of the weight; args as there."""
+        return (_counted(self.kernel, self.inside_x, self.columns, self.before.x, self.after.x, place.x),
+                _counted(self.kernel, self.inside_y, self.rows, self.before.y, self.after.y, place.y))
+
+    def sees(self, place: Vec2) -> Tensor:
+        """(N,) bool: points on the film contribute to a pixel; args as for `around`."""
+        columns, rows = self.columns_and_rows(place)
+        return _any_counts(columns) & _any_counts(rows)
+
+
+def _any_counts(pixels: list[tuple[Tensor, Tensor]]) -> Tensor:
+    """(N,) bool: some weights are not 0."""
+    return reduce(operator.or_, [weight != 0.0 for _, weight in pixels])
 
 
 def _counted(kernel: Kernel, inside: Tensor, size: Tensor, before: Tensor, after: Tensor,
@@ -78,9 +94,10 @@ def _counted(kernel: Kernel, inside: Tensor, size: Tensor, before: Tensor, after
     nearest = torch.floor(place)
     sampled = (place + before >= 0) & (place < size + after)
     nearest = torch.where(sampled, nearest, 0.0)
+    first, values = kernel.nearby(torch.where(sampled, place - nearest, 0.0))
     counted = []
-    for step, value in enumerate(kernel.around(torch.where(sampled, place - nearest, 0.0))):
-        index = nearest.to(torch.int32) + (step - kernel.reach)
+    for step, value in enumerate(values):
+        index = nearest.to(torch.int32) + (first + step)
         column = torch.minimum(index.clamp_min(0), size - 1)
         counted.append((column, torch.where((index == column) & sampled, value / lookup(inside, column), 0.0)))
     return counted

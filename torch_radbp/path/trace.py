@@ -12,7 +12,7 @@ from torch_radbp.path.taped_bounces import Bounce, bounces_taken
 from torch_radbp.path.wavefront import BroughtToFilm, bounced, film_buffer, radiance_buffer
 from torch_radbp.path.whole_paths import traced_whole
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.tensors.vec import Vec3, rows
+from torch_radbp.tensors.vec import Vec3
 
 Visit = Callable[[int, PathState, Step], None]
 
@@ -58,7 +58,7 @@ def trace_to_film(integrand: Integrand, start: PathState, deposit: Callable[[Bro
                 break
             found = film_buffer(integrand, start)
             state, step, onward = take(onward, depth, found)
-            deposit(integrand.stages(rows)(found, state.lane))
+            deposit(found)
             if visit is not None:
                 visit(depth, state, step)
             depth += 1

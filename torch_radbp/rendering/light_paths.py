@@ -22,7 +22,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.rendering.settings import settings_of_integrand
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene.packing.material_tables import one_sided
-from torch_radbp.scene.tables.scene_tensors import SceneTensors, proposal_of
+from torch_radbp.scene.tables.scene_tensors import Layout, SceneTensors, proposal_of
 from torch_radbp.tensors.differentiated import any_differentiated, detached
 
 if TYPE_CHECKING:
@@ -60,9 +60,17 @@ def shared_image(renderer: Renderer, call: RenderCall) -> Tensor:
     call = with_narrow_materials(call, narrow)
     # Paths from the camera find no light without extent by way of ideal vertices, so that there is nothing to share.
     apart = light_paths == "caustics" and narrow is None and all(kind.delta for kind in lit)
-    images = rendered(call if apart else sharing(call, light_paths))
     found = torch.cat([image_from_lamps(renderer, call, number, light_paths) for number in range(len(call.views))])
+    if light_paths == "all" and narrow is None and call.quantities is None and camera_sees_no_light(call.scene.layout):
+        return found
+    images = rendered(call if apart else sharing(call, light_paths))
     return images + found if images.shape[1] == 3 else torch.cat([images[:, :3] + found, images[:, 3:]], 1)
+
+
+def camera_sees_no_light(layout: Layout) -> bool:
+    """True if no light has an extent, and no material ideal lobes: with "all", paths from the camera bring nothing."""
+    return all(kind.delta for kind in layout.lights) and not any(
+        appearance.kind.delta and not appearance.kind.invisible for appearance in layout.appearances)
 
 
 def paths_can_begin_at_lamps(call: RenderCall) -> bool:

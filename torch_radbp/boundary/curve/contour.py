@@ -42,7 +42,6 @@ from torch_radbp.boundary.curve.places import (
     Lot,
     Places,
     Sight,
-    counts_somewhere,
     depth_of,
     lot_of,
     on_film,
@@ -251,7 +250,7 @@ def contour_place(geometry: Geometry, sight: Sight, faces: Faces, lot: Lot, coun
         behind, ahead = (glued(faces.triangle, apex, place.u + reach.x * side * way, place.v + reach.y * side * way)
                          for way in (-1.0, 1.0))
     normal = seen.normal * scale
-    counts = in_window(camera, seen.film, normal) & counts_somewhere(camera, seen.film)
+    counts = in_window(camera, seen.film, normal) & camera.film.sees(seen.film)
     return Places(torch.full_like(apex, kind), between, faces.instance, place.u, place.v, seen.p, seen.film, normal, side,
                   seen.drift * scale, depth_of(camera, seen.p, curve.corners, aperture), behind, ahead,
                   torch.full_like(apex, -1), faces.instance, numbers.key, aperture, counts, torch.full_like(apex, -1))

@@ -19,7 +19,6 @@ from torch_radbp.boundary.curve.places import (
     Lot,
     Places,
     Sight,
-    counts_somewhere,
     depth_of,
     length_in_view,
     on_film,
@@ -132,7 +131,7 @@ def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, pla
     depth = torch.maximum(depth_of(camera, p, [a, b], aperture), torch.maximum(*(sheet.depth for sheet in sheets)))
     kind = torch.where(silhouette, SILHOUETTE, CREASE).to(torch.int32)
     return Places(kind, Between(edges.a, edges.b, edges.b), instance, along, nothing, p, at, normal, side, nothing, depth,
-                  behind, ahead, torch.full_like(kind, -1), instance, numbers.key, aperture, counts_somewhere(camera, at),
+                  behind, ahead, torch.full_like(kind, -1), instance, numbers.key, aperture, camera.film.sees(at),
                   torch.full_like(kind, -1))
 
 

@@ -215,14 +215,6 @@ def velocities_on_film(camera: Camera, p: Vec3, directions: Sequence[Vec3], aper
     return [Vec2(velocity(direction, 0), velocity(direction, 1)) for direction in directions]
 
 
-def counts_somewhere(camera: Camera, place: Vec2) -> Tensor:
-    """(N,) bool: points of the film that contribute to a pixel."""
-    found = torch.zeros_like(place.x, dtype=torch.bool)
-    for _, count in camera.film.around(place):
-        found = found | (count != 0.0)
-    return found
-
-
 def unknown(like: Tensor) -> Glued:
     """Unknown points on triangles, one for each entry of a (N,) tensor."""
     return Glued(torch.full_like(like, -1, dtype=torch.int32), torch.zeros_like(like), torch.zeros_like(like))

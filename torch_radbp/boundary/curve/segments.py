@@ -24,7 +24,6 @@ from torch_radbp.boundary.curve.places import (
     Lot,
     Places,
     Sight,
-    counts_somewhere,
     depth_of,
     length_in_view,
     on_film,
@@ -160,7 +159,7 @@ def segment_place(geometry: Geometry, sight: Sight, segments: Segments, lot: Lot
     kind = torch.where(passing, INTERSECTION, TEXTURE).to(torch.int32)
     return Places(kind, between, own.instance, at.x, at.y, p, film, normal, torch.ones_like(at.x), drift,
                   depth_of(camera, p, corners, aperture), *sides, own.through, own.shown_by, numbers.key, aperture,
-                  counts_somewhere(camera, film), own.line)
+                  camera.film.sees(film), own.line)
 
 
 def faces_viewer(geometry: Geometry, segments: Segments, corners: Corners, towards: Callable[[Vec3], Vec3]) -> Tensor:

@@ -28,7 +28,7 @@ from torch import Tensor
 from torch_radbp.boundary.curve.edge_order import GROUP
 from torch_radbp.boundary.curve.geometry import Geometry, geometry_of
 from torch_radbp.boundary.curve.outline import Outline
-from torch_radbp.boundary.curve.places import FEWEST, counts_somewhere, on_film
+from torch_radbp.boundary.curve.places import FEWEST, on_film
 from torch_radbp.boundary.curve.rendering import Rendering
 from torch_radbp.boundary.curve.silhouette import crosses_view
 from torch_radbp.boundary.eye.edges_tried import edges_tried, eyes_for_each
@@ -308,6 +308,6 @@ def border_course(scene: SceneTensors, geometry: Geometry, outline: Outline, cam
         return on_film(camera, border(scene, geometry, outline, borders, step, off), aperture)
 
     course = course_of(seen, times, inwards)
-    counts = counts_somewhere(camera, course.at)
+    counts = camera.film.sees(course.at)
     return border(scene, geometry, outline, borders), course._replace(
         normal=course.normal.map(lambda c: torch.where(counts, c, 0.0)))

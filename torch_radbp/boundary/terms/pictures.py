@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.curve.geometry import Geometry, geometry_of
-from torch_radbp.boundary.curve.places import counts_somewhere, key_of_places, lot_of, on_film, picked
+from torch_radbp.boundary.curve.places import key_of_places, lot_of, on_film, picked
 from torch_radbp.boundary.eye.deposit import Deposit
 from torch_radbp.boundary.eye.seen_edges import Course, corners_of, crossed_at, finite_normal, pace, salted
 from torch_radbp.boundary.eye.seen_on_film import aperture_of, camera_sample, seen_at, sees
@@ -191,7 +191,7 @@ def borders_seen(call: RenderCall, number: int, kind: int, curves: LitCurves, ti
     integrand, camera = integrand_of(call, call.integrand, number), view.camera
     aperture, one = aperture_of(view, key), torch.ones_like(curves.receiver.t)
     film, along = pace(lambda step: on_film(camera, lit_at(scene, geometry, kind, curves, step), aperture), times)
-    normal, seen = finite_normal(along, times), counts_somewhere(camera, film)
+    normal, seen = finite_normal(along, times), camera.film.sees(film)
     draw = LightDraw(light_numbers(bounce_key(key, SALT)), LightPick(curves.element, one, torch.zeros_like(one)))
     beside, lights = [], []
     for way in (-BESIDE, BESIDE):
