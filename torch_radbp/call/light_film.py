@@ -5,14 +5,14 @@ Each pixel is the sum of what is deposited, by the reconstruction filter over it
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from torch_radbp.call.render_call import RenderCall, of_wavefronts
+from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.sink import Sink, SinkValues, Work
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.connection.camera import asked_by
@@ -23,9 +23,13 @@ from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import BroughtToFilm
 from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.record import rows_between
 from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import Vec2, Vec3, max_component, rows
+from torch_radbp.threads.workers import by_number, in_turns
+
+PIECE = 1 << 15  # lanes that are deposited at once, so that what they count in all pixels around takes little memory
 
 
 @dataclass(frozen=True)
@@ -51,9 +55,17 @@ class LightFilm(Sink):
         raise TypeError("paths bring something to this film at each vertex")
 
     def gather(self, call: RenderCall, work: Work) -> SinkValues:
-        done = of_wavefronts(call, call.wavefronts, work)
-        total = sum(sums for (sums,), _ in done) / self.paths
-        return SinkValues(total.to(self.film.size_x.dtype).view(1, 3, *self.shape), None, [result for _, result in done])
+        def brought_by(share: Iterable[int]) -> tuple[Tensor, list]:
+            total, results = 0.0, []
+            for index in share:
+                (sums,), result = work(call.wavefronts[index])
+                total = total + sums
+                results.append(result)
+            return total, results
+
+        shares = in_turns(len(call.wavefronts), call.workers, brought_by)
+        image = (sum(total for total, _ in shares) / self.paths).to(self.film.size_x.dtype)
+        return SinkValues(image.view(1, 3, *self.shape), None, by_number([results for _, results in shares]))
 
     def adj_sums(self, call: RenderCall, gradient: Tensor, filters: Tensor | None) -> Vec3:
         return Vec3(*(gradient[0].flatten(1) / self.paths))
@@ -92,8 +104,12 @@ class Deposits:
                 self.attached = self.attached.index_add(1, pixel, value * count)
             return
         # Many bring nothing: what the camera does not see, or is not theirs to bring.
-        value, place = rows(brought, chosen(max_component(brought.value.map(torch.abs)) != 0))
-        scatter_add([Addition(pixel, parts, self.sums) for pixel, *parts in self.stages(splats)(self.film, value, place)])
+        brought = rows(brought, chosen(max_component(brought.value.map(torch.abs)) != 0))
+        lanes, on_cpu = len(brought.place.x), brought.place.x.device.type == "cpu"
+        piece = PIECE if on_cpu else max(lanes, 1)
+        for first in range(0, lanes, piece):
+            counts = self.stages(splats)(self.film, *rows_between(brought, first, min(first + piece, lanes)))
+            scatter_add([Addition(pixel, parts, self.sums) for pixel, *parts in counts])
 
     def total(self) -> Tensor:
         """(3, pixels) float64, attached."""

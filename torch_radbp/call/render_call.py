@@ -23,7 +23,7 @@ from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.stage import Stages
 from torch_radbp.tensors.vec import Vec3
-from torch_radbp.threads.workers import in_turns
+from torch_radbp.threads.workers import by_number, in_turns
 from torch_radbp.threads.zeroed_memory import ZeroedMemory
 
 Result = TypeVar("Result")
@@ -130,5 +130,4 @@ def integrand_of_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wa
 
 def of_wavefronts(call: RenderCall, wavefronts: list[Wavefront], work: Callable[[Wavefront], Result]) -> list[Result]:
     """Runs `work` on wavefronts in several threads; results in order."""
-    shares = in_turns(len(wavefronts), call.workers, lambda share: [work(wavefronts[index]) for index in share])
-    return [shares[index % len(shares)][index // len(shares)] for index in range(len(wavefronts))]
+    return by_number(in_turns(len(wavefronts), call.workers, lambda share: [work(wavefronts[index]) for index in share]))

@@ -22,7 +22,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.rendering.settings import settings_of_integrand
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene.packing.material_tables import one_sided
-from torch_radbp.scene.tables.scene_tensors import Layout, SceneTensors, proposal_of
+from torch_radbp.scene.tables.scene_tensors import SceneTensors, proposal_of
 from torch_radbp.tensors.differentiated import any_differentiated, detached
 
 if TYPE_CHECKING:
@@ -61,16 +61,12 @@ def shared_image(renderer: Renderer, call: RenderCall) -> Tensor:
     # Paths from the camera find no light without extent by way of ideal vertices, so that there is nothing to share.
     apart = light_paths == "caustics" and narrow is None and all(kind.delta for kind in lit)
     found = torch.cat([image_from_lamps(renderer, call, number, light_paths) for number in range(len(call.views))])
-    if light_paths == "all" and narrow is None and call.quantities is None and camera_sees_no_light(call.scene.layout):
-        return found
-    images = rendered(call if apart else sharing(call, light_paths))
+    first_only = light_paths == "all" and narrow is None and not any(
+        appearance.kind.delta for appearance in call.scene.layout.appearances)
+    if first_only and call.quantities is None and all(kind.delta for kind in lit):
+        return found  # the camera sees none of the lights, and nothing that scatters narrowly
+    images = rendered(call if apart else sharing(call, light_paths, 1 if first_only else None))
     return images + found if images.shape[1] == 3 else torch.cat([images[:, :3] + found, images[:, 3:]], 1)
-
-
-def camera_sees_no_light(layout: Layout) -> bool:
-    """True if no light has an extent, and no material ideal lobes: with "all", paths from the camera bring nothing."""
-    return all(kind.delta for kind in layout.lights) and not any(
-        appearance.kind.delta and not appearance.kind.invisible for appearance in layout.appearances)
 
 
 def paths_can_begin_at_lamps(call: RenderCall) -> bool:
@@ -94,10 +90,11 @@ def with_narrow_materials(call: RenderCall, narrow: Tensor | None) -> RenderCall
     return call._replace(scene=knowing(call.scene), integrand=integrand, make_integrand=call.make_integrand)
 
 
-def sharing(call: RenderCall, light_paths: str) -> RenderCall:
-    """A call whose paths share light with those from the other end."""
+def sharing(call: RenderCall, light_paths: str, most: int | None) -> RenderCall:
+    """A call whose paths share light with those from the other end; of at most `most` vertices, if it is given."""
     def shared(integrand: Integrand) -> Integrand:
-        return integrand._replace(settings=integrand.settings._replace(light_paths=light_paths), parts={})
+        depth = integrand.max_depth if most is None else min(integrand.max_depth, most)
+        return integrand._replace(settings=integrand.settings._replace(light_paths=light_paths), max_depth=depth, parts={})
 
     return call._replace(shared=True, make_integrand=lambda scene: shared(call.make_integrand(scene)),
                          integrand=shared(call.integrand))

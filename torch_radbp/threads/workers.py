@@ -7,7 +7,7 @@ after each costs as much as the work, and one busy neighbour holds them all up. 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TypeVar
 
 import torch
@@ -35,6 +35,11 @@ def in_turns(count: int, workers: int, work: Callable[[Iterable[int]], Result]) 
 
     together(take_shares, workers)
     return [results[worker] for worker in range(workers)]
+
+
+def by_number(shares: Sequence[Sequence[Result]]) -> list[Result]:
+    """What was found for each of the numbers that `in_turns` has dealt out, in order."""
+    return [shares[index % len(shares)][index // len(shares)] for index in range(sum(map(len, shares)))]
 
 
 def while_nobody_failed(task: Task, share: range) -> Iterator[int]:
