@@ -10,7 +10,7 @@ import torch
 import torch_radbp as rb
 from tests.deep import deep_but
 from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
-from tests.scenes import diffuse, load, overhead, rgb
+from tests.scenes import diffuse, load, overhead, rgb, sensor
 from tests.scenes.mirrors import CUBE, IN_MIRROR, METAL, MIRROR, MIRRORED, SKY, shaded
 from torch_radbp.boundary.terms import of_call as terms
 from torch_radbp.io.values.transform import rotate, scale, translate
@@ -141,3 +141,28 @@ def test_threads_and_chunks_change_no_bit_and_single_precision_serves():
     assert found[0].abs().max() > 0.1
     assert torch.equal(found[0], found[1])
     assert torch.allclose(found[0], found[2], rtol=0.05, atol=0.05 * float(found[2].abs().max()))
+
+
+GLOWING = {"sphere": {"type": "sphere", "radius": 0.1}, "cube": {"type": "cube", "to_world": scale((0.08, 0.08, 0.08))}}
+
+
+@pytest.mark.parametrize("lamp", GLOWING)
+def test_a_lamp_in_a_ball_of_glass_loses_on_one_side_what_it_gains_on_the_other(lamp):
+    """Moved across the view, either of them leaves the sum as it is; both together move the image of a sphere likewise."""
+    view = sensor(32, (0, 0, 4), (0, 0, 0), fov=30, rfilter="gaussian")
+    scene = load(sensor=view, glass={"type": "sphere", "radius": 0.5, "bsdf": {"type": "dielectric"}},
+                 lamp=GLOWING[lamp] | {"emitter": {"type": "area", "radiance": rgb(5, 5, 5)}})
+    light = rb.render(scene, spp=256, max_depth=2).detach().sum(2)[0, 0]
+    columns, sums, moments = torch.arange(32) + 0.5, [], []
+    for moving in ("glass.to_world", "lamp.to_world"):
+        tangent = torch.zeros(4, 4)
+        tangent[0, 3] = 4 * math.tan(math.radians(15)) / 16  # a pixel at the distance of the lamp
+        found = torch.stack([rb.jvp(scene, {moving: tangent}, seed=seed, spp=512, max_depth=2)[0, 0].sum(0)
+                             for seed in range(8)])
+        sums.append(found.sum(1))
+        moments.append((found * columns).sum(1))
+    both = [(moments[0] + moments[1], float(light.sum()))] if lamp == "sphere" else []
+    for found, expected in ((sums[0], 0.0), (sums[1], 0.0), *both):
+        error = float(found.std()) / math.sqrt(len(found))
+        assert error < 0.1 * float(light.sum())
+        assert abs(float(found.mean()) - expected) <= 4 * error

@@ -22,13 +22,16 @@ from torch_radbp.boundary.eye.surfaces import LineTable, level_of_line
 from torch_radbp.boundary.terms.crossings import Crossings
 from torch_radbp.boundary.terms.scans import Searched
 from torch_radbp.path.direct_light import LightDraw
+from torch_radbp.path.lanes import put_rows
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, cross, dot, interpolated, rows, where
 
 EDGE, RIM, MEETING, LINE, HORIZON, SHADOW = range(6)
 OFF = 4.0  # times the distance of the two rays, by which an edge may lie off them
+WALK = 32  # triangles of a smooth surface among whose sides its outline is searched
 ROUNDED = 2e-5  # the same as a share of the distance, for the rounding of what rays meet
 
 
@@ -56,7 +59,7 @@ def curves_crossed(searched: Searched, crossed: Crossings) -> tuple[Curves, Tens
     scene, lines = searched.call.scene, searched.surfaces.lines
     geometry, hit, beyond = geometry_of(scene), crossed.below.hit, crossed.above.hit
     rays = [_in_double(met.ray) for met in (crossed.below, crossed.above)]
-    side, is_edge = nearest_side(geometry, rays, [hit, beyond])
+    side, is_edge = nearest_side(geometry, searched.surfaces.smooth.continues, rays, [hit, beyond])
     meets = (hit.prim >= 0) & (beyond.prim >= 0) & _inside(_corners_of(geometry, beyond.prim, beyond.instance), rays[0]) & (
         _inside(_corners_of(geometry, hit.prim, hit.instance), rays[1]))
     kind = torch.where(meets, MEETING, EDGE)
@@ -84,23 +87,100 @@ def curves_crossed(searched: Searched, crossed: Crossings) -> tuple[Curves, Tens
     return Curves(kind, side, other, shown_by, line, number), known
 
 
-def nearest_side(geometry: Geometry, rays: list[Ray], hits: list[Hit]) -> tuple[TriangleSide, Tensor]:
-    """The side nearest to two neighbouring rays among those of a hit triangle; and (K,) bool: it may pass between them."""
-    sides = []
-    for hit in hits:
-        own = _corners_of(geometry, hit.prim, hit.instance)
-        for number in range(3):
-            off, reach = distance_to_side(rays[0], own[(number + 1) % 3], own[(number + 2) % 3])
-            sides.append((torch.where(hit.prim >= 0, off, torch.inf), reach, hit, number))
-    nearest, far, hit, number = sides[0]
-    prim, instance, corner = hit.prim, hit.instance, torch.full_like(hit.prim, number, dtype=torch.int64)
-    for off, reach, hit, number in sides[1:]:
-        nearer = off < nearest
-        nearest, far, prim = (torch.where(nearer, *pair) for pair in ((off, nearest), (reach, far), (hit.prim, prim)))
-        corner = torch.where(nearer, number, corner)
-        instance = None if instance is None else torch.where(nearer, hit.instance, instance)
-    apart = rays[1].o + rays[1].d * far - rays[0].o - rays[0].d * far
-    return TriangleSide(prim, instance, corner), nearest <= OFF * torch.sqrt(dot(apart, apart)) + ROUNDED * far
+class SeenSide(NamedTuple):
+    """One side of a triangle for each lane, (K,), as two neighbouring rays pass it."""
+
+    side: TriangleSide
+    near: Tensor  # bool: it may pass between the two
+    hides: Tensor  # bool: and behind it the surface ends, or turns away
+    between: Tensor  # bool: and it is seen between the two
+    off: Tensor  # float64, its distance from the first ray
+    beside: Tensor  # int32, the next triangle across it if the surface goes on there, else -1
+
+
+def nearest_side(geometry: Geometry, continues: Tensor, rays: list[Ray], hits: list[Hit]) -> tuple[TriangleSide, Tensor]:
+    """The side nearest to two neighbouring rays among those of a hit triangle; and (K,) bool: it may pass between them.
+
+    A side across which a surface goes on hides nothing, unless it lies between the two hits. Where a smooth surface turns
+    away, its outline may be at a triangle beside that which is hit; if it is not found, a side of what is nearer stands for
+    it.
+
+    Args:
+        continues: of `SmoothParts`.
+        rays, hits: of two neighbouring paths.
+    """
+    one, other = hits
+    first_hides, sides = (one.prim >= 0) & ((other.prim < 0) | (one.t <= other.t)), []
+    for hit, beyond, nearer in ((one, other, first_hides), (other, one, ~first_hides)):
+        sides += [side._replace(near=side.near & (nearer | side.hides))
+                  for side in _sides_of(geometry, continues, rays, hit.prim, hit.instance, beyond.prim)]
+    seen = nearest_of(sides)
+    left = (~seen.between).nonzero().squeeze(1)
+    if len(left):
+        one, other, passing, begun, first_hides = rows((one, other, rays, seen, first_hides), left)
+        prim, beyond = torch.where(first_hides, one.prim, other.prim), torch.where(first_hides, other.prim, one.prim)
+        instance = None if one.instance is None else torch.where(first_hides, one.instance, other.instance)
+        misses = Ray(*(where(first_hides, *parts) for parts in zip(passing[1], passing[0])))
+        for _ in range(WALK):
+            around = _sides_of(geometry, continues, passing, prim, instance, beyond)
+            begun = nearest_of([begun, *around])
+            away = torch.stack([torch.where(own.beside >= 0, distance_to_side(misses, *_ends_of(geometry, own.side))[0],
+                                            torch.inf) for own in around])
+            beside = torch.stack([own.beside for own in around]).gather(0, away.argmin(0)[None])[0]
+            prim = torch.where(begun.between, -1, beside)
+            if not (prim >= 0).any():
+                break
+        put_rows(seen, left.int(), begun)
+    return seen.side, seen.near
+
+
+def _sides_of(geometry: Geometry, continues: Tensor, rays: list[Ray], prim: Tensor, instance: Tensor | None,
+              beyond: Tensor) -> list[SeenSide]:
+    """The sides of triangles, -1: none; `beyond`: the triangles that the other ray hits."""
+    own, met, seen = _corners_of(geometry, prim, instance), prim >= 0, []
+    for number in range(3):
+        a, b = own[(number + 1) % 3], own[(number + 2) % 3]
+        beside, way = lookup(continues, 3 * prim.clamp_min(0).long() + number), a - rays[0].o
+        next_one = _corners_of(geometry, beside, instance)
+        goes_on = met & (beside >= 0) & (beside != beyond) & (
+            dot(_normal_of(own), way) * dot(_normal_of(next_one), way) > 0)
+        off, reach = distance_to_side(rays[0], a, b)
+        near = met & passes_near(rays, off, reach)
+        side, hides = TriangleSide(prim, instance, torch.full_like(prim, number, dtype=torch.int64)), near & ~goes_on
+        seen.append(SeenSide(side, near, hides, hides & seen_between(rays, a, b), off, torch.where(goes_on, beside, -1)))
+    return seen
+
+
+def nearest_of(sides: list[SeenSide]) -> SeenSide:
+    """Of some sides the nearest that is seen between the rays; else that hides something; else that is near."""
+    best = sides[0]
+    for side in sides[1:]:
+        rank, best_rank = (own.near.int() + own.hides.int() + own.between.int() for own in (side, best))
+        better = (rank > best_rank) | (rank == best_rank) & (side.off < best.off)
+        best = with_leaves(best, [None if new is None else torch.where(better, new, old)
+                                  for new, old in zip(leaves_of(side), leaves_of(best))])
+    return best
+
+
+def passes_near(rays: list[Ray], off: Tensor, reach: Tensor) -> Tensor:
+    """(N,) bool: what is so far off the first of two neighbouring rays, after some way, may pass between them."""
+    apart = rays[1].o + rays[1].d * reach - rays[0].o - rays[0].d * reach
+    return off <= OFF * torch.sqrt(dot(apart, apart)) + ROUNDED * reach
+
+
+def seen_between(rays: list[Ray], a: Vec3, b: Vec3) -> Tensor:
+    """(N,) bool: segments from a to b are seen between two neighbouring rays."""
+    (level, share), (other_level, other_share) = [_passed_at(ray, a, b) for ray in rays]
+    change = level - other_level
+    share = share + (other_share - share) * (level / torch.where(change != 0, change, 1.0))
+    return (level * other_level <= 0) & (share >= 0) & (share <= 1)
+
+
+def _passed_at(ray: Ray, a: Vec3, b: Vec3) -> tuple[Tensor, Tensor]:
+    """On which side of lines from a to b rays pass these, by the sign, and at which share of the way."""
+    w, e = a - ray.o, b - a
+    across = e - ray.d * dot(e, ray.d)
+    return dot(cross(e, ray.d), w), -dot(w, across) / dot(across, across).clamp_min(TINY)
 
 
 def side_that_casts(searched: Searched, crossed: Crossings) -> tuple[TriangleSide, Tensor]:
@@ -111,7 +191,7 @@ def side_that_casts(searched: Searched, crossed: Crossings) -> tuple[TriangleSid
         hit = searched.integrand.caster.intersect(ray)
         rays.append(_in_double(ray))
         hits.append(hit._replace(prim=torch.where((hit.t < distance) & ((met.what & LIT) == 0), hit.prim, -1)))
-    return nearest_side(geometry_of(scene), rays, hits)
+    return nearest_side(geometry_of(scene), searched.surfaces.smooth.continues, rays, hits)
 
 
 def _in_double(ray: Ray) -> Ray:
@@ -122,6 +202,11 @@ def _in_double(ray: Ray) -> Ray:
 def _corners_of(geometry: Geometry, prim: Tensor, instance: Tensor | None) -> Corners:
     """The corners of triangles, (N,) int32, in the world, attached; float64. Of any triangle for -1."""
     return positions(geometry, _between(geometry, prim), instance)
+
+
+def _normal_of(corners: Corners) -> Vec3:
+    """The normals of triangles, not of unit length."""
+    return cross(corners[1] - corners[0], corners[2] - corners[0])
 
 
 def _between(geometry: Geometry, prim: Tensor) -> Between:
@@ -196,7 +281,7 @@ def _facing(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
 def _above(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
     """The level function of horizons: how far scattered rays leave on the side of the geometric normal."""
     corners = _corners_of(geometry, curves.edge.prim, curves.edge.instance)
-    return dot(cross(corners[1] - corners[0], corners[2] - corners[0]), ray.d)
+    return dot(_normal_of(corners), ray.d)
 
 
 def nearer(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
@@ -204,7 +289,7 @@ def nearer(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
     distances = []
     for prim, instance in ((curves.edge.prim, curves.edge.instance), (curves.other, curves.shown_by)):
         corners = _corners_of(geometry, prim, instance)
-        n = cross(corners[1] - corners[0], corners[2] - corners[0])
+        n = _normal_of(corners)
         along = dot(ray.d, n)
         distances.append(dot(corners[0] - ray.o, n) / torch.where(along != 0, along, 1.0))
     return distances[0] - distances[1]
