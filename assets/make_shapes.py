@@ -1,4 +1,4 @@
-"""Makes assets/shapes: a torus in four formats of meshes, distances of two balls that touch, a puff and a
+"""Makes assets/shapes: a torus in four formats of meshes, a dish, distances of two balls that touch, a puff and a
 plume of smoke, and fibres.
 
     python -m assets.make_shapes
@@ -38,6 +38,18 @@ def torus() -> MeshArrays:
                       {"vertex_color": colours.astype(np.float32)})
 
 
+def dish() -> MeshArrays:
+    """A paraboloid of radius 1 that opens towards +y from the origin, with its focus at a height of 0.5."""
+    r, phi = np.meshgrid(np.linspace(0, 1, ACROSS + 1), 2 * np.pi * np.arange(2 * AROUND) / (2 * AROUND), indexing="ij")
+    x, z = (r * np.cos(phi)).ravel(), (r * np.sin(phi)).ravel()
+    normals = np.stack([-x, np.ones_like(x), -z], 1) / np.sqrt(1 + x**2 + z**2)[:, None]
+    ring, at = np.arange(ACROSS)[:, None] * 2 * AROUND, np.arange(2 * AROUND)
+    a, b = ring + at, ring + (at + 1) % (2 * AROUND)
+    c, d = a + 2 * AROUND, b + 2 * AROUND
+    faces = np.concatenate([np.stack([c, a, d], -1).reshape(-1, 3), np.stack([a, b, d], -1)[1:].reshape(-1, 3)])
+    return MeshArrays(np.stack([x, 0.5 * (x**2 + z**2), z], 1).astype(np.float32), faces, normals.astype(np.float32), None)
+
+
 def two_balls() -> np.ndarray:
     """(Z, Y, X, 1) signed distances in the unit cube of two balls that touch."""
     z, y, x = np.meshgrid(*[np.linspace(0, 1, GRID)] * 3, indexing="ij")
@@ -71,6 +83,7 @@ if __name__ == "__main__":
     arrays = torus()
     made = trimesh.Trimesh(arrays.vertices, arrays.faces, process=False)
     write_ply(FOLDER / "torus.ply", arrays)
+    write_ply(FOLDER / "dish.ply", dish())
     lines = [f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in arrays.vertices] + [f"vt {u:.5f} {v:.5f}" for u, v in arrays.uv]
     lines += [f"f {' '.join(f'{corner}/{corner}' for corner in face)}" for face in arrays.faces + 1]
     (FOLDER / "torus.obj").write_text("\n".join(lines) + "\n")

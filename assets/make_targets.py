@@ -36,6 +36,7 @@ TARGETS = {
     "translucent_ball/target.exr": ("translucent_ball/scene.xml", 64, 4096),
     "caustic/target.exr": ("caustic/scene.xml", 40, 8192),
     "lens/target.exr": ("lens/scene.xml", 40, 8192),
+    "mirror_dish/target.exr": ("mirror_dish/scene.xml", 40, 8192),
 }
 PASS_SPP = 128
 

@@ -99,6 +99,12 @@ def bulb_in_a_ball() -> rb.Scene:
     return over_a_floor(BULB, 0.9, glass={"type": "sphere", "center": [0, 0, 1.5], "radius": 0.5, "bsdf": GLASS})
 
 
+def ball_below_a_bulb() -> rb.Scene:
+    """Rays slide over the triangles of the ball where they leave it, and their bulb sees its outline."""
+    return over_a_floor(BULB | {"position": [0.1, 0, 2.6]}, 0.9,
+                        glass={"type": "sphere", "center": [0, 0, 1.5], "radius": 0.4, "bsdf": GLASS})
+
+
 def bulb_below_a_mirror(**bsdf) -> rb.Scene:
     mirror = {"type": "sphere", "center": [0, 0, 2.5], "radius": 0.5, "bsdf": {"type": "conductor"} | bsdf}
     return over_a_floor(BULB, mirror=mirror)
@@ -135,6 +141,11 @@ MOVES = {
     "bulb": (bulb_in_a_ball, "lamp.position", (2,), 0.01),
     "index around a bulb": (bulb_in_a_ball, "glass.bsdf.eta", (), 0.01),
     "floor below a bulb": (bulb_in_a_ball, "floor.to_world", DOWN, 0.01),
+    "ball below a bulb": (ball_below_a_bulb, "glass.to_world", DOWN, 0.01),
+    "ball beside the way of a bulb": (ball_below_a_bulb, "glass.to_world", (0, 3), 0.005),
+    "ball grows below a bulb": (ball_below_a_bulb, "glass.to_world", (2, 2), 0.01),
+    "index below a bulb": (ball_below_a_bulb, "glass.bsdf.eta", (), 0.01),
+    "bulb above a ball": (ball_below_a_bulb, "lamp.position", (2,), 0.01),
     "mirror over a bulb": (bulb_below_a_mirror, "mirror.to_world", DOWN, 0.01),
     "bulb below a mirror": (bulb_below_a_mirror, "lamp.position", (2,), 0.01),
     "mirror grows": (bulb_below_a_mirror, "mirror.to_world", (2, 2), 0.01),
@@ -147,11 +158,13 @@ MOVES = {
 }
 
 
-@pytest.mark.parametrize("name", deep_but(["glass before a spot", "index of refraction", "camera", "bulb"], MOVES))
-def test_derivatives_are_those_of_differences(name):
+@pytest.mark.parametrize("sampling", ["hybrid", "attached"])
+@pytest.mark.parametrize("name", deep_but(["glass before a spot", "index of refraction", "camera", "ball below a bulb",
+                                           "index below a bulb"], MOVES))
+def test_derivatives_are_those_of_differences(name, sampling):
     """Of means over seeds, by their standard errors."""
     build, parameter, place, step = MOVES[name]
-    settings = {"spp": 64, "light_paths": "caustics", "terms": ("interior",), "max_depth": 5}
+    settings = {"spp": 64, "light_paths": "caustics", "terms": ("interior",), "max_depth": 5, "sampling": sampling}
     found, expected = [], []
     scene = build()
     renderer, wanted = rb.Renderer(scene, **settings), scene.get_parameter(parameter)

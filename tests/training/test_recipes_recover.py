@@ -16,6 +16,7 @@ BOUNDS = {
     "figurine_pose": {"figurine.to_world": {"angle": 0.25, "distance": 0.007}},
     "lamp_place": {"lamp.position": {"largest_error": 0.002}},
     "lens": {"ball.bsdf.eta": {"largest_error": 0.0029}},
+    "mirror_dish": {"lamp.position": {"largest_error": 0.0023}},
     "mirror_pose": {"figurine.to_world": {"angle": 1.0, "distance": 0.0035}},
     "room_camera": {"sensor.to_world": {"angle": 0.2, "distance": 0.008}},
     "smoke": {"smoke.interior.sigma_t.data": {"rmse": 0.035}},

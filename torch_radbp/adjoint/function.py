@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torch_radbp.adjoint.checked_sweep import CheckedSweep
 from torch_radbp.adjoint.images import render_images
-from torch_radbp.adjoint.record import glues_rays, record_wavefront
+from torch_radbp.adjoint.record import record_wavefront
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import Sweep, numbered_leaves
 from torch_radbp.adjoint.taped_sweep import sweep_of
@@ -206,7 +206,7 @@ def source_adjoint(call: RenderCall, integrand: Integrand, chunk: LaneBlock, wan
         The number of each among the wanted ones, and what is added; where each ray reads entries of its own, they are summed
         in float64.
     """
-    tensors, scene, glued = call.source.tensors, call.scene, call.sink.at_vertices and glues_rays(integrand)
+    tensors, scene, glued = call.source.tensors, call.scene, call.sink.at_vertices and integrand.settings.moving
     shift, of_scene = len(leaves_of(scene)), scene_leaves_met(scene) if glued else ()
     read = {*of_scene, *(shift + place for place in call.source.leaves_read(chunk))}
     leaves = [leaf.clone().requires_grad_() if want and place in read else leaf

@@ -51,7 +51,7 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
     integrand = integrand_of_wavefront(call, integrand, wavefront, which)
     if call.sink.at_vertices:
         deposits, hit = call.sink.deposits(call), None
-        if glues_rays(integrand) and (integrand.attached or any_differentiated((samples.ray, samples.power))):
+        if integrand.settings.moving and (integrand.attached or any_differentiated((samples.ray, samples.power))):
             still = integrand.still()
             hit = still.caster.intersect(detached(samples.ray))
             samples = joined([call.source.glued(chunk, which, integrand.scene, rows_between(hit, first, last))
@@ -63,11 +63,6 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
     radiance = L if record and call.adjoint.keep_radiance else None
     return (call.sink.deposit(call, wavefront, _shown(call, integrand, samples, recorder.hit, L), samples),
             recorder.record(partial(start_paths, call, wavefront, which), radiance, samples))
-
-
-def glues_rays(integrand: Integrand) -> bool:
-    """True if what rays meet is glued to surfaces, other than with all sampling differentiated."""
-    return integrand.settings.moving and integrand.settings.sampling != "attached"
 
 
 def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> tuple[list[Tensor], PathRecord]:

@@ -11,6 +11,7 @@ from torch_radbp.bsdf.number import NumberOf
 from torch_radbp.interface.bsdf import Kind, LobeChoice, Values, chance_of_lobe, either, on_horizon_unless
 from torch_radbp.plugin import BSDF, Texture, register
 from torch_radbp.plugin.domain import FRACTION, Domain
+from torch_radbp.sampling.sampler import LARGEST_NUMBER
 from torch_radbp.tensors.differentiated import differentiated
 from torch_radbp.tensors.vec import Vec3, where
 from torch_radbp.texture.bitmap import reader_of
@@ -18,7 +19,6 @@ from torch_radbp.texture.rgb import as_texture
 
 LEAST_CHANCE = 0.02  # of either material: one of weight zero is still sampled, and the weight has its derivative
 ROUNDING = 1e-6  # by which weights of 0 and 1 may be off when they are read from an image in float32
-LARGEST_NUMBER = 1.0 - 2.0**-24
 
 
 @dataclass(frozen=True)
@@ -141,8 +141,8 @@ class BlendKind(Kind):
                          for kind, part, part_choice in zip((self.first, self.second), self.parts(values), choice.parts))
         return where(choice.lobe > 0, second * weight, first * (1.0 - weight))
 
-    def compression(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor | None:
-        first, second = (kind.compression(part, wi, part_choice)
+    def spread(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor | None:
+        first, second = (kind.spread(part, wi, part_choice)
                          for kind, part, part_choice in zip((self.first, self.second), self.parts(values), choice.parts))
         return either(choice.lobe > 0, second, first)
 

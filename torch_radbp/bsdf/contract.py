@@ -93,9 +93,9 @@ class CheckedKind:
     def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
         return self.check_vector("specular", "the result", self.call("specular", values, wi, choice), wi.z)
 
-    def compression(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor | None:
-        result = self.call("compression", values, wi, choice)
-        return None if result is None else self.check_lanes("compression", "the result", result, wi.z)
+    def spread(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor | None:
+        result = self.call("spread", values, wi, choice)
+        return None if result is None else self.check_lanes("spread", "the result", result, wi.z)
 
     def check_vector(self, method: str, what: str, result: Any, like: Tensor) -> Vec3:
         """Returns `result` if it is a vector of the shape and dtype of `like`, else raises."""

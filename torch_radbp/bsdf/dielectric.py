@@ -17,6 +17,8 @@ from torch_radbp.plugin.domain import NUMBER, REFLECTANCE, Domain
 from torch_radbp.tensors.vec import Vec3
 from torch_radbp.texture.rgb import as_texture
 
+LEAST_COSINE = 1e-6
+
 
 def relative_index(eta: Tensor, side: Tensor) -> Tensor:
     """Index of refraction of the far side over that of the near side; `eta`: of the inside over the outside."""
@@ -71,9 +73,11 @@ class DielectricKind(DeltaKind):
         transmittance = (1.0 - reflectance) / (eta * eta)
         return values[1] * (reflectance * (1.0 - choice.lobe)) + values[2] * (transmittance * choice.lobe)
 
-    def compression(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor:
+    def spread(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor:
         eta = relative_index(values[0].x, side_of(wi))
-        return blend(choice, torch.ones_like(eta), eta * eta)
+        _, cos_t = dielectric_reflectance(wi.z.abs(), eta)
+        transmitted = wi.z.abs() / (eta * eta * cos_t.clamp_min(LEAST_COSINE))
+        return blend(choice, torch.ones_like(eta), transmitted)
 
 
 @register("bsdf", "dielectric")

@@ -18,17 +18,19 @@ Lecocq and Stein 2019, "A Microfacet-Based Shadowing Function to Solve the Bump 
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from torch_radbp.interface.bsdf import Kind, LobeChoice, Values, on_horizon_unless
-from torch_radbp.tensors.vec import Frame, Vec3, dot, where
+from torch_radbp.sampling.sampler import LARGEST_NUMBER
+from torch_radbp.tensors.vec import Frame, Vec3, dot, masked, where
 
 SHORTEST = 1e-8  # squared length of a normal; one that is shorter counts as not turned
 FLATTEST = 1e-12  # squared cosine in a tangent
+LEAST_CHANCE = 1e-3  # of a frame in which directions are drawn
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,7 @@ class TurnedKind(Kind):
     nested: Kind
     flip: bool
     shadowing: bool
+    from_lamps: bool = False  # it is the `adjoint`
 
     normal_values: ClassVar[int]
 
@@ -54,7 +57,15 @@ class TurnedKind(Kind):
 
     @property
     def discrete(self) -> bool:
-        return self.nested.discrete
+        return self.nested.discrete or self.draws_frames
+
+    @property
+    def draws_frames(self) -> bool:
+        """True if it is drawn whether the normal is that of viewers who see it turned round."""
+        return self.from_lamps and self.flip
+
+    def adjoint(self) -> Kind:
+        return replace(super().adjoint(), from_lamps=True)
 
     @property
     def oriented(self) -> bool:
@@ -100,9 +111,18 @@ class TurnedKind(Kind):
 
     def frame(self, values: Values, wi: Vec3) -> Frame:
         """The frame around the perturbed normal, in coordinates of the surface's frame; attached."""
-        one, n = torch.ones_like(wi.z), self.normal(values)
-        if self.flip:
-            sign = 1.0 - 2.0 * (wi.z * dot(wi, n) <= 0).to(wi.z.dtype)
+        return self.frame_if(values, self.is_turned_round(values, wi))
+
+    def is_turned_round(self, values: Values, wi: Vec3) -> Tensor | None:
+        """(N,) bool: to a viewer the normal is turned about the surface's own; None: to no one."""
+        return wi.z * dot(wi, self.normal(values)) <= 0 if self.flip else None
+
+    def frame_if(self, values: Values, turned_round: Tensor | None) -> Frame:
+        """The frame of a viewer to whom `is_turned_round` says this."""
+        n = self.normal(values)
+        one = torch.ones_like(n.z)
+        if turned_round is not None:
+            sign = 1.0 - 2.0 * turned_round.to(n.z.dtype)
             n = Vec3(n.x * sign, n.y * sign, n.z)
         squared = dot(n, n)
         turned = squared > SHORTEST
@@ -128,31 +148,76 @@ class TurnedKind(Kind):
         frame = self.frame(values, wi)
         turned = frame.to_local(wo)
         value, pdf = self.nested.eval_pdf(values[self.normal_values:], frame.to_local(wi), turned, fixed_lobes)
-        return value * self.passes(frame, wo, turned), pdf * (wo.z * turned.z > 0).to(pdf.dtype)
+        value = value * self.passes(frame, wo, turned)
+        if not self.from_lamps:
+            return value, pdf * (wo.z * turned.z > 0).to(pdf.dtype)
+        turned_round = self.is_turned_round(values, wo)
+        frame = self.frame_if(values, turned_round)
+        pdf = self.nested.eval_pdf(values[self.normal_values:], frame.to_local(wi), frame.to_local(wo), fixed_lobes)[1]
+        if turned_round is not None:
+            pdf = pdf * chance_of_frame(self.chance_of_turned_round(values), turned_round)
+        return value, pdf * (wo.z != 0).to(pdf.dtype)
+
+    def chance_of_turned_round(self, values: Values) -> Tensor:
+        """The probability of drawing directions to viewers to whom the normal is turned round; detached."""
+        return (0.5 * torch.sqrt(1.0 - self.frame_if(values, None).n.z.detach() ** 2)).clamp(LEAST_CHANCE, 0.5)
+
+    def drawn_frame(self, values: Values, wi: Vec3, choice: LobeChoice) -> tuple[Frame, LobeChoice]:
+        """The frame in which a direction is sampled, and the choice of the nested kind."""
+        if not self.draws_frames:
+            return self.frame(values, wi), choice
+        return self.frame_if(values, choice.lobe > 0), choice.parts[0]
 
     def choose(self, values: Values, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor) -> LobeChoice:
-        return self.nested.choose(values[self.normal_values:], self.frame(values, wi).to_local(wi).detach(), choice, u, v)
+        own_values = values[self.normal_values:]
+        if not self.draws_frames:
+            return self.nested.choose(own_values, self.frame(values, wi).to_local(wi).detach(), choice, u, v)
+        chance = self.chance_of_turned_round(values)
+        turned_round, number = picked_with(chance, choice)
+        own = self.nested.choose(own_values, self.frame_if(values, turned_round).to_local(wi).detach(), number, u, v)
+        return LobeChoice(turned_round.to(chance.dtype), own.probability * chance_of_frame(chance, turned_round), own.delta,
+                          (own,))
 
     def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
-        frame = self.frame(values, wi)
-        turned = self.nested.sample(values[self.normal_values:], frame.to_local(wi), choice, u, v)
+        frame, own = self.drawn_frame(values, wi, choice)
+        turned = self.nested.sample(values[self.normal_values:], frame.to_local(wi), own, u, v)
         wo = frame.to_world(turned)
-        return on_horizon_unless(wo.z * turned.z > 0, wo)
+        if not self.from_lamps:
+            return on_horizon_unless(wo.z * turned.z > 0, wo)
+        usable = turned.z != 0
+        if self.flip:  # of delta lobes `specular` says whether the viewer sees the normal so
+            usable = usable & ((self.is_turned_round(values, wo) == (choice.lobe > 0)) | own.is_delta(self.nested))
+        return on_horizon_unless(usable, wo)
 
     def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: LobeChoice) -> Tensor | None:
-        frame = self.frame(values, wi)
-        return self.nested.chance_by_direction(values[self.normal_values:], frame.to_local(wi), frame.to_local(wo), choice)
+        frame, own = self.drawn_frame(values, wi, choice)
+        return self.nested.chance_by_direction(values[self.normal_values:], frame.to_local(wi), frame.to_local(wo), own)
 
     def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
-        frame = self.frame(values, wi)
+        frame, own = self.drawn_frame(values, wi, choice)
         local, number = frame.to_local(wi), torch.full_like(wi.z, 0.5)  # directions of delta lobes depend on no number
-        turned = self.nested.sample(values[self.normal_values:], local, choice, number, number)
-        light = self.nested.specular(values[self.normal_values:], local, choice)
-        return light * self.passes(frame, frame.to_world(turned), turned)
+        turned = self.nested.sample(values[self.normal_values:], local, own, number, number)
+        light = self.nested.specular(values[self.normal_values:], local, own)
+        light = light * self.passes(frame, frame.to_world(turned), turned)
+        if not self.draws_frames:
+            return light
+        return masked(self.is_turned_round(values, wi) == (choice.lobe > 0), light)
 
-    def compression(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor | None:
-        frame = self.frame(values, wi)
-        return self.nested.compression(values[self.normal_values:], frame.to_local(wi), choice)
+    def spread(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor | None:
+        frame, own = self.drawn_frame(values, wi, choice)
+        return self.nested.spread(values[self.normal_values:], frame.to_local(wi), own)
+
+
+def chance_of_frame(chance: Tensor, turned_round: Tensor) -> Tensor:
+    """The probability of having drawn this; `chance`: that the normal is turned round."""
+    return torch.where(turned_round, chance, 1.0 - chance)
+
+
+def picked_with(chance: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
+    """Whether a random number picks what has a probability within (0, 1), and the number that is left of it."""
+    picked = number < chance
+    rest = torch.where(picked, number / chance, (number - chance) / (1.0 - chance))
+    return picked, rest.clamp(0.0, LARGEST_NUMBER)
 
 
 def squared_tangent(w: Vec3) -> Tensor:

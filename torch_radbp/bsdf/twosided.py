@@ -124,9 +124,9 @@ class TwoSidedKind(Kind):
                     for kind, side_values, part in zip(self.sides, self.parts(values), choice.parts)]
         return where(side > 0, of_sides[0], of_sides[-1])
 
-    def compression(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor | None:
+    def spread(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor | None:
         side = side_of(wi)
-        of_sides = [kind.compression(side_values, mirrored(wi, side), part)
+        of_sides = [kind.spread(side_values, mirrored(wi, side), part)
                     for kind, side_values, part in zip(self.sides, self.parts(values), choice.parts)]
         return either(side > 0, of_sides[0], of_sides[-1])
 

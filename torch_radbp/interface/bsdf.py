@@ -28,7 +28,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 import torch
@@ -143,12 +143,21 @@ class Kind(ABC):
         """The weight of the chosen delta lobe, not divided by the choice's probability; attached. Elsewhere any number."""
         raise TypeError(f"{type(self).__name__} has no delta lobe: use eval")
 
-    def compression(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor | None:
-        """(n_o / n_i)^2 with the indices of refraction on the sides of wo and wi, of the chosen delta lobe; attached.
+    def spread(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor | None:
+        """The solid angle of the directions wo over that of the wi from which they come, of the chosen delta lobe; attached.
 
-        By it `specular`, for radiance, has been divided: power, which paths from lamps carry, is not. None: 1.
+        With the indices n of refraction on both sides, n_i^2 |cos wi| / (n_o^2 |cos wo|), and 1, or None, for mirrors.
         """
         return None
+
+    def adjoint(self) -> Kind:
+        """The kind as paths sample it that begin at lamps: wi is then towards the lamp, wo towards the camera.
+
+        Only where `sample` and its density differ, and `choose` and `specular` with these, is it another than this; `eval`
+        is that of radiance still, whose first direction is towards the camera.
+        """
+        nested = {name: part.adjoint() for name, part in vars(self).items() if isinstance(part, Kind)}
+        return replace(self, **nested) if nested else self
 
     def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
         """The albedo of the material, as Mitsuba's AOV `albedo` has it; attached.

@@ -49,7 +49,7 @@ class PathState(NamedTuple):
 
     ray: Ray
     beta: Vec3  # throughput
-    pdf: Tensor  # solid-angle density of the ray's direction; infinite: not random
+    pdf: Tensor  # solid-angle density of the ray's direction; infinite: not random; -1: glued to what it meets
     key: LaneKey  # of the lane's random numbers
     lane: Tensor  # int32, index of the lane in its chunk; dead lanes leave gaps
     vantage: Vantage | None = None  # where the ray starts; None if light selection does not depend on it
@@ -124,7 +124,7 @@ def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: boo
     beta = Vec3(torch.ones_like(ray.d.x), torch.ones_like(ray.d.x), torch.ones_like(ray.d.x)) if power is None else power
     lane = torch.arange(len(ray.d.x), dtype=torch.int32, device=ray.d.x.device)
     pdf = torch.full_like(ray.d.x.detach(), torch.inf)
-    return PathState(ray, beta, pdf if slides is None else torch.where(slides, pdf, 1.0), key, lane,
+    return PathState(ray, beta, pdf if slides is None else torch.where(slides, pdf, -1.0), key, lane,
                      Vantage(ray.o.map(settled), ray.d.map(settled)) if from_places else None,
                      torch.zeros_like(lane, dtype=torch.bool) if following else None, cone,
                      None if medium is None else torch.full_like(lane, medium), torch.zeros_like(lane) if shared else None)

@@ -127,7 +127,8 @@ def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings,
     """The surface interaction of rays; the point slides if the ray's direction is differentiated or not random."""
     slides = None
     if settings.moving:
-        slides = torch.isinf(arrival.state.pdf) | (settings.sampling == "attached")
+        pdf = arrival.state.pdf
+        slides = pdf > 0 if settings.sampling == "attached" else torch.isinf(pdf)
         if settings.following:
             slides = slides | arrival.state.followed
     return surface_interaction(scene, arrival.state.ray, arrival.hit, slides, here, arrival.front, arrival.state.cone)

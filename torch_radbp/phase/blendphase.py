@@ -12,12 +12,12 @@ from torch_radbp.interface.phase import PhaseFunction, PhaseKind
 from torch_radbp.interface.volume import VolumeKind
 from torch_radbp.plugin import Phase, Texture, Volume, register
 from torch_radbp.plugin.domain import FRACTION, Domain
+from torch_radbp.sampling.sampler import LARGEST_NUMBER
 from torch_radbp.tensors.differentiated import settled
 from torch_radbp.tensors.vec import Vec3, where
 from torch_radbp.volume.constvolume import ConstVolume, as_volume
 
 LEAST_CHANCE = 0.02  # of either: one of weight 0 is sampled, so that the weight has its derivative
-LARGEST_NUMBER = 1.0 - 2.0**-24
 
 
 class BlendTable(NamedTuple):

@@ -41,6 +41,7 @@ SPREAD = ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555))
 INCREMENT = -0x61C88647  # of seeds, 2^32 over the golden ratio
 APART = 1 << 31  # samples of a pixel with which each has a sequence of its own
 DIMENSIONS_PER_BOUNCE = len(MULTIPLIERS)
+LARGEST_NUMBER = 1.0 - 2.0**-24  # of all random numbers in [0, 1)
 
 
 class SampleKey(NamedTuple):

@@ -11,7 +11,7 @@ from torch_radbp.interface.texture import TexturePoint, TriangleEdges
 from torch_radbp.scene.tables.placement import points_in_world, shown_direction, shown_normals
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import Corners, along_edges, at_corners, clearance, edges
-from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.lookup import lookup, untapped
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import (
     TINY,
@@ -96,6 +96,8 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     if slides is not None:
         t = attached(t, dot(p - ray.o, ray.d))
         n = attached(n, unit_normal_shown(scene, hit, e1, e2))
+        if layout.from_lamps and layout.shading_normals:
+            n = turning_as_it_slides(scene, hit, n)
     cosine = dot(n, ray.d)
     shading = shading_normal(scene, hit, n)
     shading_cosine = dot(shading, ray.d)
@@ -145,6 +147,19 @@ def shading_normal(scene: SceneTensors, hit, n: Vec3) -> Vec3:
     normals = shown_normals(scene, hit, at_corners(triangles.vertices.n, corner_rows(scene, hit)))
     shading = normalize(interpolated(normals, hit.u, hit.v))
     return shading if triangles.smooth is None else where(lookup(triangles.smooth, hit.prim.clamp_min(0)), shading, n)
+
+
+def turning_as_it_slides(scene: SceneTensors, hit, n: Vec3) -> Vec3:
+    """Geometric normals that turn with the shading normals of smooth bodies as points slide over these; attached to `hit`.
+
+    The adjoint BSDF has the cosines of both normals. Along a smooth body these go together, but for less than the turn from
+    one triangle to the next, which the geometric normal makes at their edges, where no derivative sees it.
+    """
+    still = untapped(scene.triangles.vertices.n).map(torch.Tensor.detach)
+    vertices = scene.triangles.vertices._replace(n=still)
+    slid = shading_normal(scene._replace(triangles=scene.triangles._replace(vertices=vertices)), hit, n.detach())
+    side = torch.copysign(torch.ones_like(n.x), dot(slid, n).detach())
+    return n + (slid - slid.detach()) * side
 
 
 def is_in_front(scene: SceneTensors, ray: Ray, hit) -> Tensor:

@@ -62,7 +62,9 @@ def material_at(scene: SceneTensors, si: SurfaceInteraction, texture_values: tup
         else:
             bank = scene.textures[readers.index(reader)]
             values.append(reader.read(untapped(bank) if is_still else bank, lookup(slot, si.material), si.point))
-    return Material(appearance.kind, tuple(values), si.frame.to_local(si.n) if scene.layout.from_lamps else None)
+    if scene.layout.from_lamps:
+        return Material(appearance.kind.adjoint(), tuple(values), si.frame.to_local(si.n))
+    return Material(appearance.kind, tuple(values))
 
 
 def material_places(scene: SceneTensors, si: SurfaceInteraction) -> tuple[Place, ...]:
@@ -144,9 +146,10 @@ def relative_chance(material: Material, wi: Vec3, wo: Vec3, lobe: LobeChoice) ->
 
 def specular(material: Material, wi: Vec3, wo: Vec3, lobe: LobeChoice) -> BSDFSample:
     """The `BSDFSample` for the direction `wo` of a delta lobe."""
-    weight = material.kind.specular(material.values, wi, lobe) * (1.0 / lobe.probability.clamp_min(LEAST_DENSITY))
-    if material.normal is not None:
-        weight = weight * (material.turned(wi, wo) * (wi.z.abs() / wo.z.abs().clamp_min(LEAST_COSINE)))
-        compression = material.kind.compression(material.values, wi, lobe)
-        weight = weight if compression is None else weight * compression
+    from_lamp = material.normal is not None
+    weight = material.kind.specular(material.values, wo if from_lamp else wi, lobe)
+    weight = weight * (1.0 / lobe.probability.clamp_min(LEAST_DENSITY))
+    if from_lamp:
+        spread = material.kind.spread(material.values, wi, lobe)
+        weight = weight * (material.turned(wi, wo) * (1.0 if spread is None else spread))
     return BSDFSample(wo, weight, torch.full_like(wo.z, torch.inf))

@@ -20,7 +20,7 @@ from torch_radbp.path.state import BSDF_CHOICE, Arrival, PathState, Settings
 from torch_radbp.path.surface import surface_met
 from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.sampling.sampler import bounce_key, uniform
+from torch_radbp.sampling.sampler import LARGEST_NUMBER, bounce_key, uniform
 from torch_radbp.scene.tables.light_tree import Vantage
 from torch_radbp.tensors.record import leaves_of, with_leaves
 from torch_radbp.tensors.vec import TINY, Frame, Vec3, dot, masked, rows
@@ -31,7 +31,6 @@ from torch_radbp.vertex.material import Material, evaluate, material_at, materia
 
 GUESSES = 6  # of each number
 STEPS = 14
-ALMOST_ONE = 1.0 - 2.0**-24  # the largest random number
 LARGEST_STEP = 0.15
 CLOSE = 1e-9  # square of the angle by which a direction that was found may be off
 SALT = 0x6A09E667  # tells the numbers that pick lobes from others
@@ -154,7 +153,7 @@ def inverted_sampling(material: Material, wi: Vec3, wo: Vec3, choice: Tensor) ->
         at = with_leaves(at, [torch.where(nearer, *parts) for parts in zip(leaves_of(then), leaves_of(at))])
         reach = torch.where(nearer, (2.0 * reach).clamp_max(1.0), 0.25 * reach)
     # In float32 a number just below 1 would become 1, which no random number is, and no direction belongs to.
-    u, v = (number.clamp_max(ALMOST_ONE) for number in (at.u, at.v))
+    u, v = (number.clamp_max(LARGEST_NUMBER) for number in (at.u, at.v))
     return DirectionNumbers(choice, u, v), torch.where(at.off < CLOSE, at.density, 0.0)
 
 
