@@ -10,8 +10,7 @@ roulette.
     verdict  equal: |z| < 4, and 99.75% of the pixels are inside; else what is known of the reason
 
 ``--public`` renders the scenes with media of Mitsuba's test suite, rebuilt (`tests/scenes/xml/public_media.py`), by 868
-samples. We count the passage of a `thindielectric` as a bounce, Mitsuba does not: those three scenes are rendered once more
-with a depth of 64, at which that no longer matters.
+samples.
 
 ``--roulette`` shows Mitsuba's `volpathmis` with and without roulette, beside its `volpath` and us: the means of one image.
 
@@ -58,12 +57,8 @@ from tests.scenes.xml.files import Case, Folder
 
 BATCHES, PATHS = 32, 1e6
 FARTHEST = 4.0  # standard errors
-DEEP = 64  # where a bounce more or less no longer matters
 # Why rows differ, by a part of their names.
-REASONS = {"sggx": "Mitsuba's flakes lose energy: under a sky of 1 its radiance is .96 to .99, ours 1 (`tests/medium`)",
-           "homo_area_light": "thindielectric is a bounce here", "homo_emitter_inside": "thindielectric is a bounce here",
-           "homo_obj_inside": "thindielectric is a bounce here"}
-THIN = ("homo_area_light", "homo_emitter_inside_medium", "homo_obj_inside_medium")
+REASONS = {"sggx": "Mitsuba's flakes lose energy: under a sky of 1 its radiance is .96 to .99, ours 1 (`tests/medium`)"}
 HEADER = "| scene | z | bias | inside | time, ours + Mitsuba's | verdict |\n|---|---|---|---|---|---|"
 
 
@@ -89,12 +84,6 @@ def table(cases: dict[str, Case], spp: int, batches: int, seed: int) -> None:
         print(line, flush=True)
         agree += equal
     print(f"{agree} of {len(cases)} agree")
-
-
-def public_cases() -> dict[str, Case]:
-    """The public scenes, and those with thin glass once more, deeper."""
-    return {name: public_media.case_of(name) for name in public_media.SCENES} | {
-        f"{name}, depth {DEEP}": public_media.case_of(name, DEEP) for name in THIN}
 
 
 def roulette(case: Case, spp: int, batches: int) -> None:
@@ -231,7 +220,8 @@ def main() -> None:
     if options.roulette:
         roulette(media.case_of(media.Row("grey", "tabphase", "null", "inside", "sky", 64)), spp, 2 * BATCHES)
     elif options.public:
-        table(chosen(public_cases()), public_media.SPP, public_media.BATCHES, options.seed)
+        public = {name: public_media.case_of(name) for name in public_media.SCENES}
+        table(chosen(public), public_media.SPP, public_media.BATCHES, options.seed)
     else:
         table(chosen({str(each): media.case_of(each) for each in media.rows()}), spp, BATCHES, options.seed)
 

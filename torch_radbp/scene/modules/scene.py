@@ -59,8 +59,8 @@ class Scene(ModuleTree):
         if len(surrounds) > 1:
             raise SceneError(f"the scene has more than one emitter that surrounds it ({', '.join(surrounds)}): add up "
                              "their radiances in one")
-        bounded = any(shape.bounds_media for shape in self.shapes)  # then what is invisible is no bounce
-        self.integrator.check([bsdf for bsdf in self.bsdfs() if not (bounded and bsdf.kind().invisible)])
+        # What light passes straight in a scene with media is no bounce.
+        self.integrator.check([bsdf for bsdf in self.bsdfs() if not (media and bsdf.kind().straight)])
         for plugin in self.modules():
             if isinstance(plugin, Plugin):
                 plugin.in_scene = True
