@@ -12,7 +12,8 @@ roulette.
 ``--public`` renders the scenes with media of Mitsuba's test suite, rebuilt (`tests/scenes/xml/public_media.py`), by 868
 samples.
 
-``--roulette`` shows Mitsuba's `volpathmis` with and without roulette, beside its `volpath` and us: the means of one image.
+``--integrators`` shows Mitsuba's `volpathmis` with and without roulette, beside its `volpath` and us: the means of two
+images, of a haze under a sky, and of one in a tinted pane before a lamp.
 
 ``--time`` measures three scenes: a ball of glass with a medium under a sky, fog in a room, a cloud of 128^3 cells under a
 sky. Both take turns in one process, forward alone and forward with backward (gradients by extinction and albedo; Mitsuba by
@@ -59,6 +60,8 @@ BATCHES, PATHS = 32, 1e6
 FARTHEST = 4.0  # standard errors
 # Why rows differ, by a part of their names.
 REASONS = {"sggx": "Mitsuba's flakes lose energy: under a sky of 1 its radiance is .96 to .99, ours 1 (`tests/medium`)"}
+INTEGRATORS_OF = (media.Row("grey", "tabphase", "null", "inside", "sky", 64),
+                  media.Row("grey", "isotropic", "tinted", "inside", "lamp", 8))
 HEADER = "| scene | z | bias | inside | time, ours + Mitsuba's | verdict |\n|---|---|---|---|---|---|"
 
 
@@ -86,9 +89,11 @@ def table(cases: dict[str, Case], spp: int, batches: int, seed: int) -> None:
     print(f"{agree} of {len(cases)} agree")
 
 
-def roulette(case: Case, spp: int, batches: int) -> None:
+def integrators(row: media.Row, spp: int, batches: int) -> None:
     """Prints the means of one image by Mitsuba's integrators, with and without Russian roulette, and by us."""
-    mi, depth = mitsuba_for("cpu"), case.variables["max_depth"]
+    mi, case = mitsuba_for("cpu"), media.case_of(row)
+    depth = case.variables["max_depth"]
+    print(f"{row}\n")
     with tempfile.TemporaryDirectory() as folder:
         path = case.build(Folder(Path(folder)))
         theirs, ours = mi.load_file(str(path), **case.variables), rb.load(path, **case.variables)
@@ -191,7 +196,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     kinds = parser.add_mutually_exclusive_group()
     kinds.add_argument("--public", action="store_true", help="the scenes of Mitsuba's test suite, rebuilt")
-    kinds.add_argument("--roulette", action="store_true", help="the bias of volpathmis by Russian roulette")
+    kinds.add_argument("--integrators", action="store_true", help="the biases of volpathmis")
     kinds.add_argument("--time", action="store_true", help="seconds and noise of three scenes")
     kinds.add_argument("--memory", type=int, nargs="*", metavar="CELLS", help="of a grid, along each axis; 256 by default")
     parser.add_argument("--rounds", type=int, default=5, help="of --time, after the first calls")
@@ -217,8 +222,9 @@ def main() -> None:
             measure(name, options.rounds, options.small)
         return
     spp = max(1, round(options.paths / (BATCHES * media.SIZE["width"] * media.SIZE["height"])))
-    if options.roulette:
-        roulette(media.case_of(media.Row("grey", "tabphase", "null", "inside", "sky", 64)), spp, 2 * BATCHES)
+    if options.integrators:
+        for shown in INTEGRATORS_OF:
+            integrators(shown, spp, 2 * BATCHES)
     elif options.public:
         public = {name: public_media.case_of(name) for name in public_media.SCENES}
         table(chosen(public), public_media.SPP, public_media.BATCHES, options.seed)

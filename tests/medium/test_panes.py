@@ -17,15 +17,26 @@ from tests.gradients import EXACT, REPLAY, assert_informative, assert_transposed
 from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
 from tests.scenes.media import BLACK, DULL, MOVING, NAMES, NULL, SETTINGS, ball, haze, room, slab
+from torch_radbp.io.values.transform import scale
 
 CLAY = diffuse(0.7, 0.5, 0.3)
 AIR = {"type": "ref", "id": "air"}
 TINT = (0.9, 0.8, 0.7)
+COLOUR = torch.tensor(TINT, dtype=torch.float64)
 SMOOTH = torch.rand(4, 4, 1, generator=torch.Generator().manual_seed(0)).numpy()  # opacities
 
 
 def thin(tint=TINT) -> dict:
     return {"type": "thindielectric", "int_ior": 1.5, "specular_transmittance": rgb(*tint)}
+
+
+def passing(cosine: torch.Tensor | float) -> torch.Tensor:
+    """What a pane of `thin`, not tinted, lets pass; `ext_ior` is that of air."""
+    cosine, eta = torch.as_tensor(cosine, dtype=torch.float64), 1.5 / 1.000277
+    inside = (1 - (1 - cosine**2) / eta**2).sqrt()
+    across, parallel = (cosine - eta * inside) / (cosine + eta * inside), (eta * cosine - inside) / (eta * cosine + inside)
+    reflectance = (across**2 + parallel**2) / 2
+    return 1 - 2 * reflectance / (1 + reflectance)
 
 
 def mask(opacity=0.4, bsdf=CLAY) -> dict:
@@ -70,10 +81,7 @@ def test_light_through_panes_is_left_by_glass_and_medium(compile):
                  floor=rectangle((0, 0, 0), 3.0, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0}))
     images = torch.stack([rb.render(scene, spp=4096, max_depth=1, compile=compile, seed=seed).mean((0, 2, 3))
                           for seed in range(12)])
-    reflectance = (0.5 / 2.5)**2  # of one boundary; `ext_ior` is that of air
-    reflectance = ((1.5 / 1.000277 - 1) / (1.5 / 1.000277 + 1))**2
-    passing = (1 - 2 * reflectance / (1 + reflectance)) * torch.tensor(TINT, dtype=torch.float64)
-    wanted = passing**2 * torch.exp(-1.5 * torch.tensor([0.2, 0.4, 0.8], dtype=torch.float64))
+    wanted = (passing(1.0) * COLOUR)**2 * torch.exp(-1.5 * torch.tensor([0.2, 0.4, 0.8], dtype=torch.float64))
     error = images.std(0) / math.sqrt(len(images))
     assert ((images.mean(0) - wanted).abs() < 4 * error).all() and (error < 0.005 * wanted).all()
 
@@ -86,10 +94,23 @@ def test_connections_to_lights_pass_panes():
                           floor=rectangle((0, 0, 0), 1.5, bsdf=diffuse(0.5, 0.5, 0.5)),
                           pane=rectangle((0, 0, 1.0), 3.0, bsdf=bsdf)) for bsdf in (NULL, thin()))
     images = [rb.render(scene, spp=4, max_depth=2).mean((0, 2, 3)) for scene in (plain, tinted)]
-    reflectance = ((1.5 / 1.000277 - 1) / (1.5 / 1.000277 + 1))**2
-    passing = (1 - 2 * reflectance / (1 + reflectance)) * torch.tensor(TINT, dtype=torch.float64)
     assert images[0].min() > 0
-    torch.testing.assert_close(images[1] / images[0], passing, rtol=1e-4, atol=0)
+    torch.testing.assert_close(images[1] / images[0], passing(1.0) * COLOUR, rtol=1e-4, atol=0)
+
+
+def test_a_floor_below_a_lamp_behind_a_tinted_pane_is_as_bright_as_the_integral():
+    """Over the lamp; connections and chance together. Mitsuba's `volpathmis` is too bright here, its `volpath` right."""
+    nothing = haze((0, 0, 0), (0, 0, 0))
+    scene = load(torch.float64, air=nothing, camera=overhead(1, 0.5, 0.001) | {"medium": AIR},
+                 floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.5, 0.5, 0.5)), pane=rectangle((0, 0, 1), 50.0, bsdf=thin()),
+                 lamp=rectangle((0, 0, 2), 1.0, (1, 0, 0), 180, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0}))
+    images = torch.stack([rb.render(scene, spp=1 << 14, max_depth=2, seed=seed).flatten() for seed in range(8)])
+    x = (torch.arange(400, dtype=torch.float64) + 0.5) / 200 - 1
+    cosine = 2.0 * (x.square()[:, None] + x.square() + 4.0).rsqrt()
+    solid_angle = cosine**3 / 4.0 / 200**2  # of a piece of the lamp
+    shone = (passing(cosine) * cosine * solid_angle).sum() * 0.5 / math.pi * COLOUR
+    error = images.std(0) / math.sqrt(len(images))
+    assert ((images.mean(0) - shone).abs() < 4 * error).all() and (error < 0.003 * shone).all()
 
 
 @pytest.mark.parametrize("name", ["thin", "mask", "mask of thin", "blend"])
@@ -191,6 +212,49 @@ def test_derivatives_by_what_decides_are_those_of_differences(name, parameter, a
         with torch.no_grad():
             scene.get_parameter(f"ball.bsdf.{parameter}").fill_(at)
     assert_as_differences(scene, f"ball.bsdf.{parameter}", step=0.1, spp=1 << 12)
+
+
+def under_a_smooth_mask(air: dict, half: float) -> rb.Scene:
+    """A black mask whose opacity changes smoothly, so that nothing jumps but at its edges; the floor sends light."""
+    tiles = scale((half / 3, half / 3, 1))
+    smooth = {"type": "bitmap", "bitmap": SMOOTH, "raw": True, "wrap_mode": "mirror", "to_uv": tiles}
+    return load(torch.float64, air=air, camera=overhead(2, 4.0, 0.7) | {"medium": AIR},
+                floor=rectangle((0, 0, 0), 30.0, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0}),
+                pane=rectangle((0, 0, 1.0), half, bsdf=mask(smooth, BLACK))).requires_grad_(False)
+
+
+@pytest.mark.parametrize("air, half, name, entry, step", [
+    (haze((0.3, 0.4, 0.5), (0, 0, 0)), 3.0, "pane.to_world", (0, 3), 0.02),
+    (haze((0.3, 0.4, 0.5), (0, 0, 0)), 3.0, "pane.to_world", (0, 0), 0.06),
+    (haze((0.3, 0.4, 0.5), (0, 0, 0)), 3.0, "camera.to_world", (0, 3), 0.02),
+    (DULL, 30.0, "pane.to_world", (0, 0), 0.6), deep(DULL, 30.0, "pane.to_world", (2, 3), 0.05)],
+    ids=["shift", "size", "camera", "size in fog", "height in fog"])
+@pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
+def test_derivatives_by_a_mask_that_moves_are_those_of_differences(air, half, name, entry, step):
+    """Of edges that a medium sees derivatives lack what a warning says (`test_homogeneous.py`): in fog they are far away."""
+    scene = under_a_smooth_mask(air, half)
+    pose, settings, found = scene.get_parameter(name), {"spp": 1 << 15, "max_depth": 3}, []
+    at, tangent = pose.clone(), torch.zeros_like(pose)
+    tangent[entry] = 1.0
+    for seed in range(8):
+        jvp, images = rb.jvp(scene, {name: tangent}, seed=100 + seed, terms=("interior",), **settings), []
+        for sign in (-1, 1):
+            pose.copy_(at + sign * step * tangent)
+            images.append(rb.render(scene, seed=200 + seed, **settings))
+        pose.copy_(at)
+        found.append(torch.stack([jvp, (images[1] - images[0]) / (2 * step)]).mean(2).flatten(1))  # over colours
+    jvp, difference = torch.stack(found, 1)
+    axis = difference.mean(0) / difference.mean(0).norm()
+    error, wanted = (jvp - difference) @ axis, float((difference @ axis).mean())
+    spread = float(error.std()) / math.sqrt(len(error))
+    assert 0 < spread < 0.06 * abs(wanted) and abs(float(error.mean())) < 3.5 * spread
+
+
+def test_a_warning_says_that_edges_of_panes_have_no_part_in_derivatives():
+    scene = under_a_smooth_mask(DULL, 3.0)
+    scene.pane.to_world.requires_grad_()
+    with pytest.warns(rb.SilhouetteWarning, match="`pane.to_world` lack what edges and shadows contribute, since rays pass"):
+        rb.render(scene, spp=1)
 
 
 @pytest.mark.parametrize("settings", [{}, {"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)}, {"chunk": 40},

@@ -59,8 +59,7 @@ class Scene(ModuleTree):
         if len(surrounds) > 1:
             raise SceneError(f"the scene has more than one emitter that surrounds it ({', '.join(surrounds)}): add up "
                              "their radiances in one")
-        # What light passes straight in a scene with media is no bounce.
-        self.integrator.check([bsdf for bsdf in self.bsdfs() if not (media and bsdf.kind().straight)])
+        self.integrator.check([] if media else self.bsdfs())  # with media, passing straight is no bounce
         for plugin in self.modules():
             if isinstance(plugin, Plugin):
                 plugin.in_scene = True
