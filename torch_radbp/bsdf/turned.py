@@ -219,6 +219,15 @@ def picked_with(chance: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
     rest = torch.where(picked, number / chance, (number - chance) / (1.0 - chance))
     return picked, rest.clamp(0.0, LARGEST_NUMBER)
 
+    def null_transmission(self, values: Values, wi: Vec3) -> tuple[Vec3, Tensor]:
+        frame = self.frame(values, wi)
+        turned = frame.to_local(wi)
+        light, chance = self.nested.null_transmission(values[self.normal_values:], turned)
+        return light * self.passes(frame, -wi, -turned), chance
+
+    def chooses_null(self, choice: LobeChoice) -> Tensor:
+        return self.nested.chooses_null(choice)
+
 
 def squared_tangent(w: Vec3) -> Tensor:
     """The squared tangent of the angle between the unit vector `w` and the normal."""
