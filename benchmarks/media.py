@@ -10,10 +10,10 @@ roulette.
     verdict  equal: |z| < 4, and 99.75% of the pixels are inside; else what is known of the reason
 
 ``--public`` renders the scenes with media of Mitsuba's test suite, rebuilt (`tests/scenes/xml/public_media.py`), by 868
-samples. We count the passage of a `thindielectric` as a bounce, Mitsuba does not: those three scenes are rendered once more
-with a depth of 64, at which that no longer matters.
+samples.
 
-``--roulette`` shows Mitsuba's `volpathmis` with and without roulette, beside its `volpath` and us: the means of one image.
+``--integrators`` shows Mitsuba's `volpathmis` with and without roulette, beside its `volpath` and us: the means of two
+images, of a haze under a sky, and of one in a tinted pane before a lamp.
 
 ``--time`` measures three scenes: a ball of glass with a medium under a sky, fog in a room, a cloud of 128^3 cells under a
 sky. Both take turns in one process, forward alone and forward with backward (gradients by extinction and albedo; Mitsuba by
@@ -58,12 +58,10 @@ from tests.scenes.xml.files import Case, Folder
 
 BATCHES, PATHS = 32, 1e6
 FARTHEST = 4.0  # standard errors
-DEEP = 64  # where a bounce more or less no longer matters
 # Why rows differ, by a part of their names.
-REASONS = {"sggx": "Mitsuba's flakes lose energy: under a sky of 1 its radiance is .96 to .99, ours 1 (`tests/medium`)",
-           "homo_area_light": "thindielectric is a bounce here", "homo_emitter_inside": "thindielectric is a bounce here",
-           "homo_obj_inside": "thindielectric is a bounce here"}
-THIN = ("homo_area_light", "homo_emitter_inside_medium", "homo_obj_inside_medium")
+REASONS = {"sggx": "Mitsuba's flakes lose energy: under a sky of 1 its radiance is .96 to .99, ours 1 (`tests/medium`)"}
+INTEGRATORS_OF = (media.Row("grey", "tabphase", "null", "inside", "sky", 64),
+                  media.Row("grey", "isotropic", "tinted", "inside", "lamp", 8))
 HEADER = "| scene | z | bias | inside | time, ours + Mitsuba's | verdict |\n|---|---|---|---|---|---|"
 
 
@@ -91,15 +89,11 @@ def table(cases: dict[str, Case], spp: int, batches: int, seed: int) -> None:
     print(f"{agree} of {len(cases)} agree")
 
 
-def public_cases() -> dict[str, Case]:
-    """The public scenes, and those with thin glass once more, deeper."""
-    return {name: public_media.case_of(name) for name in public_media.SCENES} | {
-        f"{name}, depth {DEEP}": public_media.case_of(name, DEEP) for name in THIN}
-
-
-def roulette(case: Case, spp: int, batches: int) -> None:
+def integrators(row: media.Row, spp: int, batches: int) -> None:
     """Prints the means of one image by Mitsuba's integrators, with and without Russian roulette, and by us."""
-    mi, depth = mitsuba_for("cpu"), case.variables["max_depth"]
+    mi, case = mitsuba_for("cpu"), media.case_of(row)
+    depth = case.variables["max_depth"]
+    print(f"{row}\n")
     with tempfile.TemporaryDirectory() as folder:
         path = case.build(Folder(Path(folder)))
         theirs, ours = mi.load_file(str(path), **case.variables), rb.load(path, **case.variables)
@@ -202,7 +196,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     kinds = parser.add_mutually_exclusive_group()
     kinds.add_argument("--public", action="store_true", help="the scenes of Mitsuba's test suite, rebuilt")
-    kinds.add_argument("--roulette", action="store_true", help="the bias of volpathmis by Russian roulette")
+    kinds.add_argument("--integrators", action="store_true", help="the biases of volpathmis")
     kinds.add_argument("--time", action="store_true", help="seconds and noise of three scenes")
     kinds.add_argument("--memory", type=int, nargs="*", metavar="CELLS", help="of a grid, along each axis; 256 by default")
     parser.add_argument("--rounds", type=int, default=5, help="of --time, after the first calls")
@@ -228,10 +222,12 @@ def main() -> None:
             measure(name, options.rounds, options.small)
         return
     spp = max(1, round(options.paths / (BATCHES * media.SIZE["width"] * media.SIZE["height"])))
-    if options.roulette:
-        roulette(media.case_of(media.Row("grey", "tabphase", "null", "inside", "sky", 64)), spp, 2 * BATCHES)
+    if options.integrators:
+        for shown in INTEGRATORS_OF:
+            integrators(shown, spp, 2 * BATCHES)
     elif options.public:
-        table(chosen(public_cases()), public_media.SPP, public_media.BATCHES, options.seed)
+        public = {name: public_media.case_of(name) for name in public_media.SCENES}
+        table(chosen(public), public_media.SPP, public_media.BATCHES, options.seed)
     else:
         table(chosen({str(each): media.case_of(each) for each in media.rows()}), spp, BATCHES, options.seed)
 

@@ -12,9 +12,10 @@ from torch_radbp.jit.cpu.board import board
 from torch_radbp.jit.cpu.recorded import Recorded
 from torch_radbp.jit.order import all_lanes, chosen, duplicated, inverted, nothing, partition, put, repeated
 from torch_radbp.jit.recording.addition import Addition, Sums
-from torch_radbp.jit.recording.recording import ALL, NotRecordable, Recording, listening, outside
+from torch_radbp.jit.recording.recording import ALL, NotRecordable, Recording, Reserve, listening, outside
 from torch_radbp.jit.recording.results import RecordedInputs
 from torch_radbp.jit.scatter import scatter_add
+from torch_radbp.jit.tape import without_contents
 from torch_radbp.threads.team import alone_in_torch
 
 QUEUES = 5
@@ -241,6 +242,12 @@ def test_nothing_listens_afterwards():
 def test_what_is_given_twice_is_told():
     x, y = torch.rand(3), torch.rand(3)
     assert RecordedInputs([x, y, x, 5, 5]).pattern == (0, 1, 0, 3, 3) != RecordedInputs([x, y, x.clone(), 5, 5]).pattern
+
+
+def test_what_has_no_entries_keeps_its_type():
+    given = torch.empty(0), torch.empty(0, dtype=torch.int32)
+    blank = without_contents(given, Reserve())
+    assert [each.dtype for each in blank] == [torch.float32, torch.int32]
 
 
 def test_an_error_lets_the_helpers_go():

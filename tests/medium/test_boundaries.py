@@ -16,41 +16,11 @@ from tests.deep import deep, deep_but
 from tests.gradients import EXACT, REPLAY, assert_informative, assert_transposed, image_and_gradients, relative_error
 from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, look_at, overhead, rectangle, rgb
-from tests.scenes.media import BLACK, DULL, haze
+from tests.scenes.media import BLACK, DULL, MOVING, NAMES, NULL, SETTINGS, ball, haze, room, slab
 
-NULL = {"type": "null"}
 GLASS = {"type": "dielectric", "int_ior": 1.3}
 ROUGH = {"type": "roughdielectric", "int_ior": 1.3, "alpha": 0.3}
-SETTINGS = {"spp": 8, "max_depth": 5, "rr_depth": 2}
 CLEAR = haze((0.5, 0.5, 0.5), (1, 1, 1), 0.3)  # absorbs nothing
-
-
-def slab(height: float, thickness: float, **more) -> dict:
-    """A wide box that lies flat, with its middle at a height."""
-    pose = torch.diag(torch.tensor([50.0, 50.0, thickness / 2, 1.0]))
-    pose[2, 3] = height
-    return {"type": "cube", "to_world": pose, "bsdf": NULL, **more}
-
-
-def ball(radius: float = 0.8, **more) -> dict:
-    return {"type": "sphere", "center": [0.0, 0.0, 1.0], "radius": radius, **more}
-
-
-def room(bsdf=NULL, **more):
-    """A ball of haze with another one in it, above a floor under a lamp, a point light and a sky."""
-    return load(torch.float64, camera=overhead(4, 4.0, 1.0), floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)),
-                ball=ball(bsdf=bsdf, interior=haze()),
-                core=ball(0.4, bsdf=NULL, interior=haze((2, 1, 3), (0.3, 0.6, 0.9), -0.3)),
-                lamp=rectangle((0.3, -0.8, 2.5), 0.4, (1, 0, 0), 170, bsdf=BLACK,
-                               emitter={"type": "area", "radiance": rgb(3, 2, 1)}),
-                bulb={"type": "point", "position": [-0.5, 0.6, 2.5], "intensity": rgb(2, 3, 4)},
-                sky={"type": "constant", "radiance": rgb(0.2, 0.3, 0.4)}, **more)
-
-
-MOVING = ["ball.to_world", "core.to_world", "floor.to_world", "camera.to_world", "bulb.position"]
-NAMES = ["ball.interior.sigma_t.value.value", "ball.interior.albedo.value.value", "ball.interior.phase_function.g",
-         "ball.interior.scale", "core.interior.sigma_t.value.value", "core.interior.albedo.value.value",
-         "floor.bsdf.reflectance.value", "lamp.emitter.radiance.value", "sky.radiance.value"]
 
 
 @pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
@@ -115,6 +85,23 @@ def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, bsdf)
 
 
 @pytest.mark.parametrize("compile", [deep(False, id="eager"), pytest.param(True, id="compiled")])
+def test_paths_from_lamps_that_pass_boundaries_give_the_gradient_of_the_tape(compile):
+    """A ball of glass behind the boundary of a haze, and its caustic: rays of the bulb are glued to the glass."""
+    glass = ball(0.4, bsdf=GLASS, interior=haze((2, 1, 3), (0.3, 0.6, 0.9), -0.3), exterior=haze())
+    names, found = ["ball.to_world", "glass.to_world", "bulb.position"], []
+    for adjoint in (rb.TapeAdjoint(), rb.MemoizedAdjoint()):
+        scene = load(torch.float64, camera=overhead(4, 4.0, 1.0), ball=ball(bsdf=NULL, interior=haze()), glass=glass,
+                     floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)),
+                     bulb={"type": "point", "position": [-0.5, 0.6, 2.5], "intensity": rgb(2, 3, 4)})
+        found.append(image_and_gradients(scene, names, adjoint=adjoint, compile=compile, light_paths="caustics", **SETTINGS))
+    (image, expected), (again, gradients) = found
+    assert_informative(image, expected)
+    assert relative_error(again, image) < 1e-12
+    for name, gradient, wanted in zip(names, gradients, expected):
+        assert relative_error(gradient, wanted) < 1e-10, name
+
+
+@pytest.mark.parametrize("compile", [deep(False, id="eager"), pytest.param(True, id="compiled")])
 @pytest.mark.parametrize("name", NAMES[:5])
 def test_forward_mode_is_the_transpose_of_backward(compile, name):
     assert_transposed(room(), name, **SETTINGS | {"compile": compile})
@@ -164,7 +151,7 @@ def test_derivatives_by_boundaries_that_move_are_those_of_differences(name, dept
                  ball=ball(0.9, bsdf=NULL, interior={"type": "ref", "id": "air"}),
                  core=ball(0.6, bsdf=NULL, interior=haze((1, 2, 1.5), (0.3, 0.6, 0.5), -0.3),
                            exterior={"type": "ref", "id": "air"}))
-    with pytest.warns(rb.SilhouetteWarning, match=f"`{name}` lack what edges and shadows contribute, since surf"):
+    with pytest.warns(rb.SilhouetteWarning, match=f"`{name}` lack what edges and shadows contribute, since rays"):
         found = rb.check_gradient(scene, name, step=0.05, spp=1 << 15, max_depth=depth, seed=3).comparison
     along = found.jvp / found.jvp.norm()
     error = float((found.standard_error * along).norm())

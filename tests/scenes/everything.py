@@ -25,6 +25,7 @@ from tests.scenes.parts import (
     sky,
     turned,
 )
+from torch_radbp.io.values.transform import translate
 
 MATERIALS = ("diffuse", "conductor", "pane", "rough metal beckmann", "brushed metal ggx", "dielectric", "rough glass ggx",
              "brushed glass beckmann", "plastic", "rough plastic ggx", "principled", "principled glass", "principled sheet",
@@ -121,7 +122,9 @@ def smoke() -> dict[str, Any]:
                 "interior": {"type": "ref", "id": f"{SUBJECT}_smoke"}},
             "ball": {"type": "sphere", "center": [0.2, 0.1, 0.9], "radius": 0.4, "bsdf": glass,
                      "interior": objects("homogeneous")[SUBJECT], "exterior": {"type": "ref", "id": f"{SUBJECT}_smoke"}},
-            "stone": {"type": "sphere", "center": [0.2, 0.1, 0.9], "radius": 0.15}}
+            "stone": {"type": "sphere", "center": [0.2, 0.1, 0.9], "radius": 0.15},
+            "pane": {"type": "rectangle", "to_world": translate((0, 0, 2)), "bsdf": {
+                "type": "mask", "opacity": 0.6, "nested_bsdf": {"type": "thindielectric"}}}}
 
 
 EVERYTHING = {"materials": materials, "shapes": shapes, "textures": textures, "lamps": many_lamps, "fog": fog,

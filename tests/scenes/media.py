@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from tests.scenes import diffuse, rgb
+import torch
+
+import torch_radbp as rb
+from tests.scenes import diffuse, load, overhead, rectangle, rgb
 
 BLACK = diffuse(0, 0, 0)
+NULL = {"type": "null"}
+SETTINGS = {"spp": 8, "max_depth": 5, "rr_depth": 2}
 
 
 def haze(sigma_t=(0.3, 0.6, 1.2), albedo=(0.9, 0.5, 0.2), g=0.4) -> dict:
@@ -12,3 +17,31 @@ def haze(sigma_t=(0.3, 0.6, 1.2), albedo=(0.9, 0.5, 0.2), g=0.4) -> dict:
 
 
 DULL = haze((0.3, 0.4, 0.5), (0.9, 0.6, 0.3), 0.4)
+
+
+def slab(height: float, thickness: float, **more) -> dict:
+    """A wide box that lies flat, with its middle at a height."""
+    pose = torch.diag(torch.tensor([50.0, 50.0, thickness / 2, 1.0]))
+    pose[2, 3] = height
+    return {"type": "cube", "to_world": pose, "bsdf": NULL, **more}
+
+
+def ball(radius: float = 0.8, **more) -> dict:
+    return {"type": "sphere", "center": [0.0, 0.0, 1.0], "radius": radius, **more}
+
+
+def room(bsdf=NULL, **more) -> rb.Scene:
+    """A ball of haze with another one in it, above a floor under a lamp, a point light and a sky."""
+    return load(torch.float64, camera=overhead(4, 4.0, 1.0), floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)),
+                ball=ball(bsdf=bsdf, interior=haze()),
+                core=ball(0.4, bsdf=NULL, interior=haze((2, 1, 3), (0.3, 0.6, 0.9), -0.3)),
+                lamp=rectangle((0.3, -0.8, 2.5), 0.4, (1, 0, 0), 170, bsdf=BLACK,
+                               emitter={"type": "area", "radiance": rgb(3, 2, 1)}),
+                bulb={"type": "point", "position": [-0.5, 0.6, 2.5], "intensity": rgb(2, 3, 4)},
+                sky={"type": "constant", "radiance": rgb(0.2, 0.3, 0.4)}, **more)
+
+
+MOVING = ["ball.to_world", "core.to_world", "floor.to_world", "camera.to_world", "bulb.position"]
+NAMES = ["ball.interior.sigma_t.value.value", "ball.interior.albedo.value.value", "ball.interior.phase_function.g",
+         "ball.interior.scale", "core.interior.sigma_t.value.value", "core.interior.albedo.value.value",
+         "floor.bsdf.reflectance.value", "lamp.emitter.radiance.value", "sky.radiance.value"]

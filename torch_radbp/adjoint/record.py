@@ -26,6 +26,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Onward, Step
 from torch_radbp.path.taped_bounces import Bounce
+from torch_radbp.path.through_media import free_flights
 from torch_radbp.path.trace import trace, trace_to_film, walk
 from torch_radbp.path.wavefront import bounced
 from torch_radbp.path.whole_paths import goes_whole
@@ -54,7 +55,8 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
         if glues_rays(integrand) and (integrand.attached or any_differentiated((samples.ray, samples.power))):
             still = integrand.still()
             hit = still.caster.intersect(detached(samples.ray))
-            samples = joined([call.source.glued(chunk, which, integrand.scene, rows_between(hit, first, last))
+            behind, _ = free_flights(still, started(call, samples), hit, 0)
+            samples = joined([call.source.glued(chunk, which, integrand.scene, rows_between(behind, first, last))
                               for chunk, first, last in wavefront.parts()])
         trace_to_film(integrand, started(call, samples), deposits.add, recorder.visit if record else None, bounce, hit)
         return [deposits.total()], recorder.record(partial(start_paths, call, wavefront, which), None, samples)

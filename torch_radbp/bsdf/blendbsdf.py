@@ -146,6 +146,16 @@ class BlendKind(Kind):
                          for kind, part, part_choice in zip((self.first, self.second), self.parts(values), choice.parts))
         return either(choice.lobe > 0, second, first)
 
+    def null_transmission(self, values: Values, wi: Vec3) -> tuple[Vec3, Tensor]:
+        weight, chance = values[0].x, self.chance_of_second(values[0].x.detach())
+        (first, first_chance), (second, second_chance) = (
+            kind.null_transmission(part, wi) for kind, part in zip((self.first, self.second), self.parts(values)))
+        return first * (1.0 - weight) + second * weight, first_chance * (1.0 - chance) + second_chance * chance
+
+    def chooses_null(self, choice: LobeChoice) -> Tensor:
+        first, second = (kind.chooses_null(part) for kind, part in zip((self.first, self.second), choice.parts))
+        return torch.where(choice.lobe > 0, second, first)
+
 
 def own_sample(kind: Kind, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
     """A direction sampled by one of several kinds; on the horizon where it is invalid, or belongs to another kind's lobe."""

@@ -29,9 +29,9 @@ class Mask(BSDF):
     Parameters: `opacity`, a texture in [0, 1]. Derivatives: with respect to the texels of the opacity, and to the parameters
     of the material; right where the opacity is 0 or 1, too, see `blendbsdf`. Where surfaces move, lines at which the opacity
     jumps count where the camera sees them; paths that meet the mask later are glued to it, so that there edges count that
-    are seen through its holes. That light behind is not found by next-event estimation: see `null`. Mitsuba 3.9.1's `path`
-    loses direct light on masks where paths end in them, or leave the scene through them and nothing surrounds it
-    (`tests/bsdf/test_closed_mask.py`).
+    are seen through its holes. Next-event estimation finds light behind in scenes with media alone: see `null`. Mitsuba
+    3.9.1's `path` loses direct light on masks where paths end in them, or leave the scene through them and nothing surrounds
+    it (`tests/bsdf/test_closed_mask.py`).
 
     Args:
         nested_bsdf: the material.

@@ -18,6 +18,7 @@ from torch_radbp.bsdf.dielectric import Dielectric, blend, decide
 from torch_radbp.bsdf.fresnel import dielectric_reflectance
 from torch_radbp.interface.bsdf import DeltaKind, LobeChoice, Values
 from torch_radbp.plugin import register
+from torch_radbp.tensors.differentiated import settled
 from torch_radbp.tensors.vec import Vec3
 
 
@@ -43,6 +44,13 @@ class ThinDielectricKind(DeltaKind):
         reflectance = pane_reflectance(wi.z.abs(), values[0].x)
         return values[1] * (reflectance * (1.0 - choice.lobe)) + values[2] * ((1.0 - reflectance) * choice.lobe)
 
+    def null_transmission(self, values: Values, wi: Vec3) -> tuple[Vec3, Tensor]:
+        passing = 1.0 - pane_reflectance(wi.z.abs(), values[0].x)
+        return values[2] * passing, settled(passing)
+
+    def chooses_null(self, choice: LobeChoice) -> Tensor:
+        return choice.lobe > 0
+
 
 def pane_reflectance(cos_i: Tensor, eta: Tensor) -> Tensor:
     """The fraction of light that a thin pane reflects, all internal reflections included.
@@ -60,7 +68,7 @@ class ThinDielectric(Dielectric):
     """A thin pane of glass, the same from both sides: it reflects as a mirror, and what passes keeps its direction.
 
     For windows that are one sheet of triangles; a closed body of glass is a `dielectric`. As with `null`, next-event
-    estimation does not look through.
+    estimation does not look through, unless the scene has media.
 
     Parameters: `eta`, a number; `specular_reflectance`, `specular_transmittance`, textures. Derivatives: with respect to all
     of them.

@@ -154,6 +154,15 @@ class TurnedKind(Kind):
         frame = self.frame(values, wi)
         return self.nested.compression(values[self.normal_values:], frame.to_local(wi), choice)
 
+    def null_transmission(self, values: Values, wi: Vec3) -> tuple[Vec3, Tensor]:
+        frame = self.frame(values, wi)
+        turned = frame.to_local(wi)
+        light, chance = self.nested.null_transmission(values[self.normal_values:], turned)
+        return light * self.passes(frame, -wi, -turned), chance
+
+    def chooses_null(self, choice: LobeChoice) -> Tensor:
+        return self.nested.chooses_null(choice)
+
 
 def squared_tangent(w: Vec3) -> Tensor:
     """The squared tangent of the angle between the unit vector `w` and the normal."""

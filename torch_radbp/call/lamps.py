@@ -21,7 +21,7 @@ from torch_radbp.scene.tables.triangle_corners import ROUNDINGS, at_corners
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.stage import EAGER, Stages
 from torch_radbp.tensors.vec import Ray, Vec3, dot
-from torch_radbp.vertex.interaction import corner_rows
+from torch_radbp.vertex.interaction import corner_rows, is_met
 
 MARGIN, LEAST_RADIUS = 1.001, 1e-6  # of spheres
 MOST_TARGETS = 8  # spheres; code grows with them
@@ -53,7 +53,8 @@ class Lamps(PathSource):
         device = self.lamps.world.clearance.device
         lane = torch.arange(chunk.first, chunk.first + chunk.lanes, dtype=torch.int32, device=device)
         corners = at_corners(scene.triangles.vertices.p, corner_rows(scene, hit))
-        met, cones = MetFirst(points_in_world(scene, hit, corners), hit), scene.layout.traces_cones
+        prim = torch.where(is_met(scene, hit), hit.prim, -1)
+        met, cones = MetFirst(points_in_world(scene, hit, corners), hit._replace(prim=prim)), scene.layout.traces_cones
         return sample_lamps(self.lamps, lane, self.keys[which], (), cones, met)
 
     @property

@@ -14,12 +14,12 @@ class VolumetricPath(Path):
 
     It agrees with Mitsuba's volumetric integrators in expectation, but for one thing: there, light that passes straight
     through a surface (`null`, `mask`, `thindielectric`) is not counted towards `max_depth`, and next-event estimation looks
-    through; here it is a bounce, as in `path`, but for `null` where shapes are boundaries of media.
+    through; here that is so in scenes with media, and in others it is a bounce, as in `path`.
     """
 
     def check(self, materials: Iterable[BSDF]) -> None:
         """Warns if a path of limited depth may pass straight through one of the materials."""
-        if self.max_depth != -1 and any(material.kind().transmits for material in materials):
+        if self.max_depth != -1 and any(material.kind().straight for material in materials):
             warnings.warn(f"{self.type} is rendered as path: light that passes straight through a surface counts towards "
                           f"max_depth={self.max_depth}, which it does not in Mitsuba's {self.type}; set max_depth to -1 if "
                           "that matters", stacklevel=2)
@@ -29,8 +29,8 @@ class VolumetricPath(Path):
 class VolumePath(VolumetricPath):
     """Mitsuba's volumetric path tracer: what `path` renders, media included.
 
-    Light that passes straight through a surface (`mask`, `thindielectric`, and `null` where no shape is the boundary of a
-    medium) is a bounce here, as in `path`; in Mitsuba's it is not counted towards `max_depth`.
+    Light that passes straight through a surface (`null`, `mask`, `thindielectric`) is a bounce in scenes without media, as
+    in `path`; in Mitsuba's it is never counted towards `max_depth`.
     """
 
 
@@ -38,8 +38,8 @@ class VolumePath(VolumetricPath):
 class SpectralVolumePath(VolumetricPath):
     """Mitsuba's volumetric path tracer with spectral multiple importance sampling: what `path` renders, media included.
 
-    Light that passes straight through a surface (`mask`, `thindielectric`, and `null` where no shape is the boundary of a
-    medium) is a bounce here, as in `path`; in Mitsuba's it is not counted towards `max_depth`.
+    Light that passes straight through a surface (`null`, `mask`, `thindielectric`) is a bounce in scenes without media, as
+    in `path`; in Mitsuba's it is never counted towards `max_depth`.
 
     Args:
         use_spectral_mis: without effect: distances are always weighted against all three colours.
@@ -56,6 +56,6 @@ class SpectralVolumePath(VolumetricPath):
 class VolumePathReplay(PathReplay, VolumetricPath):
     """Mitsuba's path replay backpropagation through media: what `prb` renders, media included.
 
-    Light that passes straight through a surface (`mask`, `thindielectric`, and `null` where no shape is the boundary of a
-    medium) is a bounce here, as in `path`; in Mitsuba's it is not counted towards `max_depth`.
+    Light that passes straight through a surface (`null`, `mask`, `thindielectric`) is a bounce in scenes without media, as
+    in `path`; in Mitsuba's it is never counted towards `max_depth`.
     """

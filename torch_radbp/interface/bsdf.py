@@ -150,6 +150,14 @@ class Kind(ABC):
         """
         return None
 
+    def null_transmission(self, values: Values, wi: Vec3) -> tuple[Vec3, Tensor]:
+        """The share of light that passes straight, attached, and the probability that `choose` picks that, detached."""
+        return Vec3.full(wi.z, 0.0), torch.zeros_like(wi.z)
+
+    def chooses_null(self, choice: LobeChoice) -> Tensor:
+        """(N,) bool: the chosen lobe lets light pass straight."""
+        return torch.full_like(choice.lobe, self.invisible, dtype=torch.bool)
+
     def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
         """The albedo of the material, as Mitsuba's AOV `albedo` has it; attached.
 

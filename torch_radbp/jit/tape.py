@@ -208,12 +208,12 @@ class Tape:
 
 def without_contents(record: Any, reserve: Reserve, lanes: int = ALL) -> Any:
     """A copy of a record whose tensors have no contents; equal tensors stay equal, numbers are kept."""
-    made: dict[int, Tensor] = {}
+    made: dict[tuple[int, torch.dtype], Tensor] = {}  # tensors without entries all have one address
 
     def like(leaf):
         if not isinstance(leaf, Tensor) or leaf.dim() == 0:
             return leaf
-        return made.setdefault(leaf.data_ptr(), reserve.tensor(leaf.dtype, lanes))
+        return made.setdefault((leaf.data_ptr(), leaf.dtype), reserve.tensor(leaf.dtype, lanes))
 
     return dual(*[with_leaves(part, list(map(like, leaves_of(part)))) for part in values_and_tangents(record)])
 

@@ -4,8 +4,8 @@ A ray passes boundaries that are surfaces of BSDF `null` straight, from one medi
 that scatters, or a flight ends in a medium. Passing is no bounce: the hit that is left is that of the last surface, as far
 from where the ray began as it is, and the way is told by its lengths in each of the media. Of those that are the same
 everywhere that is all that the transmittance depends on, and its derivative. Others are followed by steps: what is left of
-the light is an estimate then, and a point that is picked evenly on the way tells the derivative (`MediumWay`). Connections
-to lights are followed in the same way.
+light is an estimate then, and a point that is picked evenly on the way tells the derivative (`MediumWay`). Other surfaces
+that let light pass straight are passed by chance (`panes.py`). So are connections to lights followed (`shadow_passage.py`).
 
 In each medium the same random number decides anew how far the path flies, of which passing has used up a part.
 
@@ -23,9 +23,10 @@ from torch import Tensor
 from torch_radbp.connection.light import FAR
 from torch_radbp.connection.media import transmittance, transmittance_of
 from torch_radbp.interface.medium import MediumKind, MediumWay, Tracking, colour_chosen, mean_of_colours
-from torch_radbp.path.state import Arrival, BoundaryCrossing, Flight, PathState, Position
+from torch_radbp.path.panes import no_panes, pane_at, through_panes, with_pane
+from torch_radbp.path.state import BSDF_CHOICE, Arrival, BoundaryCrossing, Flight, PathState, Position
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.sampling.sampler import BounceKey, LaneKey, bounce_key, hash32, next_number, uniform
+from torch_radbp.sampling.sampler import BounceKey, bounce_key, hash32, next_number, uniform
 from torch_radbp.scene.tables.placement import points_in_world
 from torch_radbp.scene.tables.scene_tensors import SAME, SceneTensors
 from torch_radbp.scene.tables.triangle_corners import at_corners, edges
@@ -52,16 +53,6 @@ class PathPassage(NamedTuple):
     flight: Flight  # what is known of it so far
 
 
-class ShadowPassage(NamedTuple):
-    """Shadow rays on their way through media, (N,) each, up to a boundary that they pass."""
-
-    ahead: Ray  # how they go on from there
-    medium: Tensor  # int32, number of that in which they are; -1: none
-    seed: Tensor  # int32, of the random numbers of steps
-    free: Tensor  # bool: nothing has blocked them so far
-    ways: tuple[MediumWay, ...]  # in each of `Layout.media`
-
-
 @stage("scene")
 def way_begun(scene: SceneTensors, state: PathState, at: Position) -> PathPassage:
     """The ways of paths before their first leg; args as for `free_flights`."""
@@ -70,6 +61,9 @@ def way_begun(scene: SceneTensors, state: PathState, at: Position) -> PathPassag
     u, v = (uniform(key, dimension, state.pdf.dtype) for dimension in (FLIGHT_U, FLIGHT_V))
     none = torch.zeros_like(u)
     flight = Flight(none, none, state.medium, ways_at_first(scene, none))
+    if scene.layout.panes:
+        choice = uniform(bounce_key(state.key, at.counter), BSDF_CHOICE, u.dtype)
+        flight = flight._replace(panes=no_panes(scene, none), stays=torch.ones_like(u), choice=choice)
     return PathPassage(ray, u, v, steps_seed(key), Vec3.full(u, 1.0), flight)
 
 
@@ -77,22 +71,6 @@ def ways_at_first(scene: SceneTensors, none: Tensor) -> tuple[MediumWay, ...]:
     """No ways in any medium; `none`: (N,) zeros."""
     return tuple(MediumWay(none, Vec3.full(none, 1.0), none) if kind.tracked else MediumWay(none)
                  for kind in scene.layout.media)
-
-
-@stage("scene")
-def shadow_begun(scene: SceneTensors, shadow: Ray, distance: Tensor, medium: Tensor, key: LaneKey,
-                 at: Position) -> tuple[ShadowPassage, Tensor]:
-    """Shadow rays where they begin, and whether they are any, (N,) bool.
-
-    Args:
-        scene: detached; any part of it.
-        shadow, distance: (N,) the rays; distance 0: there is none.
-        medium: (N,) int32, numbers of the media in which they begin.
-        key: of the paths.
-        at: the depth.
-    """
-    seed, none = steps_seed(bounce_key(key, at.counter + SALT + LEG)), torch.zeros_like(distance)
-    return ShadowPassage(shadow, medium, seed, none < 1.0, ways_at_first(scene, none)), distance > 0
 
 
 def steps_seed(key: BounceKey) -> Tensor:
@@ -212,15 +190,24 @@ def next_leg(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, tracking
     scatters = end < torch.inf
     leg = Leg(way.ahead, come, length, torch.minimum(end, length), tracking)
     ways = with_leg(scene, flight.ways, flight.medium, leg)
-    # Go on behind the surface, if it is but a boundary.
-    row = lookup(scene.triangles.boundary, si.prim)
-    passes = met & ~scatters & lookup(scene.boundaries.invisible, row)
+    # Go on behind the surface, if it is but a boundary, or if what lets light pass straight is chosen among its lobes.
+    row, seed, beyond_it = lookup(scene.triangles.boundary, si.prim), next_seed(way.seed, tracking), way.beyond * beyond
+    passes, panes, stays, choice = lookup(scene.boundaries.invisible, row), flight.panes, flight.stays, flight.choice
+    if panes is not None:
+        pane = pane_at(scene, ray, hit, choice)
+        passes_pane = met & ~scatters & pane.chosen
+        seed, panes = with_pane(panes, hit, pane.through, passes_pane, seed)
+        beyond_it = beyond_it * torch.where(passes_pane, pane.chance, 1.0)
+        stays = torch.where(met & ~scatters & ~passes_pane, 1.0 - pane.chance, 1.0)
+        seed, choice_next = next_number(seed, choice.dtype)
+        passes, choice = passes | passes_pane, torch.where(passes_pane, choice_next, choice)
+    passes = met & ~scatters & passes
     medium = torch.where(passes, medium_beyond(scene, si.prim, si.cosine, flight.medium), flight.medium)
     used = 1.0 - colour_chosen(beyond, way.v)  # by flights that would have ended before
     u = ((way.u - used) / (1.0 - used).clamp_min(TINY)).clamp(0.0, ALMOST_ONE)
     chance = mean_of_colours(way.beyond * where(scatters, density, beyond))
-    flight = Flight(torch.where(scatters, come + end, torch.inf), chance, medium, ways)
-    way = PathPassage(Ray(si.offset(d), d), u, way.v, next_seed(way.seed, tracking), way.beyond * beyond, flight)
+    flight = Flight(torch.where(scatters, come + end, torch.inf), chance, medium, ways, None, panes, stays, choice)
+    way = PathPassage(Ray(si.offset(d), d), u, way.v, seed, beyond_it, flight)
     return hit._replace(t=torch.where(met, come + length, hit.t)), way, passes
 
 
@@ -244,43 +231,6 @@ def free_flight(scene: SceneTensors, state: PathState, hit: Hit, at: Position) -
     scatters = t < way
     density, beyond = map(mean_of_colours, kind.flight_pdf(table, begun.ahead, way, torch.minimum(t, way)))
     return Flight(settled(torch.where(scatters, t, torch.inf)), settled(torch.where(scatters, density, beyond)))
-
-
-@stage("scene", "shadow", "distance", "passed")
-def next_shadow_leg(scene: SceneTensors, shadow: Ray, distance: Tensor, passed: ShadowPassage, hit: Hit,
-                    tracking: Tracking | None, lanes: Tensor) -> tuple[ShadowPassage, Tensor]:
-    """Takes the next legs of shadow rays: to the light, or to a surface that blocks it, or through a boundary.
-
-    Args:
-        scene: detached; any part of it.
-        shadow, distance: (N,) as they began.
-        passed: (N,) so far.
-        hit: (M,) what `passed.ahead` meets.
-        tracking: (M,) of those that were followed through media by steps.
-        lanes: (M,) int32, those of N that are meant.
-
-    Returns:
-        (M,) the same after that, and whether they go on behind a boundary.
-    """
-    shadow, distance, passed = rows((shadow, distance, passed), lanes)
-    si, come = surface_interaction(scene, passed.ahead, hit), dot(passed.ahead.o - shadow.o, shadow.d)
-    surface, left = dot(si.p - passed.ahead.o, shadow.d), distance - come
-    met = (hit.prim >= 0) & (surface < left)
-    length = torch.where(met, surface, left).clamp_min(0.0)
-    ways = with_leg(scene, passed.ways, passed.medium, Leg(passed.ahead, come, length, length, tracking))
-    passes = met & lookup(scene.boundaries.invisible, lookup(scene.triangles.boundary, si.prim))
-    medium = torch.where(passes, medium_beyond(scene, si.prim, si.cosine, passed.medium), passed.medium)
-    seed = next_seed(passed.seed, tracking)
-    return ShadowPassage(Ray(si.offset(shadow.d), shadow.d), medium, seed, ~met, ways), passes
-
-
-@stage("scene", "shadow", "distance", "ahead")
-def shadow_ahead(scene: SceneTensors, shadow: Ray, distance: Tensor, ahead: Ray, hit: Hit, lanes: Tensor) -> Tensor:
-    """The lengths of the next legs of shadow rays, (M,), args as for `next_shadow_leg`; `ahead`: that of the passage."""
-    shadow, distance, ahead = rows((shadow, distance, ahead), lanes)
-    left = distance - dot(ahead.o - shadow.o, ahead.d)
-    surface = torch.where(hit.prim >= 0, dot(surface_interaction(scene, ahead, hit).p - ahead.o, ahead.d), FAR)
-    return torch.minimum(left, surface).clamp_min(0.0)
 
 
 def medium_beyond(scene: SceneTensors, prim: Tensor, cosine: Tensor, medium: Tensor) -> Tensor:
@@ -373,15 +323,27 @@ def way_left(scene: SceneTensors, arrival: Arrival, distance: Tensor) -> Vec3 | 
         flight, ways = arrival.flight, arrival.flight.ways
         if flight.crossings is not None:
             ways = moved_ways(scene, arrival.state.ray, ways, flight.crossings, flight.medium, distance)
-        return transmittance_of(scene, arrival.state.ray, ways)
+        left = transmittance_of(scene, arrival.state.ray, ways)
+        return through_panes(scene, left, arrival.state.ray, flight.panes, flight.crossings is not None)
     return transmittance(scene, arrival.state.ray, distance)
 
 
 def way_through(scene: SceneTensors, arrival: Arrival, distance: Tensor) -> Vec3 | None:
-    """What light that surfaces send along rays counts by, (N,), for paths that have met them; None: there are no media.
+    """What light that surfaces reflect along rays counts by, (N,), for paths that have met them; None: there are no media.
 
     In a medium that scatters only some flights reach the surface, so that those count by transmittance over the probability
     to get there. Args as for `way_left`.
     """
     left = way_left(scene, arrival, distance)
     return left if arrival.flight is None else left / settled(arrival.flight.chance).clamp_min(TINY)
+
+
+def shown_through(arrival: Arrival, through: Vec3 | None) -> Vec3 | None:
+    """What light counts by that surfaces send of whatever lobe, (N,): only paths see it that do not pass them straight.
+
+    Args:
+        arrival: the paths.
+        through: of `way_through`, by which light counts that comes by the lobe that they have chosen.
+    """
+    stays = None if arrival.flight is None else arrival.flight.stays
+    return through if stays is None else through / stays.clamp_min(TINY)

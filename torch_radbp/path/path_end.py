@@ -11,7 +11,7 @@ from torch_radbp.connection.light import FAR
 from torch_radbp.connection.media import attenuated
 from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.light_connection import emission
-from torch_radbp.path.passage import way_through
+from torch_radbp.path.passage import shown_through, way_through
 from torch_radbp.path.state import Arrival, Position, Settings
 from torch_radbp.path.surface import surface_met
 from torch_radbp.path.vertex import Terms, VertexKind
@@ -36,7 +36,7 @@ class PathEnd(VertexKind):
         si = surface_met(scene, arrival, settings, here)
         Le = emission(scene, proposal, arrival, si, settings, texture_values)
         distance = torch.where(si.valid, si.t, FAR)
-        Le = attenuated(Le, way_through(scene, arrival, distance))
+        Le = attenuated(Le, shown_through(arrival, way_through(scene, arrival, distance)))
         return Terms(Le, Vec3.full(si.t, 0.0), None, None, None, None, torch.zeros_like(si.valid), si)
 
 

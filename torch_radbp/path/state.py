@@ -77,11 +77,21 @@ class BoundaryCrossing(NamedTuple):
     after: Tensor
 
 
+class PanesPassed(NamedTuple):
+    """The surfaces of `Layout.panes` that rays have passed straight, (N,) each; detached."""
+
+    count: Tensor
+    through: Vec3  # the share of light that all of them let through
+    picked: Hit  # one of them, picked evenly; triangle -1: none
+    others: Vec3  # the share that the others let through
+
+
 class ShadowWay(NamedTuple):
     """The way of shadow rays through media, (N,) each; detached."""
 
     ways: tuple[MediumWay, ...]  # in each of `Layout.media`
     medium: Tensor  # int32, number of that in which they end; -1: none
+    panes: PanesPassed | None  # None: the scene has none
     crossings: tuple[BoundaryCrossing, ...] | None = None  # in turn; None: rays carry no derivatives
 
 
@@ -95,6 +105,11 @@ class Flight(NamedTuple):
     medium: Tensor | None = None
     ways: tuple[MediumWay, ...] = ()
     crossings: tuple[BoundaryCrossing, ...] | None = None  # in turn; None: rays are not followed, or carry no derivatives
+    # Where there are `Layout.panes` those that are passed; the probability that the surface at the end is not, and the
+    # random number that has decided it, by which its lobe is chosen. Else None.
+    panes: PanesPassed | None = None
+    stays: Tensor | None = None
+    choice: Tensor | None = None
 
 
 class Arrival(NamedTuple):

@@ -14,7 +14,7 @@ from torch_radbp.connection.media import attenuated
 from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.light_connection import connected_to_light, emission, light_numbers
 from torch_radbp.path.light_share import connects, may_go_on
-from torch_radbp.path.passage import medium_beyond, way_through
+from torch_radbp.path.passage import medium_beyond, shown_through, way_through
 from torch_radbp.path.state import BSDF_CHOICE, BSDF_U, BSDF_V, ROULETTE, Arrival, Position, Settings
 from torch_radbp.path.vertex import Terms, VertexKind
 from torch_radbp.raycast.protocol import Hit
@@ -67,7 +67,8 @@ class SurfaceVertex(VertexKind):
         of_material, of_emitter, of_sample = shares_of(scene, texture_values)
 
         # Le: the light that it emits.
-        Le = attenuated(emission(scene, proposal, arrival, si, settings, of_emitter), through)
+        shown = shown_through(arrival, through)
+        Le = attenuated(emission(scene, proposal, arrival, si, settings, of_emitter), shown)
 
         # Ld: the light of one point on a light, as the material scatters it.
         material = material_at(scene, si, of_material)
@@ -78,10 +79,10 @@ class SurfaceVertex(VertexKind):
             may = both(si.valid, connects(settings, scene.layout, state, narrow))
             light, Ld = connected_to_light(scene, si.p, may, partial(scattered_to, material, si), light,
                                   sampling_at(material.kind, settings.sampling))
-            Ld = attenuated(Ld, through)
+            Ld = attenuated(Ld, shown)
 
         # F: sample the BSDF for the next direction.
-        choice = number(BSDF_CHOICE) if material.kind.discrete else None
+        choice = lobe_number(arrival, number(BSDF_CHOICE)) if material.kind.discrete else None
         chosen = sample(material, si.wi, choice, number(BSDF_U), number(BSDF_V), settings.sampling)
 
         # Play roulette. The floor keeps black paths alive: a reflectance of zero still has a derivative.
@@ -136,6 +137,11 @@ def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings,
 def scattered_to(material: Material, si: SurfaceInteraction, d: Vec3) -> tuple[Vec3, Tensor]:
     """BSDF times cosine for light from a direction in the world, and the density with which it is sampled."""
     return evaluate(material, si.wi, si.frame.to_local(d))
+
+
+def lobe_number(arrival: Arrival, number: Tensor) -> Tensor:
+    """The random number that chooses a lobe, (N,): the one by which paths have not passed the surface, or else `number`."""
+    return number if arrival.flight is None or arrival.flight.choice is None else arrival.flight.choice
 
 
 def shares_of(scene: SceneTensors, texture_values: tuple[TextureValue, ...]) -> tuple[tuple[TextureValue, ...], ...]:

@@ -13,20 +13,19 @@ from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lane_room import power_of_2
 from torch_radbp.path.lanes import put_rows
+from torch_radbp.path.panes import through_panes
 from torch_radbp.path.passage import (
     PathPassage,
     free_flight,
     moved_ways,
     next_leg,
-    next_shadow_leg,
     runs_in,
-    shadow_ahead,
-    shadow_begun,
     surface_ahead,
     tracking_begun,
     tracking_on,
     way_begun,
 )
+from torch_radbp.path.shadow_passage import next_shadow_leg, shadow_ahead, shadow_begun
 from torch_radbp.path.state import BoundaryCrossing, Flight, PathState, ShadowWay
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
@@ -137,7 +136,7 @@ def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[
         return pick(lanes, chosen(passes))
 
     repeated(chosen(begins), next_passed)
-    return passed.free, ShadowWay(passed.ways, passed.medium, crossings.in_turn())
+    return passed.free, ShadowWay(passed.ways, passed.medium, passed.panes, crossings.in_turn())
 
 
 def tracked(integrand: Integrand, ahead: Ray, medium: Tensor, seed: Tensor, v: Tensor, length: Tensor,
@@ -183,4 +182,5 @@ def let_through(scene: SceneTensors, light: Vec3, shadow: Ray, length: Tensor, w
     ways = way.ways
     if way.crossings is not None:
         ways = moved_ways(scene, shadow, ways, way.crossings, way.medium, length)
-    return light * transmittance_of(scene, shadow, ways)
+    light = light * transmittance_of(scene, shadow, ways)
+    return through_panes(scene, light, shadow, way.panes, way.crossings is not None)

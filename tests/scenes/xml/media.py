@@ -19,7 +19,7 @@ from tests.scenes.xml.materials import bsdf, colours, floats, names
 from tests.scenes.xml.matrix import VARIABLE_SIZE
 from tests.scenes.xml.matrix_pieces import emitter, light
 
-# Without Russian roulette, by which Mitsuba's `volpathmis` is biased: `benchmarks.media --roulette`.
+# Without Russian roulette, by which Mitsuba's `volpathmis` is biased: `benchmarks.media --integrators`.
 DEPTH = '<integer name="max_depth" value="$max_depth"/><integer name="rr_depth" value="1000"/>'
 SIZE = {"width": 24, "height": 24}
 DEPTHS = (2, 8, 64)
@@ -56,6 +56,10 @@ MEDIA = {  # type, and the rest
 }
 BOUNDARIES = {"null": bsdf("null"), "dielectric": bsdf("dielectric", floats(int_ior=1.33)),
               "roughdielectric": bsdf("roughdielectric", floats(alpha=0.3, int_ior=1.3))}
+PANES = {"thindielectric": bsdf("thindielectric", floats(int_ior=1.5)),
+         "mask": bsdf("mask", floats(opacity=0.4), diffuse("0.6, 0.3, 0.2"))}
+# In no row: in Mitsuba's `volpathmis` light of lamps behind tinted panes is too bright (`benchmarks.media --integrators`).
+TINTED = {"tinted": bsdf("thindielectric", floats(int_ior=1.5), colours(specular_transmittance="0.9, 0.5, 0.2"))}
 BODIES = {"homogeneous": ("sphere", placed('scale value="0.8"', 'translate y="0.8"')),
           "heterogeneous": ("cube", placed('scale value="0.75"', 'translate y="0.8"'))}
 CAMERAS = {"outside": look("0.4, 1.9, 4.2", "0, 0.8, 0", 40), "inside": look("0.1, 1, 0.4", "0.8, 1, -2", 70)}
@@ -65,7 +69,8 @@ LAMP = shape("rectangle", "lamp", diffuse("0"), lamp("9, 7, 5"), placed(
 LIGHTS = {"sky": light("envmap"), "stone": light("envmap") + STONE, "lamp": LAMP, "bulb": emitter(
     "point", '<point name="position" x="0.9" y="2.2" z="1.6"/>', colours(intensity="9, 8, 7"))}
 # Glass hides lamps from next-event estimation, and fog that fills all space hides the sky.
-LIGHTS_OF = {"null": ("sky", "stone", "lamp", "bulb"), "none": ("lamp", "bulb")}
+LIGHTS_OF = {"null": ("sky", "stone", "lamp", "bulb"), "none": ("lamp", "bulb"), "mask": ("sky", "stone", "lamp", "bulb"),
+             "thindielectric": ("sky", "stone", "lamp")}  # a bulb has caustics in there, by reflection, which Mitsuba lacks
 
 
 class Row(NamedTuple):
@@ -83,7 +88,8 @@ class Row(NamedTuple):
 
 
 def rows() -> list[Row]:
-    """Each medium with each phase function in two boundaries, and each homogeneous one without; the rest in turn."""
+    """Each medium with each phase function in two boundaries, and each homogeneous one without; the rest in turn.
+    Some in panes, too."""
     found = []
     for number, (again, medium, phase_name) in enumerate(product((0, 1), MEDIA, PHASES)):
         boundary = list(BOUNDARIES)[(number + number // 6 + 2 * again) % 3]
@@ -93,6 +99,10 @@ def rows() -> list[Row]:
     for number, (medium, phase_name) in enumerate(product(("grey", "coloured"), PHASES)):
         found.append(Row(medium, phase_name, "none", "inside", LIGHTS_OF["none"][number // 2 % 2],
                          DEPTHS[(number + number // 6) % 3]))
+    for number, (boundary, camera, depth) in enumerate(product(PANES, CAMERAS, DEPTHS[:2])):
+        lights = LIGHTS_OF[boundary]
+        found.append(Row(list(MEDIA)[number % 5], list(PHASES)[number % 5], boundary, camera,
+                         lights[(number + number // 4) % len(lights)], depth))
     return found
 
 
@@ -106,7 +116,8 @@ def built(row: Row) -> Callable[[Folder], Path]:
         body = f'<medium id="air" type="{kind}">{values}{floats(scale=4.0 if enclosed else 0.6)}{PHASES[row.phase]}</medium>'
         if enclosed:
             body_kind, place = BODIES[kind]
-            body += shape(body_kind, "body", place, BOUNDARIES[row.boundary], '<ref name="interior" id="air"/>')
+            around = (BOUNDARIES | PANES | TINTED)[row.boundary]
+            body += shape(body_kind, "body", place, around, '<ref name="interior" id="air"/>')
         body += shape("rectangle", "floor", diffuse("0.6, 0.5, 0.4"), placed('rotate x="1" angle="-90"', 'scale value="3"'))
         body += shape("rectangle", "wall", diffuse("0.5, 0.55, 0.7"), placed(
             'scale x="3" y="0.7"', 'translate y="0.7" z="-1.6"'))

@@ -117,6 +117,6 @@ def built(scene: Scene) -> Callable[[Folder], Path]:
     return build
 
 
-def case_of(name: str, max_depth: int | None = None) -> Case:
+def case_of(name: str) -> Case:
     scene = SCENES[name]
-    return Case(built(scene), SIZE | {"max_depth": max_depth or scene.max_depth}, peer_integrator="volpathmis")
+    return Case(built(scene), SIZE | {"max_depth": scene.max_depth}, peer_integrator="volpathmis")

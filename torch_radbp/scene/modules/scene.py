@@ -59,8 +59,7 @@ class Scene(ModuleTree):
         if len(surrounds) > 1:
             raise SceneError(f"the scene has more than one emitter that surrounds it ({', '.join(surrounds)}): add up "
                              "their radiances in one")
-        bounded = any(shape.bounds_media for shape in self.shapes)  # then what is invisible is no bounce
-        self.integrator.check([bsdf for bsdf in self.bsdfs() if not (bounded and bsdf.kind().invisible)])
+        self.integrator.check([] if media else self.bsdfs())  # with media, passing straight is no bounce
         for plugin in self.modules():
             if isinstance(plugin, Plugin):
                 plugin.in_scene = True

@@ -125,9 +125,8 @@ def layout_of(cache: PackCache, objects: Objects, materials: Materials, radiance
         back_sides=materials.back_sides, appearances=materials.appearances,
         readers=materials.readers, radiance=radiances.reader,
         radiance_bitmaps=radiances.has_bitmaps or any(reader.needs_uv for reader in radiances.lit), attributes=attributes,
-        lights=kinds_of(objects.emitters), media=tuple(medium.kind() for medium in objects.media), **sides_of(objects),
-        lit=radiances.lit,
-        still=materials.still)
+        lights=kinds_of(objects.emitters), media=tuple(medium.kind() for medium in objects.media),
+        **sides_of(objects, materials), lit=radiances.lit, still=materials.still)
 
 
 def _columns_of(cache: PackCache, objects: Objects, layout: Layout, aovs: bool) -> Columns:
@@ -177,12 +176,18 @@ def tables_of_media(cache: PackCache, objects: Objects) -> tuple[Table, ...]:
     return tuple(stacked([cache.twin(number, medium).row()], like) for number, medium in enumerate(objects.media))
 
 
-def sides_of(objects: Objects) -> dict[str, Any]:
-    """What `Layout` says of boundaries between media."""
-    around = objects.scene.around
-    return {"around": None if around is None else objects.media.index(around),
-            "follows": any(shape.bounds_media for shape in objects.shapes) or any(
-                medium.kind().tracked for medium in objects.media)}
+def sides_of(objects: Objects, materials: Materials) -> dict[str, Any]:
+    """What `Layout` says of boundaries between media, and of surfaces there that light passes straight.
+
+    Those are met as all others whose textures are read outside, or depend on the footprint of a sample.
+    """
+    around, straight = objects.scene.around, [look.kind.straight for look in materials.appearances]
+    follows = bool(objects.media) and (any(straight) or any(shape.bounds_media for shape in objects.shapes) or any(
+        medium.kind().tracked for medium in objects.media))
+    panes = tuple((number, materials.table.appearance.tolist().index(number), look)
+                  for number, look in enumerate(materials.appearances) if follows and straight[number]
+                  and not (look.kind.invisible or look.outside or look.needs_footprint))
+    return {"around": None if around is None else objects.media.index(around), "follows": follows, "panes": panes}
 
 
 def boundaries_of(objects: Objects) -> tuple[tuple[tuple[int, int, bool], ...], tuple[int, ...]]:
@@ -192,8 +197,8 @@ def boundaries_of(objects: Objects) -> tuple[tuple[tuple[int, int, bool], ...], 
             return SAME
         return -1 if medium is None else objects.media.index(medium)
 
-    of_shapes = [(side(shape, shape.interior), side(shape, shape.exterior), shape.bsdf.kind().invisible)
-                 for shape in objects.shapes]
+    of_shapes = [(side(shape, shape.interior), side(shape, shape.exterior),
+                  shape.bsdf.kind().invisible and shape.emitter is None) for shape in objects.shapes]
     rows = tuple(dict.fromkeys(of_shapes))
     return rows, tuple(map(rows.index, of_shapes))
 

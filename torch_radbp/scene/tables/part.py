@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 from dataclasses import replace
 
+from torch_radbp.interface.texture import Reader
 from torch_radbp.scene.tables.appearance import Appearance
 from torch_radbp.scene.tables.light_choice import TreeChoice
 from torch_radbp.scene.tables.placement import for_lanes
@@ -36,36 +37,47 @@ def leaves_of_part(belonging: SceneTensors, layout: Layout, scatterer: Appearanc
 def _reduced(scene: SceneTensors, layout: Layout, scatterer: Appearance | None) -> SceneTensors:
     """A scene record without the tables that its part does not read."""
     triangles = scene.triangles._replace(balls=None, numbers=None, instances=for_lanes(scene.triangles.instances))
-    if not (layout.radiance_bitmaps or (scatterer is not None and scatterer.needs_uv)):
+    looks = looks_of_part(layout, scatterer)
+    slots = scene.materials.slots[:max((len(look.readers) for look in looks), default=0)]
+    if not (layout.radiance_bitmaps or any(look.needs_uv for look in looks)):
         triangles = triangles._replace(vertices=triangles.vertices._replace(uv=None))
     wanted = attributes_of_part(layout, scatterer)
     triangles = triangles._replace(
         vertices=triangles.vertices._replace(
             attributes=_chosen(layout.vertex_attributes, triangles.vertices.attributes, wanted)),
         attributes=_chosen(layout.face_attributes, triangles.attributes, wanted))
-    if not (scatterer is not None and scatterer.kind.oriented):
+    if not any(look.kind.oriented for look in looks):
         triangles = triangles._replace(along=None)
-    readers = () if scatterer is None else scatterer.readers
     lights = scene.lights
     if isinstance(lights.choice, TreeChoice):  # the choice is made before the functions of the bounce run
         lights = lights._replace(choice=TreeChoice(lights.choice.pmf, *(None for _ in TreeChoice._fields[1:])))
     return scene._replace(
         lit=(), lights=lights, triangles=triangles,
-        materials=scene.materials._replace(slots=scene.materials.slots[:len(readers)]),
+        materials=scene.materials._replace(slots=slots),
         textures=tuple(() if reader.outside else scene.textures[layout.readers.index(reader)]
-                       for reader in dict.fromkeys(readers)))
+                       for reader in readers_of(looks)))
 
 
 def layout_of_part(layout: Layout, scatterer: Appearance | None) -> Layout:
     """The `Layout` of a part of a scene: the features that its appearance needs."""
-    readers = () if scatterer is None else tuple(dict.fromkeys(scatterer.readers))
-    return replace(layout, bending=False, bends_ideally=False, appearances=(), readers=readers, scatterer=scatterer,
-                   attributes=attributes_of_part(layout, scatterer), still=())
+    return replace(layout, bending=False, bends_ideally=False, appearances=(), scatterer=scatterer,
+                   readers=readers_of(looks_of_part(layout, scatterer)), attributes=attributes_of_part(layout, scatterer),
+                   still=())
+
+
+def looks_of_part(layout: Layout, scatterer: Appearance | None) -> tuple[Appearance, ...]:
+    """The appearances whose materials a part of the scene reads: those of its vertices, and of what rays pass on the way."""
+    return *(() if scatterer is None else (scatterer,)), *(look for *_, look in layout.panes)
+
+
+def readers_of(looks: tuple[Appearance, ...]) -> tuple[Reader, ...]:
+    """The readers of appearances, each once."""
+    return tuple(dict.fromkeys(reader for look in looks for reader in look.readers))
 
 
 def attributes_of_part(layout: Layout, scatterer: Appearance | None) -> tuple[str, ...]:
     """The names of mesh attributes that a part of the scene reads, in the scene's order."""
-    readers = (layout.radiance, *(() if scatterer is None else scatterer.readers))
+    readers = (layout.radiance, *readers_of(looks_of_part(layout, scatterer)))
     return tuple(name for name in layout.attributes if any(name in reader.attributes for reader in readers))
 
 

@@ -40,7 +40,10 @@ class Layout:
     media: tuple[MediumKind, ...] = ()  # that light travels through, by their numbers
     around: int | None = None  # the number of the medium in which the sensors stand; None: empty space
     from_lamps: bool = False  # paths begin at lamps, and end at the camera, which stands in the place of the lights
-    follows: bool = False  # rays are followed through media, since surfaces are boundaries of some, or some vary in space
+    follows: bool = False  # rays are followed through media, since they pass surfaces there, or some vary in space
+    # Then the appearances of surfaces that a part of the light passes straight: their number in `appearances`, the row of a
+    # material that has it, and it.
+    panes: tuple[tuple[int, int, Appearance], ...] = ()
     lit: tuple[OutsideReader, ...] = ()  # of those textures of emitters that are read outside
     scatterer: Appearance | None = None  # of a part of a scene, what light is scattered by; None: nothing
     vertex: Any = None  # of a part of a scene, the `path.vertex.VertexKind` of its lanes; hashable
@@ -148,7 +151,7 @@ class BoundaryTable(NamedTuple):
 
     inside: Tensor  # (B,) int32 number of the medium behind the surface; -1: empty space, `SAME`: that before it
     outside: Tensor  # (B,) int32 likewise before it, on the side of its normal
-    invisible: Tensor  # (B,) bool: light passes straight through
+    invisible: Tensor  # (B,) bool: all light passes straight through
 
 
 class LightTable(NamedTuple):

@@ -1,0 +1,265 @@
+"""Panes of glass and masks in scenes with media: light passes them straight, which is no bounce.
+
+Against `null` and the opaque material where a mask is open or closed; in closed form; next-event estimation against chance;
+the gradient of every strategy, stride and way of running against the tape's; forward mode; differences.
+"""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.deep import deep, deep_but
+from tests.gradients import EXACT, REPLAY, assert_informative, assert_transposed, image_and_gradients, relative_error
+from tests.rendering.taped import assert_recorded_alike
+from tests.scenes import diffuse, load, overhead, rectangle, rgb
+from tests.scenes.media import BLACK, DULL, MOVING, NAMES, NULL, SETTINGS, ball, haze, room, slab
+from torch_radbp.io.values.transform import scale
+
+CLAY = diffuse(0.7, 0.5, 0.3)
+AIR = {"type": "ref", "id": "air"}
+TINT = (0.9, 0.8, 0.7)
+COLOUR = torch.tensor(TINT, dtype=torch.float64)
+SMOOTH = torch.rand(4, 4, 1, generator=torch.Generator().manual_seed(0)).numpy()  # opacities
+
+
+def thin(tint=TINT) -> dict:
+    return {"type": "thindielectric", "int_ior": 1.5, "specular_transmittance": rgb(*tint)}
+
+
+def passing(cosine: torch.Tensor | float) -> torch.Tensor:
+    """What a pane of `thin`, not tinted, lets pass; `ext_ior` is that of air."""
+    cosine, eta = torch.as_tensor(cosine, dtype=torch.float64), 1.5 / 1.000277
+    inside = (1 - (1 - cosine**2) / eta**2).sqrt()
+    across, parallel = (cosine - eta * inside) / (cosine + eta * inside), (eta * cosine - inside) / (eta * cosine + inside)
+    reflectance = (across**2 + parallel**2) / 2
+    return 1 - 2 * reflectance / (1 + reflectance)
+
+
+def mask(opacity=0.4, bsdf=CLAY) -> dict:
+    return {"type": "mask", "opacity": opacity, "nested_bsdf": bsdf}
+
+
+PANES = {"thin": thin(), "mask": mask(), "bitmap": mask({"type": "bitmap", "bitmap": SMOOTH, "raw": True}),
+         "mask of thin": mask(0.5, thin()), "blend": {"type": "blendbsdf", "weight": 0.4, "clay": CLAY, "hole": NULL}}
+PARAMETERS = {"thin": ["eta", "specular_transmittance.value", "specular_reflectance.value"],
+              "mask": ["opacity.value", "nested_bsdf.reflectance.value"], "bitmap": ["opacity.data"],
+              "mask of thin": ["opacity.value", "nested_bsdf.eta"], "blend": ["weight.value"]}
+
+
+def before_a_lamp(bsdf: dict, core: dict = NULL, **more) -> rb.Scene:
+    """Two balls of haze, one in the other, before a floor that sends light."""
+    return load(torch.float64, camera=overhead(2, 4.0, 0.7), **more,
+                floor=rectangle((0, 0, 0), 1.5, bsdf=diffuse(0.5, 0.5, 0.5), emitter={"type": "area", "radiance": 0.3}),
+                ball=ball(0.9, bsdf=bsdf, interior=haze((0.6, 0.8, 1.0), (0.5, 0.4, 0.3), 0.4)),
+                core=ball(0.6, bsdf=core, interior=haze((1, 2, 1.5), (0.3, 0.6, 0.5), -0.3)),
+                sky={"type": "constant", "radiance": rgb(0.2, 0.3, 0.4)})
+
+
+def under_a_pane(bsdf: dict, **more) -> rb.Scene:
+    """A pane in haze that fills all space, above a floor that sends light."""
+    return load(torch.float64, air=DULL, camera=overhead(2, 4.0, 0.7) | {"medium": AIR},
+                floor=rectangle((0, 0, 0), 1.5, bsdf=diffuse(0.5, 0.5, 0.5), emitter={"type": "area", "radiance": 0.3}),
+                pane=rectangle((0, 0, 1.0), 3.0, bsdf=bsdf), **more)
+
+
+@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+@pytest.mark.parametrize("opacity, same", [(0.0, NULL), (1.0, CLAY)], ids=["open", "closed"])
+def test_a_mask_without_holes_or_without_the_rest_is_the_material_or_null(opacity, same, compile):
+    images = [rb.render(room(bsdf), compile=compile, seed=2, **SETTINGS) for bsdf in (mask(opacity), same)]
+    assert images[0].mean() > 0.1 and relative_error(*images) < 1e-12
+
+
+@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+def test_light_through_panes_is_left_by_glass_and_medium(compile):
+    """A slab that only absorbs between two panes, before a floor that sends light; one bounce: passing counts nothing."""
+    scene = load(torch.float64, camera=overhead(2, 4.0, 1e-4),
+                 slab=slab(2, 1.5, interior=haze((0.2, 0.4, 0.8), (0, 0, 0))) | {"bsdf": thin()},
+                 floor=rectangle((0, 0, 0), 3.0, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0}))
+    images = torch.stack([rb.render(scene, spp=4096, max_depth=1, compile=compile, seed=seed).mean((0, 2, 3))
+                          for seed in range(12)])
+    wanted = (passing(1.0) * COLOUR)**2 * torch.exp(-1.5 * torch.tensor([0.2, 0.4, 0.8], dtype=torch.float64))
+    error = images.std(0) / math.sqrt(len(images))
+    assert ((images.mean(0) - wanted).abs() < 4 * error).all() and (error < 0.005 * wanted).all()
+
+
+def test_connections_to_lights_pass_panes():
+    """A floor below a pane and a bulb: as much light as without the pane, times what that lets through, and no noise."""
+    bulb = {"type": "point", "position": [0.0, 0.0, 2.0], "intensity": 3.0}
+    near = overhead(1, 0.5, 0.01) | {"medium": AIR}  # below the pane
+    plain, tinted = (load(torch.float64, air=haze((0.2, 0.4, 0.8), (0, 0, 0)), camera=near, bulb=bulb,
+                          floor=rectangle((0, 0, 0), 1.5, bsdf=diffuse(0.5, 0.5, 0.5)),
+                          pane=rectangle((0, 0, 1.0), 3.0, bsdf=bsdf)) for bsdf in (NULL, thin()))
+    images = [rb.render(scene, spp=4, max_depth=2).mean((0, 2, 3)) for scene in (plain, tinted)]
+    assert images[0].min() > 0
+    torch.testing.assert_close(images[1] / images[0], passing(1.0) * COLOUR, rtol=1e-4, atol=0)
+
+
+def test_a_floor_below_a_lamp_behind_a_tinted_pane_is_as_bright_as_the_integral():
+    """Over the lamp; connections and chance together. Mitsuba's `volpathmis` is too bright here, its `volpath` right."""
+    nothing = haze((0, 0, 0), (0, 0, 0))
+    scene = load(torch.float64, air=nothing, camera=overhead(1, 0.5, 0.001) | {"medium": AIR},
+                 floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.5, 0.5, 0.5)), pane=rectangle((0, 0, 1), 50.0, bsdf=thin()),
+                 lamp=rectangle((0, 0, 2), 1.0, (1, 0, 0), 180, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0}))
+    images = torch.stack([rb.render(scene, spp=1 << 14, max_depth=2, seed=seed).flatten() for seed in range(8)])
+    x = (torch.arange(400, dtype=torch.float64) + 0.5) / 200 - 1
+    cosine = 2.0 * (x.square()[:, None] + x.square() + 4.0).rsqrt()
+    solid_angle = cosine**3 / 4.0 / 200**2  # of a piece of the lamp
+    shone = (passing(cosine) * cosine * solid_angle).sum() * 0.5 / math.pi * COLOUR
+    error = images.std(0) / math.sqrt(len(images))
+    assert ((images.mean(0) - shone).abs() < 4 * error).all() and (error < 0.003 * shone).all()
+
+
+@pytest.mark.parametrize("name", deep_but(["mask"], ["thin", "mask", "mask of thin", "blend"]))
+def test_lamps_behind_panes_by_chance_and_by_connection_agree(name):
+    scene = room(PANES[name])
+    del scene._modules["bulb"]  # which chance does not find
+    means = torch.stack([torch.stack([rb.render(scene, spp=8192, max_depth=5, rr_depth=3, nee=nee, seed=seed).mean((0, 2, 3))
+                                      for seed in range(12)]) for nee in (False, True)])
+    assert (means > 0).all()
+    difference, error = means.mean(1).diff(dim=0)[0], (means.var(1) / means.shape[1]).sum(0).sqrt()
+    assert (difference.abs() < 4 * error).all() and (error < 0.05 * means[1].mean(0)).all()
+
+
+def test_a_lamp_that_is_otherwise_invisible_is_seen():
+    """By a ray that passes the boundary of a medium that shines: a vertex is there, as on any lamp."""
+    scene = load(torch.float64, camera=overhead(2, 4.0, 0.1), floor=rectangle((0, 0, 0), 3.0, bsdf=BLACK),
+                 ball=ball(bsdf=NULL, interior=haze(), emitter={"type": "area", "radiance": 0.7}))
+    torch.testing.assert_close(rb.render(scene, spp=4, max_depth=1), torch.full((1, 3, 2, 2), 0.7, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("name", deep_but(["thin", "mask"], PANES))
+@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, name):
+    names = [*NAMES, *(f"ball.bsdf.{each}" for each in PARAMETERS[name])]
+    image, expected = image_and_gradients(room(PANES[name]), names, **SETTINGS | {"adjoint": rb.TapeAdjoint()})
+    assert_informative(image, expected)
+    for adjoint in (*EXACT[:-1], *REPLAY):
+        found, gradients = image_and_gradients(room(PANES[name]), names, compile=compile, **SETTINGS | {"adjoint": adjoint})
+        assert relative_error(found, image) < 1e-12
+        for each, gradient, wanted in zip(names, gradients, expected):
+            assert relative_error(gradient, wanted) < 1e-10, (adjoint, each)
+
+
+@pytest.mark.parametrize("sampling", deep_but(["hybrid"], ["detached", "hybrid", "attached"]))
+@pytest.mark.parametrize("compile", [deep(False, id="eager"), pytest.param(True, id="compiled")])
+@pytest.mark.parametrize("name", ["thin", "bitmap"])
+def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, name, sampling):
+    names = [*MOVING, f"ball.bsdf.{PARAMETERS[name][0]}"]
+    settings = SETTINGS | {"sampling": sampling}
+    image, expected = image_and_gradients(room(PANES[name]), names, **settings | {"adjoint": rb.TapeAdjoint()})
+    assert_informative(image, expected)
+    for adjoint in (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint("log", keep_hits=False), rb.QuadraticAdjoint(), *REPLAY):
+        found, gradients = image_and_gradients(room(PANES[name]), names, compile=compile, **settings | {"adjoint": adjoint})
+        assert relative_error(found, image) < 1e-12
+        for each, gradient, wanted in zip(names, gradients, expected):
+            assert (gradient - wanted).abs().max() <= 1e-10 * wanted.abs().max(), (adjoint, each)
+
+
+@pytest.mark.parametrize("compile", [deep(False, id="eager"), pytest.param(True, id="compiled")])
+@pytest.mark.parametrize("name, parameter", [
+    ("thin", "ball.bsdf.eta"), ("thin", "ball.bsdf.specular_transmittance.value"), ("mask", "ball.bsdf.opacity.value"),
+    ("thin", "ball.to_world"), ("bitmap", "ball.to_world"), ("bitmap", "camera.to_world")])
+def test_forward_mode_is_the_transpose_of_backward(compile, name, parameter):
+    more = {"terms": ("interior",)} if parameter.endswith("to_world") else {}
+    assert_transposed(room(PANES[name]), parameter, **SETTINGS | more | {"compile": compile})
+
+
+@pytest.mark.parametrize("build, name", [
+    (lambda: before_a_lamp(thin()), "ball.bsdf.specular_transmittance.value"),
+    (lambda: before_a_lamp(thin()), "ball.bsdf.specular_reflectance.value"),
+    (lambda: before_a_lamp(mask()), "ball.bsdf.nested_bsdf.reflectance.value"),
+    (lambda: under_a_pane(thin()), "pane.bsdf.specular_transmittance.value"),
+    (lambda: under_a_pane(thin((0, 0, 0)), bulb={"type": "point", "position": [0.3, 0.2, 2.5], "intensity": 3.0}),
+     "pane.bsdf.specular_transmittance.value")],
+    ids=["tint of a ball", "reflection", "what is not hole", "tint of a pane", "tint of 0"])
+def test_derivatives_are_those_of_differences_of_the_same_samples(build, name):
+    """By parameters that decide nothing. The image is a polynomial of few degrees in them, of degree 1 or 2 in that of 0."""
+    scene, settings = build(), {"spp": 64, "max_depth": 4, "rr_depth": 99, "seed": 1, "share_samples": True}
+    parameter, step = scene.get_parameter(name), 1e-3
+    tangent = torch.linspace(0.5, 1.0, parameter.numel(), dtype=torch.float64).view_as(parameter)
+    at = parameter.detach().clone()
+    found, images = rb.jvp(scene, {name: tangent}, **settings), []
+    for steps in (0, 1, 2) if at.max() == 0 else (-1, 1):
+        with torch.no_grad():
+            parameter.copy_(at + steps * step * tangent)
+            images.append(rb.render(scene, **settings))
+    if len(images) == 3:
+        difference = (4 * images[1] - 3 * images[0] - images[2]) / (2 * step)
+    else:
+        difference = (images[1] - images[0]) / (2 * step)
+    assert found.abs().max() > 1e-3 and relative_error(found, difference) < 1e-5
+
+
+def assert_as_differences(scene: rb.Scene, name: str, **settings) -> None:
+    """Of independent samples, in the mean over the image; the error is that of independent repetitions."""
+    found = [rb.check_gradient(scene, name, max_depth=4, seed=seed, **settings).comparison for seed in range(20, 36, 2)]
+    wanted = torch.stack([each.difference.mean() for each in found])
+    error = torch.stack([each.jvp.mean() for each in found]) - wanted
+    spread = float(error.std()) / math.sqrt(len(error))
+    assert 0 < spread < 0.07 * abs(float(wanted.mean())) and abs(float(error.mean())) < 3.5 * spread
+
+
+@pytest.mark.parametrize("name, parameter, at", [
+    ("thin", "eta", None), deep("mask", "opacity.value", None), ("mask", "opacity.value", 0.0),
+    deep("mask", "opacity.value", 1.0), deep("bitmap", "opacity.data", None), deep("mask of thin", "opacity.value", None),
+    deep("blend", "weight.value", None)])
+def test_derivatives_by_what_decides_are_those_of_differences(name, parameter, at):
+    scene = before_a_lamp(PANES[name])
+    if at is not None:
+        with torch.no_grad():
+            scene.get_parameter(f"ball.bsdf.{parameter}").fill_(at)
+    assert_as_differences(scene, f"ball.bsdf.{parameter}", step=0.1, spp=1 << 12)
+
+
+def under_a_smooth_mask(air: dict, half: float) -> rb.Scene:
+    """A black mask whose opacity changes smoothly, so that nothing jumps but at its edges; the floor sends light."""
+    tiles = scale((half / 3, half / 3, 1))
+    smooth = {"type": "bitmap", "bitmap": SMOOTH, "raw": True, "wrap_mode": "mirror", "to_uv": tiles}
+    return load(torch.float64, air=air, camera=overhead(2, 4.0, 0.7) | {"medium": AIR},
+                floor=rectangle((0, 0, 0), 30.0, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0}),
+                pane=rectangle((0, 0, 1.0), half, bsdf=mask(smooth, BLACK))).requires_grad_(False)
+
+
+@pytest.mark.parametrize("air, half, name, entry, step", [
+    (haze((0.3, 0.4, 0.5), (0, 0, 0)), 3.0, "pane.to_world", (0, 3), 0.02),
+    (haze((0.3, 0.4, 0.5), (0, 0, 0)), 3.0, "pane.to_world", (0, 0), 0.06),
+    (haze((0.3, 0.4, 0.5), (0, 0, 0)), 3.0, "camera.to_world", (0, 3), 0.02),
+    (DULL, 30.0, "pane.to_world", (0, 0), 0.6)], ids=["shift", "size", "camera", "size in fog"])
+@pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
+def test_derivatives_by_a_mask_that_moves_are_those_of_differences(air, half, name, entry, step):
+    """Of edges that a medium sees derivatives lack what a warning says (`test_homogeneous.py`): in fog they are far away."""
+    scene = under_a_smooth_mask(air, half)
+    pose, settings, found = scene.get_parameter(name), {"spp": 1 << 15, "max_depth": 3}, []
+    at, tangent = pose.clone(), torch.zeros_like(pose)
+    tangent[entry] = 1.0
+    for seed in range(8):
+        jvp, images = rb.jvp(scene, {name: tangent}, seed=100 + seed, terms=("interior",), **settings), []
+        for sign in (-1, 1):
+            pose.copy_(at + sign * step * tangent)
+            images.append(rb.render(scene, seed=200 + seed, **settings))
+        pose.copy_(at)
+        found.append(torch.stack([jvp, (images[1] - images[0]) / (2 * step)]).mean(2).flatten(1))  # over colours
+    jvp, difference = torch.stack(found, 1)
+    axis = difference.mean(0) / difference.mean(0).norm()
+    error, wanted = (jvp - difference) @ axis, float((difference @ axis).mean())
+    spread = float(error.std()) / math.sqrt(len(error))
+    assert 0 < spread < 0.06 * abs(wanted) and abs(float(error.mean())) < 3.5 * spread
+
+
+def test_a_warning_says_that_edges_of_panes_have_no_part_in_derivatives():
+    scene = under_a_smooth_mask(DULL, 3.0)
+    scene.pane.to_world.requires_grad_()
+    with pytest.warns(rb.SilhouetteWarning, match="`pane.to_world` lack what edges and shadows contribute, since rays pass"):
+        rb.render(scene, spp=1)
+
+
+@pytest.mark.parametrize("settings", [{}, {"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)}, {"chunk": 40},
+                                      {"nee": False, "spp": 99}], ids=str)
+@pytest.mark.parametrize("name", ["thin", "bitmap"])
+def test_bounces_that_are_recorded_have_the_bits_of_single_operations(settings, name, monkeypatch):
+    names = [*NAMES, f"ball.bsdf.{PARAMETERS[name][0]}"]
+    assert_recorded_alike(lambda: room(PANES[name]).to(torch.float32), names, monkeypatch, **SETTINGS | settings)
