@@ -85,6 +85,16 @@ class ShadowWay(NamedTuple):
     crossings: tuple[BoundaryCrossing, ...] | None = None  # in turn; None: rays carry no derivatives
 
 
+class EmissionPlace(NamedTuple):
+    """A place on the ways of rays through media at which it is looked at what these emit, (N,) each; detached."""
+
+    t: Tensor  # distance to it
+    medium: Tensor  # int32, number of that in which it is
+    weight: Tensor  # by which the light counts that is emitted there and let through: 1 / density over length
+    total: Tensor  # of all places of which this was picked, their worth
+    ways: tuple[MediumWay, ...]  # to it, in each of `Layout.media`
+
+
 class Flight(NamedTuple):
     """How far paths come in media, (N,) each; detached."""
 
@@ -95,6 +105,7 @@ class Flight(NamedTuple):
     medium: Tensor | None = None
     ways: tuple[MediumWay, ...] = ()
     crossings: tuple[BoundaryCrossing, ...] | None = None  # in turn; None: rays are not followed, or carry no derivatives
+    emission: EmissionPlace | None = None  # None: no medium emits
 
 
 class Arrival(NamedTuple):

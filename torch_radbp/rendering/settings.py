@@ -99,7 +99,8 @@ def settings_of_integrand(renderer: nn.Module, scene: SceneTensors, cameras: Seq
     moving = sampling == "attached" or any_differentiated((scene.triangles, cameras)) or (
         sampling == "hybrid" and scene.layout.bending) or (scene.layout.follows and scene.lights_move)
     following = moving and sampling == "hybrid" and any(look.kind.follows for look in scene.layout.appearances)
-    return Settings(nee=renderer.nee, hide_emitters=renderer.hide_emitters, moving=moving,
+    nee = renderer.nee and bool(renderer.scene.emitters)  # else media alone emit, which are not connected to
+    return Settings(nee=nee, hide_emitters=renderer.hide_emitters, moving=moving,
                     sampling=sampling if moving else "detached", following=following)
 
 
