@@ -65,12 +65,13 @@ def test_info_shows_media_with_their_extinction_and_where_they_are(radbp, folder
 
 
 def test_info_says_which_medium_is_around_the_sensors(radbp, folder):
-    medium = '<medium type="homogeneous" name="medium"><float name="sigma_t" value="0.25"/></medium>'
+    medium = ('<medium type="homogeneous" name="medium"><float name="sigma_t" value="0.25"/>'
+              '<rgb name="emission" value="0.5, 1, 2"/></medium>')
     scene = (folder / "scene.xml").read_text().replace('<float name="fov"', f'{medium}<float name="fov"')
     (folder / "scene.xml").write_text(scene)
     code, stdout, _ = radbp("info", "scene.xml")
     row, = [line for line in stdout.splitlines() if "around all sensors" in line]
-    assert code == 0 and "homogeneous" in row and "0.25" in row
+    assert code == 0 and "homogeneous" in row and "0.25" in row and "0.5 to 2" in row
 
 
 def test_a_report_shows_slices_and_sums_of_a_volume(tmp_path):
