@@ -174,13 +174,11 @@ def test_in_thermal_equilibrium_radiance_is_1(kind):
     assert abs(float(error.mean())) < 4 * float(error.std()) / math.sqrt(len(error)) < 0.01
 
 
-@pytest.mark.parametrize("sigma", [0.0, 0.7], ids=["absorbs nothing", "absorbs"])
-@pytest.mark.parametrize("emission", [0.0, 1.0], ids=["emits nothing", "emits"])
+@pytest.mark.parametrize("emission, sigma", [(0.0, 0.7), (1.0, 0.0), (1.0, 0.7)],
+                         ids=["emits nothing", "absorbs nothing", "emits and absorbs"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_derivatives_are_those_of_the_closed_form(kind, emission, sigma):
     """By emission int T dt = (1 - exp(-x)) / sigma with x = sigma l, by extinction e int -t T dt."""
-    if emission == sigma == 0.0:
-        pytest.skip("nothing depends on anything")
     scene = alone(glowing(kind, (sigma,) * 3, (emission,) * 3))
     x, length = sigma * LENGTH, LENGTH
     own = "sigma_t.value.value" if kind == "homogeneous" else "sigma_t.data"

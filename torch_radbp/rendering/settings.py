@@ -98,7 +98,7 @@ def settings_of_integrand(renderer: nn.Module, scene: SceneTensors, cameras: Seq
     sampling = renderer.sampling
     moving = sampling == "attached" or any_differentiated((scene.triangles, cameras)) or (
         sampling == "hybrid" and scene.layout.bending) or (scene.layout.follows and scene.lights_move)
-    if scene.layout.emitting_media and any(shape.bounds_media for shape in renderer.scene.shapes):
+    if scene.layout.emitting_media and any(shape.bsdf.kind().invisible for shape in renderer.scene.shapes):
         # What is emitted along a ray counts whatever the ray meets, a boundary or what is behind it. So its direction must
         # not follow a point there, as it does unless all sampling is attached.
         sampling = "attached"
