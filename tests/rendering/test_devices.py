@@ -73,8 +73,8 @@ OF_SHADOWS = {"descended", "edge_found", "edge_tried", "edge_passed", "direct_li
 OF_CONTACTS = {"light_line"}  # of bodies that touch
 OF_MIRRORS = {"goes_on", "ideal_vertex", "no_direction", "scattered_ideally", "parted", "unparted", "drawn_by_steps"}
 OF_FEW_EDGES = {"edge_tried"}  # few beside the samples
-OF_WAYS = {"let_through", "next_leg", "next_shadow_leg", "runs_in", "shadow_ahead", "shadow_begun", "surface_ahead",
-           "tracking_begun", "tracking_on", "way_begun"}  # followed through media
+OF_WAYS = {"emission_begun", "emission_on_leg", "let_through", "next_leg", "next_shadow_leg", "runs_in", "shadow_ahead",
+           "shadow_begun", "surface_ahead", "tracking_begun", "tracking_on", "way_begun"}  # followed through media
 OF_MEDIA = {"free_flight", *OF_WAYS}  # that scatter
 OF_LAMPS = {"sample_lamps", "shining", "splats"}  # of paths from lamps, which begin at no network
 # Stages that a scene does without.

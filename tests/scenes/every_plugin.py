@@ -137,6 +137,7 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
     "heterogeneous": lambda: smoke(0.4),
     "smoke of three colours": lambda: smoke(0.4, 3),
     "flame": lambda: smoke(0.4, emission=grid(3, seed=7)),
+    "glowing fog": fog(**HAZE, emission=rgb(0.3, 0.2, 0.4)),
     "fog by a table": fog(**HAZE, phase={"type": "tabphase", "values": "0.3, 0.2, 0.5, 1.1"}),
     "fog of flakes": fog(**HAZE, phase={"type": "sggx", "S": [0.9, 0.3, 0.5, 0.2, -0.1, 0.15]}),
     "fog of two kinds": fog(**HAZE, phase={

@@ -117,10 +117,10 @@ def smoke() -> dict[str, Any]:
     """A medium that varies, and one in glass, in which there is a stone."""
     glass = {"type": "dielectric", "int_ior": 1.3}
     return {f"{SUBJECT}_sensor": camera(16, 50), "floor": floor(), "lamp": lamp(), "sky": sky(0.3),
-            f"{SUBJECT}_smoke": objects("heterogeneous")[SUBJECT], "box": objects("heterogeneous")["box"] | {
+            f"{SUBJECT}_smoke": objects("flame")[SUBJECT], "box": objects("heterogeneous")["box"] | {
                 "interior": {"type": "ref", "id": f"{SUBJECT}_smoke"}},
             "ball": {"type": "sphere", "center": [0.2, 0.1, 0.9], "radius": 0.4, "bsdf": glass,
-                     "interior": objects("homogeneous")[SUBJECT], "exterior": {"type": "ref", "id": f"{SUBJECT}_smoke"}},
+                     "interior": objects("glowing fog")[SUBJECT], "exterior": {"type": "ref", "id": f"{SUBJECT}_smoke"}},
             "stone": {"type": "sphere", "center": [0.2, 0.1, 0.9], "radius": 0.15}}
 
 

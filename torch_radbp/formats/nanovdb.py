@@ -41,7 +41,7 @@ class GridLayout(NamedTuple):
 LAYOUTS = {1: GridLayout(1, 64, 8, 96), 6: GridLayout(3, 96, 16, 128)}  # by the number of the type
 
 
-class Level(NamedTuple):
+class TreeLevel(NamedTuple):
     """The inner nodes of one level of a tree."""
 
     side: int  # children along an axis
@@ -50,7 +50,7 @@ class Level(NamedTuple):
     table: int  # offset of their entries
 
 
-LEVELS = Level(32, 128, 4128, 8256), Level(16, 8, 544, 1088)
+LEVELS = TreeLevel(32, 128, 4128, 8256), TreeLevel(16, 8, 544, 1088)
 
 
 class DenseGrid(NamedTuple):
@@ -153,29 +153,29 @@ def fill(values: np.ndarray, grid: np.ndarray, layout: GridLayout, root: int, fi
     `first`."""
     count, = struct.unpack_from("<I", grid, root + ROOT_TILES)
     tiles = root + layout.root_size + 32 * np.arange(min(count, len(grid)))  # else it is broken
-    keys, children = numbers(grid, tiles, "<u8", 1)[:, 0], numbers(grid, tiles + 8, "<i8", 1)[:, 0]
+    keys, children = numbers_at(grid, tiles, "<u8", 1)[:, 0], numbers_at(grid, tiles + 8, "<i8", 1)[:, 0]
     origins = np.stack([keys >> 42, keys >> 21, keys], 1) & 0x1FFFFF
     origins = (origins.astype(np.int64) << 44 >> 32)  # of 20 bits, with a sign
     nodes, origins = root + children[children != 0], origins[children != 0]
     for side, reach, mask, table in LEVELS:
-        bits = np.unpackbits(numbers(grid, nodes + mask, "u1", side**3 // 8), axis=1, bitorder="little").astype(bool)
+        bits = np.unpackbits(numbers_at(grid, nodes + mask, "u1", side**3 // 8), axis=1, bitorder="little").astype(bool)
         inside = np.stack(np.unravel_index(np.arange(side**3), (side,) * 3), 1) * reach
         entries = (nodes + table)[:, None] + layout.stride * np.arange(side**3)
         places = origins[:, None] + inside
-        tiles = numbers(grid, entries[~bits], "<f4", layout.channels)
+        tiles = numbers_at(grid, entries[~bits], "<f4", layout.channels)
         set_apart = (tiles != background).any(1)
         for tile, place in zip(tiles[set_apart], places[~bits][set_apart]):
             low, high = (np.maximum(end // 8 - first, 0) for end in (place, place + reach))
             values[low[0]:high[0], low[1]:high[1], low[2]:high[2]] = tile
-        nodes = (nodes[:, None] + np.zeros(side**3, np.int64))[bits] + numbers(grid, entries[bits], "<i8", 1)[:, 0]
+        nodes = (nodes[:, None] + np.zeros(side**3, np.int64))[bits] + numbers_at(grid, entries[bits], "<i8", 1)[:, 0]
         origins = places[bits]
     block = origins // 8 - first
     inside = ((block >= 0) & (block < values.shape[:3])).all(1)  # others have no value that is set
-    found = numbers(grid, nodes[inside] + layout.leaf, "<f4", 512 * layout.channels)
+    found = numbers_at(grid, nodes[inside] + layout.leaf, "<f4", 512 * layout.channels)
     values[tuple(block[inside].T)] = found.reshape(-1, 8, 8, 8, layout.channels)
 
 
-def numbers(grid: np.ndarray, at: np.ndarray, kind: str, count: int) -> np.ndarray:
+def numbers_at(grid: np.ndarray, at: np.ndarray, kind: str, count: int) -> np.ndarray:
     """(N, count) numbers of a type, which begin at bytes (N,)."""
     size = np.dtype(kind).itemsize
     if at.size and not (0 <= at.min() and at.max() + size * count <= len(grid)) or (at % size).any():
