@@ -87,15 +87,15 @@ def test_light_through_panes_is_left_by_glass_and_medium(compile):
 
 
 @pytest.mark.parametrize("depth", [1, 3], ids=["last", "flies"])
-@pytest.mark.parametrize("pane, share", [(thin(), passing(1.0) * COLOUR), (mask(0.4, BLACK), 0.6), (mask(0.5, thin()), None)],
-                         ids=["thin", "mask", "mask of thin"])
+@pytest.mark.parametrize("pane, share", [
+    (thin(), passing(1.0) * COLOUR), (mask(0.4, BLACK), 0.6), (mask(0.5, thin()), 0.5 + 0.5 * passing(1.0) * COLOUR)],
+    ids=["thin", "mask", "mask of thin"])
 def test_a_medium_that_glows_behind_a_pane_is_seen_through_it(pane, share, depth):
     """t e (1 - exp(-sigma l)) / sigma, with t of the pane; and its derivative by e."""
     sigma, emission = torch.tensor((0.7, 0.35, 1.4), dtype=torch.float64), torch.tensor((0.5, 1, 2), dtype=torch.float64)
     glow = haze(tuple(sigma.tolist()), (0, 0, 0)) | {"emission": rgb(*emission.tolist())}
     scene = load(torch.float64, camera=overhead(2, 4.0, 1e-4), slab=slab(1, 1.5, interior=glow),
                  pane=rectangle((0, 0, 3), 3.0, bsdf=pane))
-    share = 0.5 + 0.5 * passing(1.0) * COLOUR if share is None else share
     wanted, settings = share * emission * (1 - torch.exp(-1.5 * sigma)) / sigma, {"spp": 4096, "max_depth": depth}
     name = "slab.interior.emission.value.value"
     found = [rb.jvp(scene, {name: torch.ones(3, dtype=torch.float64)}, seed=seed, **settings) for seed in range(8)]
