@@ -20,8 +20,8 @@ PARTS = [f"{TRAINING}.{name}" for name in find_packages("training")]
 ASSETS = "torch_radbp.assets"  # what the bundled recipes need
 ASSET_FILES = ["README.md", "*/scene.xml", "*/target*.exr", "patches.png", "textured_room/*.png", "pot/*.glb",
                "pot/*.exr", "lit_balls/*.exr", "relief/*.exr", "shapes/*", "three_shadows/*.exr", "smoke/*.exr",
-               "cloud/*.exr", "caustic/*.exr", "figurine/*.xml", "figurine/*.ply", "figurine/*.png", "figurine/studio.exr",
-               "figurine/on_floor.exr"]
+               "smoke/*.xml", "cloud/*.exr", "caustic/*.exr", "figurine/*.xml", "figurine/*.ply", "figurine/*.png",
+               "figurine/studio.exr", "figurine/on_floor.exr"]
 
 CLASSIFIERS = [
     "Development Status :: 4 - Beta",

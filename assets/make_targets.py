@@ -32,6 +32,7 @@ TARGETS = {
     "three_shadows/on_back.exr": ("three_shadows/scene.xml", 48, 1024, 1),
     "three_shadows/on_left.exr": ("three_shadows/scene.xml", 48, 1024, 2),
     **{f"smoke/view_{view}.exr": ("smoke/scene.xml", 64, 1024, view) for view in range(5)},
+    **{f"smoke/around_{view}.exr": ("smoke/all_around.xml", 48, 1024, view) for view in range(8)},
     **{f"cloud/view_{view}.exr": ("cloud/scene.xml", 48, 2048, view) for view in range(9)},
     "translucent_ball/target.exr": ("translucent_ball/scene.xml", 64, 4096),
     "caustic/target.exr": ("caustic/scene.xml", 40, 8192),

@@ -29,7 +29,7 @@ Initial = Annotated[
 
 
 class Network(Table):
-    """A network from surface coordinates to colours; see `recovery.network`."""
+    """A network from surface coordinates, or from places in a grid, to its values; see `recovery.network`."""
 
     waves: Count = 64  # random sines and cosines of the coordinates, which it gets in their place
     frequency: Positive = 20.0  # their standard deviation, radians per width of the bitmap
@@ -95,9 +95,9 @@ class Parameter(Group):
     bounds: tuple[Number, Number] | None = None
     # How the bounds are kept: projected back after every step, or never left because a sigmoid (log) of the
     # parameter is what the optimiser sees. "rigid" is for (4, 4) matrices, which have no bounds: the optimiser sees a
-    # rotation vector (radians) and a translation, see `rigid`. "network" is for bitmaps: a network takes the place of one,
-    # within the bounds by a sigmoid, and the optimiser sees its weights. "large_steps" is for the vertex_positions of
-    # meshes: steps move the shape as a whole, see `rb.optim.LargeSteps`.
+    # rotation vector (radians) and a translation, see `rigid`. "network" is for bitmaps and grids: a network takes the
+    # place of one, within the bounds by a sigmoid, and the optimiser sees its weights. "large_steps" is for the
+    # vertex_positions of meshes: steps move the shape as a whole, see `rb.optim.LargeSteps`.
     parametrisation: Literal["clamp", "sigmoid", "log", "rigid", "network", "large_steps"] = "clamp"
     network: Network | None = None  # None: of the default size
     # Of "rigid": the place in the world that rotations are about, see `rigid`; None: the own origin.

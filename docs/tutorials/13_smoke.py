@@ -19,8 +19,9 @@ import torch_radbp as rb
 #
 # A medium stands in a shape as its `interior`, here a cube. A shape whose material is `null` is only a boundary: light
 # passes it straight. Within it, `heterogeneous` reads the extinction `sigma_t` from a volume, times `scale`. `albedo` is
-# the share of it that is scattered; the rest is absorbed. A `gridvolume` fills the unit cube [0, 1]^3; `to_world` moves
-# it to where the smoke is. Its `data` has the axes (Z, Y, X, channels).
+# the share of it that is scattered; the rest is absorbed. (A flame also has an `emission`, the radiance that it sends out
+# per unit of length: another volume, with derivatives likewise.) A `gridvolume` fills the unit cube [0, 1]^3; `to_world`
+# moves it to where the smoke is. Its `data` has the axes (Z, Y, X, channels). It also reads NanoVDB files, by `filename`.
 
 # %%
 box = torch.tensor([[2.0, 0, 0, -1], [0, 2, 0, -1], [0, 0, 2, -1], [0, 0, 0, 1]])

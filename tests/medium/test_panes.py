@@ -86,6 +86,26 @@ def test_light_through_panes_is_left_by_glass_and_medium(compile):
     assert ((images.mean(0) - wanted).abs() < 4 * error).all() and (error < 0.005 * wanted).all()
 
 
+@pytest.mark.parametrize("depth", [1, 3], ids=["last", "flies"])
+@pytest.mark.parametrize("pane, share", [
+    (thin(), passing(1.0) * COLOUR), (mask(0.4, BLACK), 0.6), (mask(0.5, thin()), 0.5 + 0.5 * passing(1.0) * COLOUR)],
+    ids=["thin", "mask", "mask of thin"])
+def test_a_medium_that_glows_behind_a_pane_is_seen_through_it(pane, share, depth):
+    """t e (1 - exp(-sigma l)) / sigma, with t of the pane; and its derivative by e."""
+    sigma, emission = torch.tensor((0.7, 0.35, 1.4), dtype=torch.float64), torch.tensor((0.5, 1, 2), dtype=torch.float64)
+    glow = haze(tuple(sigma.tolist()), (0, 0, 0)) | {"emission": rgb(*emission.tolist())}
+    scene = load(torch.float64, camera=overhead(2, 4.0, 1e-4), slab=slab(1, 1.5, interior=glow),
+                 pane=rectangle((0, 0, 3), 3.0, bsdf=pane))
+    wanted, settings = share * emission * (1 - torch.exp(-1.5 * sigma)) / sigma, {"spp": 4096, "max_depth": depth}
+    name = "slab.interior.emission.value.value"
+    found = [rb.jvp(scene, {name: torch.ones(3, dtype=torch.float64)}, seed=seed, **settings) for seed in range(8)]
+    images = [rb.render(scene, seed=seed, **settings) for seed in range(8)]
+    for each, right in ((images, wanted), (found, wanted / emission)):
+        means = torch.stack([one.mean((0, 2, 3)) for one in each])
+        error = means.std(0) / math.sqrt(len(means))
+        assert ((means.mean(0) - right).abs() < 4 * error + 1e-5 * right).all() and (error < 0.02 * right).all()
+
+
 def test_connections_to_lights_pass_panes():
     """A floor below a pane and a bulb: as much light as without the pane, times what that lets through, and no noise."""
     bulb = {"type": "point", "position": [0.0, 0.0, 2.0], "intensity": 3.0}

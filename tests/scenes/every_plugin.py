@@ -78,7 +78,7 @@ def grid(channels: int = 1, seed: int = 3, **attributes: Any) -> dict[str, Any]:
     return {"type": "gridvolume", "data": data, "to_world": to_world} | attributes
 
 
-def smoke(g: float, channels: int = 1) -> dict[str, Any]:
+def smoke(g: float, channels: int = 1, **more: Any) -> dict[str, Any]:
     """A medium that varies in an invisible box, between a lamp and a floor."""
     box = {"type": "cube", "to_world": translate((0, 0, 1)) @ scale((0.8, 0.8, 0.8)), "bsdf": {"type": "null"},
            "interior": {"type": "ref", "id": SUBJECT}}
@@ -86,7 +86,7 @@ def smoke(g: float, channels: int = 1) -> dict[str, Any]:
     dark["data"] = dark["data"] * 0.3  # of which little noise comes
     return {"sensor": camera(), "lamp": lamp(), "floor": floor(), "box": box, SUBJECT: {
         "type": "heterogeneous", "scale": 1.5, "sigma_t": grid(channels), "albedo": dark,
-        "phase": {"type": "hg", "g": g}}}
+        "phase": {"type": "hg", "g": g}} | more}
 
 
 HAZE = {"type": "homogeneous", "sigma_t": rgb(0.2, 0.3, 0.4), "albedo": rgb(0.9, 0.6, 0.3)}
@@ -136,6 +136,8 @@ SCENES: dict[str, dict[str, Any] | Callable[[], dict[str, Any]]] = {
                        phase={"type": "hg", "g": 0.4}),
     "heterogeneous": lambda: smoke(0.4),
     "smoke of three colours": lambda: smoke(0.4, 3),
+    "flame": lambda: smoke(0.4, emission=grid(3, seed=7)),
+    "glowing fog": fog(**HAZE, emission=rgb(0.3, 0.2, 0.4)),
     "fog by a table": fog(**HAZE, phase={"type": "tabphase", "values": "0.3, 0.2, 0.5, 1.1"}),
     "fog of flakes": fog(**HAZE, phase={"type": "sggx", "S": [0.9, 0.3, 0.5, 0.2, -0.1, 0.15]}),
     "fog of two kinds": fog(**HAZE, phase={

@@ -117,11 +117,12 @@ def fog() -> dict[str, Any]:
 def smoke() -> dict[str, Any]:
     """A medium that varies, and one in glass, in which there is a stone."""
     glass = {"type": "dielectric", "int_ior": 1.3}
+    inside, around = ({"type": "ref", "id": f"{SUBJECT}_{name}"} for name in ("glow", "smoke"))
     return {f"{SUBJECT}_sensor": camera(16, 50), "floor": floor(), "lamp": lamp(), "sky": sky(0.3),
-            f"{SUBJECT}_smoke": objects("heterogeneous")[SUBJECT], "box": objects("heterogeneous")["box"] | {
-                "interior": {"type": "ref", "id": f"{SUBJECT}_smoke"}},
+            f"{SUBJECT}_glow": objects("glowing fog")[SUBJECT], f"{SUBJECT}_smoke": objects("flame")[SUBJECT],
+            "box": objects("heterogeneous")["box"] | {"interior": around},
             "ball": {"type": "sphere", "center": [0.2, 0.1, 0.9], "radius": 0.4, "bsdf": glass,
-                     "interior": objects("homogeneous")[SUBJECT], "exterior": {"type": "ref", "id": f"{SUBJECT}_smoke"}},
+                     "interior": inside, "exterior": around},
             "stone": {"type": "sphere", "center": [0.2, 0.1, 0.9], "radius": 0.15},
             "pane": {"type": "rectangle", "to_world": translate((0, 0, 2)), "bsdf": {
                 "type": "mask", "opacity": 0.6, "nested_bsdf": {"type": "thindielectric"}}}}

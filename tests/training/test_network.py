@@ -103,5 +103,5 @@ def test_a_network_survives_writing_the_recipe(folder, network_recipe):
 
 
 def test_a_network_for_what_is_no_bitmap_is_refused(network_recipe):
-    with pytest.raises(ValueError, match="data of bitmaps, and parameter 'paint.reflectance.value' is the value of a"):
+    with pytest.raises(ValueError, match="bitmaps and grids, and parameter 'paint.reflectance.value' is the value of a"):
         Recovery(read_recipe(network_recipe, ["parameters.0.name=paint.reflectance.value"]))

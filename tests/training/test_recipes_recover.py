@@ -20,6 +20,8 @@ BOUNDS = {
     "mirror_pose": {"figurine.to_world": {"angle": 1.0, "distance": 0.0035}},
     "room_camera": {"sensor.to_world": {"angle": 0.2, "distance": 0.008}},
     "smoke": {"smoke.interior.sigma_t.data": {"rmse": 0.035}},
+    "smoke_around": {"smoke.interior.sigma_t.data": {"rmse": 0.03}},
+    "smoke_network": {"smoke.interior.sigma_t.data": {"rmse": 0.04}},
     "three_shadows": {"body.vertex_positions": {"chamfer": 0.018}},
     "translucent_ball": {"ball.interior.albedo.value.value": {"largest_error": 0.03}},
 }

@@ -8,6 +8,9 @@ from rich.console import Console
 import torch_radbp as rb
 from torch_radbp.formats.image import read_image, save_image
 from torch_radbp.formats.volume import write_volume
+from torch_radbp.training.recipe_file import read_recipe
+from torch_radbp.training.recovery.optimize import render_buffers
+from torch_radbp.training.recovery.problem import Recovery
 from torch_radbp.training.recovery.volume_picture import volume_picture
 from torch_radbp.training.run import run
 
@@ -65,12 +68,13 @@ def test_info_shows_media_with_their_extinction_and_where_they_are(radbp, folder
 
 
 def test_info_says_which_medium_is_around_the_sensors(radbp, folder):
-    medium = '<medium type="homogeneous" name="medium"><float name="sigma_t" value="0.25"/></medium>'
+    medium = ('<medium type="homogeneous" name="medium"><float name="sigma_t" value="0.25"/>'
+              '<rgb name="emission" value="0.5, 1, 2"/></medium>')
     scene = (folder / "scene.xml").read_text().replace('<float name="fov"', f'{medium}<float name="fov"')
     (folder / "scene.xml").write_text(scene)
     code, stdout, _ = radbp("info", "scene.xml")
     row, = [line for line in stdout.splitlines() if "around all sensors" in line]
-    assert code == 0 and "homogeneous" in row and "0.25" in row
+    assert code == 0 and "homogeneous" in row and "0.25" in row and "0.5 to 2" in row
 
 
 def test_a_report_shows_slices_and_sums_of_a_volume(tmp_path):
@@ -100,3 +104,22 @@ def test_a_volume_is_seen_along_each_axis_with_y_upwards():
     assert along_z[0].tolist() == [0, 1, 0.5, 0] and not along_z[1:].any(), "y upwards, x to the right"
     torch.testing.assert_close(sum_along_y[1], torch.tensor([0, 2 / 3, 1 / 3, 0]))  # sums along x are up to 3
     assert (picture[4] == 1).all() and (picture[:, 4] == 1).all(), "white between the parts"
+
+
+def test_a_network_in_the_place_of_a_grid_is_read_at_its_cells(tmp_path):
+    """Its weights are what is optimised, and the values at the centres of cells what is rendered and saved."""
+    write_volume(tmp_path / "smoke.vol", torch.full((4, 5, 6, 1), 0.2).numpy())
+    (tmp_path / "scene.xml").write_text(SCENE)
+    save_image(tmp_path / "target.exr", rb.render(rb.load(tmp_path / "scene.xml"), spp=4)[0].detach())
+    own = RECIPE[RECIPE.index("initial"):RECIPE.index("truth")]
+    network = 'parametrisation = "network"\nnetwork = { waves = 8, frequency = 3.0, width = 16 }\nbounds = [0.0, 0.5]\n'
+    (tmp_path / "recipe.toml").write_text(RECIPE.replace(own, network))
+    recovery = Recovery(read_recipe(tmp_path / "recipe.toml"))
+    parameter, = recovery.parameters
+    grid = recovery.scene.smoke.interior.sigma_t
+    assert parameter.raw.shape == (16 * 17 + 16 * 17 + 17,) and grid.data.shape == (4, 5, 6, 1)
+    place = torch.tensor([[3.5 / 6, 1.5 / 5, 2.5 / 4]])  # x, y and z
+    value = grid.parametrizations.data[0].network(parameter.raw, place)
+    torch.testing.assert_close(grid.data[2, 1, 3], value[0])
+    sum(buffer.sum() for buffer in render_buffers(recovery, 0)).backward()
+    assert parameter.raw.grad.isfinite().all() and parameter.raw.grad.abs().max() > 0

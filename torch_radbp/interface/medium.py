@@ -7,17 +7,18 @@ vertex sends along a ray, and the light that reaches it along a connection, coun
     L = T(ray) (E + F L'),    E = Le + visible T(connection) Ld
 
 In a medium that scatters the flight of a path may end before the next surface, which is an event of its own
-(`path/flight.py`).
+(`path/flight.py`). What a medium itself emits along a ray is looked at in one place of each (`path/volume_emission.py`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
 
+from torch_radbp.interface.volume import VolumeKind
 from torch_radbp.tensors.vec import Ray, Vec3
 
 Table = Any  # a NamedTuple of columns
@@ -33,6 +34,14 @@ class MediumWay(NamedTuple):
     place: Tensor | None = None
 
 
+class TrackedEmission(NamedTuple):
+    """A place that is picked evenly on the ways of rays that are followed by steps, so far, (N,) each; detached."""
+
+    t: Tensor  # distance to it
+    left: Vec3  # there, as in `Tracking`, over the same number
+    beyond: Vec3
+
+
 class Tracking(NamedTuple):
     """Rays that are followed through one medium by steps, (N,) each; detached.
 
@@ -45,6 +54,7 @@ class Tracking(NamedTuple):
     beyond: Vec3  # probability of coming so far, by the colour that decides; where they scatter the density of that
     seed: Tensor  # int32, changes at every step
     running: Tensor  # bool: they go on
+    emission: TrackedEmission | None = None  # None: nobody asks what media emit
 
 
 @dataclass(frozen=True)
@@ -53,6 +63,8 @@ class MediumKind:
 
     scatters: ClassVar[bool] = False
     tracked: ClassVar[bool] = False  # rays are followed through it by steps; else `transmittance` is in closed form
+    # Of media that scatter: what they emit, read from the column `emission` of the table; None: they do not.
+    emission: VolumeKind | None = field(default=None, kw_only=True)
 
     def transmittance(self, table: Table, ray: Ray, distance: Tensor) -> Vec3:
         """The share of light that is left after a distance along each ray, (N,), in [0, 1].
@@ -79,6 +91,17 @@ class MediumKind:
         """The density of `sample_flight` over distance, and the probability of flying farther, (N,) each: by each of the
         three colours, of which `v` chooses one with equal probability, from 0 to 1 in turn."""
         raise TypeError(f"{type(self).__name__} does not scatter")
+
+    def emitted(self, table: Table, p: Vec3) -> Vec3:
+        """Radiance emitted per unit of length at points, (N,), by colour; attached."""
+        if self.emission is None:
+            raise TypeError(f"{type(self).__name__} emits nothing")
+        return self.emission.eval(table.emission, p)
+
+    def sample_emission(self, table: Table, ray: Ray, way: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Vec3]:
+        """Distances on the way at which it is looked at what the medium emits, (N,), and their density over length by each
+        of the three colours. Detached; args as for `sample_flight`. Of media whose `transmittance` is in closed form."""
+        raise TypeError(f"{type(self).__name__} emits nothing")
 
     def enter(self, table: Table, ray: Ray, leg: Tensor) -> tuple[Tensor, Tensor]:
         """Distances between which rays are in the medium that is followed by steps, (N,); empty if the second is not more.

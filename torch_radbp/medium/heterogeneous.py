@@ -22,7 +22,7 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.interface.medium import MediumKind, Tracking, colour_chosen
+from torch_radbp.interface.medium import MediumKind, TrackedEmission, Tracking, colour_chosen
 from torch_radbp.interface.phase import PhaseKind
 from torch_radbp.interface.volume import VolumeKind
 from torch_radbp.medium.coarse_grid import CoarseGrid, cell_of, coarse_grid, distance_to_next_cell
@@ -32,6 +32,7 @@ from torch_radbp.plugin.domain import AMOUNT, FRACTION, NUMBER, Domain
 from torch_radbp.sampling.sampler import next_number
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.record import selected
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, where
 from torch_radbp.volume.constvolume import as_volume
 
@@ -50,6 +51,7 @@ class HeterogeneousTable(NamedTuple):
     grid: CoarseGrid  # bounds of the extinction, detached
     floor: Tensor  # (1,) the least extinction by which flights are sampled, detached
     floor_of_derivatives: Tensor  # (1,) the same where derivatives have samples of their own
+    emission: Any = None  # of its volume
 
 
 @dataclass(frozen=True)
@@ -93,15 +95,17 @@ class HeterogeneousKind(MediumKind):
 
     def track(self, table: HeterogeneousTable, ray: Ray, leg: Tensor, v: Tensor, tracking: Tracking,
               flies: bool) -> Tracking:
-        _, last = self.enter(table, ray, leg)
+        first, last = self.enter(table, ray, leg)
         for _ in range(STEPS):
-            tracking = self.step(table, ray, last, v, tracking, flies)
+            before, tracking = tracking, self.step(table, ray, last, v, tracking, flies)
+            if before.emission is not None and self.emission is not None:
+                tracking = with_emission(tracking, before, first, last)
         return tracking
 
     def step(self, table: HeterogeneousTable, ray: Ray, last: Tensor, v: Tensor, tracking: Tracking,
              flies: bool) -> Tracking:
         """Follows rays to the next tentative collision, or the next cell of the coarse grid; `last`: where they leave."""
-        t, end, left, beyond, seed, running = tracking
+        t, end, left, beyond, seed, running, _ = tracking
         floor = only(table.floor, last)
         # Above what flights are sampled by, so that tentative collisions may be passed wherever light passes.
         bound = torch.maximum(lookup(table.grid.bound, cell_of(table.grid, ray, t)) * only(table.scale, last), 2.0 * floor)
@@ -123,17 +127,33 @@ class HeterogeneousKind(MediumKind):
         else:
             real, left = torch.zeros_like(running), where(collides, left * sigma.map(lambda each: 1.0 - each / bound), left)
         t, seed = torch.where(running, t, tracking.t), torch.where(running, seed, tracking.seed)
-        return Tracking(t, end, left, beyond, seed, running & ~real & (t < last))
+        return tracking._replace(t=t, end=end, left=left, beyond=beyond, seed=seed, running=running & ~real & (t < last))
+
+
+def with_emission(tracking: Tracking, before: Tracking, first: Tensor, last: Tensor) -> Tracking:
+    """Picks the place at which it is looked at what is emitted: on the latest step with the probability of its share.
+
+    What is left is the same all along a step, so that the place counts by that before it. Args: rays after and before the
+    step, and where they enter the medium and leave it.
+    """
+    emission = before.emission
+    assert emission is not None
+    seed, u = next_number(tracking.seed, last.dtype)
+    reached = torch.minimum(tracking.t, last)
+    along = u * (reached - first)
+    here = before.running & (along < reached - before.t)
+    place = TrackedEmission(before.t + along, before.left, before.beyond)
+    return tracking._replace(seed=torch.where(before.running, seed, tracking.seed), emission=selected(here, place, emission))
 
 
 @register("medium", "heterogeneous")
 class Heterogeneous(Medium):
     """A medium that absorbs and scatters light differently from point to point, such as smoke.
 
-    Parameters: those of `sigma_t` and `albedo`, `scale`, and those of the phase function. Derivatives: with respect to all
-    of them, also where extinction or albedo are 0. It fills the box in the world around the grid of `sigma_t`; outside of
-    that there is nothing, and what is inside of the box, but not of the grid, reads the nearest values. A constant `sigma_t`
-    fills the unit cube [0, 1]^3 under its `to_world`, as in Mitsuba 3.9.1.
+    Parameters: those of `sigma_t`, `albedo` and `emission`, `scale`, and those of the phase function. Derivatives: with
+    respect to all of them, also where extinction, albedo or emission are 0. It fills the box in the world around the grid of
+    `sigma_t`; outside of that there is nothing, and what is inside of the box, but not of the grid, reads the nearest
+    values. A constant `sigma_t` fills the unit cube [0, 1]^3 under its `to_world`, as in Mitsuba 3.9.1.
 
     Args:
         albedo: the share of the extinction that is scattered, in [0, 1].
@@ -141,13 +161,16 @@ class Heterogeneous(Medium):
         scale: a factor of `sigma_t`.
         sample_emitters: whether light is looked for from vertices in the medium; must be true.
         phase_function: the directions of scattered light; `isotropic` by default.
+        emission: radiance that is emitted per unit of length in the box, by colour or of all alike, whatever the extinction
+            is. None: nothing is emitted.
 
     Raises:
         ValueError: if a value is out of range.
     """
 
     def __init__(self, *, albedo: Volume | Texture | float = 0.75, sigma_t: Volume | Texture | float = 1.0,
-                 scale: float = 1.0, sample_emitters: bool = True, phase_function: Phase | None = None):
+                 scale: float = 1.0, sample_emitters: bool = True, phase_function: Phase | None = None,
+                 emission: Volume | Texture | float | None = None):
         super().__init__()
         if not sample_emitters:
             raise ValueError("sample_emitters must be true: Renderer(nee=False) turns next-event estimation off everywhere")
@@ -155,12 +178,15 @@ class Heterogeneous(Medium):
         self.albedo, self.sigma_t = as_volume(self, "albedo", albedo), as_volume(self, "sigma_t", sigma_t)
         self.freeze("scale", finite("scale", scale, ()).to(torch.get_default_dtype()))
         self.phase_function = Isotropic() if phase_function is None else phase_function
+        self.emission = None if emission is None else as_volume(self, "emission", emission)
 
     def domains(self) -> dict[str, Domain]:
-        return {"albedo": FRACTION, "sigma_t": AMOUNT._replace(floor=0.0), "scale": NUMBER._replace(low=0.0, floor=0.0)}
+        return {"albedo": FRACTION, "sigma_t": AMOUNT._replace(floor=0.0), "scale": NUMBER._replace(low=0.0, floor=0.0),
+                "emission": AMOUNT._replace(floor=0.0)}
 
     def kind(self) -> HeterogeneousKind:
-        return HeterogeneousKind(self.sigma_t.kind(), self.albedo.kind(), self.phase_function.kind())
+        emission = None if self.emission is None else self.emission.kind()
+        return HeterogeneousKind(self.sigma_t.kind(), self.albedo.kind(), self.phase_function.kind(), emission=emission)
 
     def row(self) -> HeterogeneousTable:
         sigma_t, albedo = self.sigma_t.table(), self.albedo.table()
@@ -174,7 +200,8 @@ class Heterogeneous(Medium):
         grid = grid._replace(bound=grid.bound * self.phase_function.largest_area())
         thinnest = THINNEST_OF_DERIVATIVES if any_differentiated(sigma_t) else THINNEST
         return HeterogeneousTable(sigma_t, albedo, self.scale, self.phase_function.row(), grid,
-                                  THINNEST / diagonal, thinnest / diagonal)
+                                  THINNEST / diagonal, thinnest / diagonal,
+                                  None if self.emission is None else self.emission.table())
 
 
 def index(like: Tensor) -> Tensor:

@@ -21,10 +21,11 @@ from torch_radbp.plugin.domain import AMOUNT, FRACTION, NUMBER, Domain
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, where
-from torch_radbp.volume.constvolume import as_constant
+from torch_radbp.volume.constvolume import as_constant, as_volume
 
 THINNEST = 0.05  # the least optical thickness of a way by which distances are sampled
 LONGEST = 1e9  # ways beyond it have no end
+THINNEST_OF_EMISSION = 1e-3  # the same by which places are sampled at which it is looked at what is emitted
 SPREAD = 0.5  # of the samples of derivatives by the extinction
 
 
@@ -36,6 +37,7 @@ class HomogeneousTable(NamedTuple):
     phase: Any  # numbers of the phase function
     spread: Tensor  # (1,) the share of flights that are spread over ways without end, if nothing is scattered; detached
     extent: Tensor  # (1,) of the scene, by which they are; 0: none are
+    emission: Any = None  # of its volume
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,13 @@ class HomogeneousKind(MediumKind):
         rate = density * farther.map(lambda each: 1.0 / each.clamp_min(TINY))
         return where(extent > 0, rate, sigma) * farther, farther
 
+    def sample_emission(self, table: HomogeneousTable, ray: Ray, way: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Vec3]:
+        # The exponential distribution again, of what is lost on the way: all places count alike, if there is one colour.
+        sigma = at_least(self.extinction(table, ray.o, ray.d), way, THINNEST_OF_EMISSION)
+        lost = sigma.map(lambda each: -torch.expm1(-each * way))
+        distance = torch.minimum(-torch.log1p(-u * colour_chosen(lost, v)) / colour_chosen(sigma, v), way)
+        return distance, Vec3(*(each * torch.exp(-each * distance) / all_of_it for each, all_of_it in zip(sigma, lost)))
+
     def spread(self, table: HomogeneousTable, sigma: Vec3, way: Tensor) -> Vec3:
         """The shares of flights, (N,), that are spread over the way, by the colour that decides."""
         share, extent = everywhere(table.spread, way), everywhere(table.extent, way)
@@ -93,9 +102,9 @@ class HomogeneousKind(MediumKind):
 class Homogeneous(Medium):
     """A medium that absorbs and scatters light everywhere alike, such as fog.
 
-    Parameters: `sigma_t`, `albedo`, `scale`, and those of the phase function. Derivatives: with respect to all of them, also
-    where the albedo or the extinction is 0. The distances at which paths scatter are sampled by one of the three colours,
-    and weighted against all.
+    Parameters: `sigma_t`, `albedo`, `scale`, and those of the phase function and of `emission`. Derivatives: with respect to
+    all of them, also where the albedo, the extinction or the emission is 0. The distances at which paths scatter are sampled
+    by one of the three colours, and weighted against all.
 
     Args:
         albedo: the share of the extinction that is scattered, in [0, 1].
@@ -103,13 +112,16 @@ class Homogeneous(Medium):
         scale: a factor of `sigma_t`.
         sample_emitters: whether light is looked for from vertices in the medium; must be true.
         phase_function: the directions of scattered light; `isotropic` by default.
+        emission: radiance that is emitted per unit of length, by colour or of all alike, which may vary in space; whatever
+            the extinction is, which must not be 0 where rays meet nothing. None: nothing is emitted.
 
     Raises:
         ValueError: if a value is out of range.
     """
 
     def __init__(self, *, albedo: Volume | Texture | float = 0.75, sigma_t: Volume | Texture | float = 1.0,
-                 scale: float = 1.0, sample_emitters: bool = True, phase_function: Phase | None = None):
+                 scale: float = 1.0, sample_emitters: bool = True, phase_function: Phase | None = None,
+                 emission: Volume | Texture | float | None = None):
         super().__init__()
         if not sample_emitters:
             raise ValueError("sample_emitters must be true: Renderer(nee=False) turns next-event estimation off everywhere")
@@ -117,22 +129,24 @@ class Homogeneous(Medium):
         self.albedo, self.sigma_t = as_constant(self, "albedo", albedo), as_constant(self, "sigma_t", sigma_t)
         self.freeze("scale", finite("scale", scale, ()).to(torch.get_default_dtype()))
         self.phase_function = Isotropic() if phase_function is None else phase_function
+        self.emission = None if emission is None else as_volume(self, "emission", emission)
         if not self.phase_function.even_area():
             raise ValueError(f"{self.phase_function.type} of homogeneous must be the same everywhere, since the extinction "
                              "depends on it; take a heterogeneous medium")
 
     def domains(self) -> dict[str, Domain]:
         return {"albedo": FRACTION, "sigma_t": AMOUNT._replace(floor=0.0),
-                "scale": NUMBER._replace(low=0.0, floor=0.0)}
+                "scale": NUMBER._replace(low=0.0, floor=0.0), "emission": AMOUNT._replace(floor=0.0)}
 
     def kind(self) -> HomogeneousKind:
-        return HomogeneousKind(self.phase_function.kind())
+        emission = None if self.emission is None else self.emission.kind()
+        return HomogeneousKind(self.phase_function.kind(), emission=emission)
 
     def row(self) -> HomogeneousTable:
         sigma_t = (self.sigma_t.colour() * self.scale).map(not_below_zero)
         spread = SPREAD if any_differentiated(sigma_t) else 0.0
         return HomogeneousTable(sigma_t, self.albedo.colour(), self.phase_function.row(), self.scale.new_tensor(spread),
-                                torch.zeros_like(self.scale))
+                                torch.zeros_like(self.scale), None if self.emission is None else self.emission.table())
 
 
 def not_below_zero(sigma: Tensor) -> Tensor:
@@ -140,10 +154,10 @@ def not_below_zero(sigma: Tensor) -> Tensor:
     return sigma + (sigma.detach().clamp_min(0.0) - sigma.detach())
 
 
-def at_least(sigma: Vec3, way: Tensor) -> Vec3:
+def at_least(sigma: Vec3, way: Tensor, thinnest: float = THINNEST) -> Vec3:
     """The extinction by which distances are sampled: where there is hardly any, some flights end nevertheless on the way to
     the next surface. They bring little light, and all of its derivative by an extinction of 0."""
-    return sigma.map(lambda each: torch.maximum(each, THINNEST / way.clamp_min(TINY)))
+    return sigma.map(lambda each: torch.maximum(each, thinnest / way.clamp_min(TINY)))
 
 
 def everywhere(row: Any, like: Tensor) -> Any:

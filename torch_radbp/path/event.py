@@ -74,7 +74,7 @@ class FlightEnd:
 class Ends(Enum):
     """The events that end a path: only emission counts."""
 
-    SURROUNDINGS = "the ray leaves the scene"
+    SURROUNDINGS = "the ray leaves the scene, which has light around it, or in media"
     LAST_BOUNCE = "paths have as many bounces as they may"
 
     @property
@@ -114,4 +114,4 @@ def events_of(layout: Layout, last: bool) -> tuple[Event, ...]:
         return (Ends.LAST_BOUNCE,)
     surfaces = map(SurfaceMet, range(len(layout.appearances)))
     return (*surfaces, *map(FlightEnd, layout.scattering_media),
-            *([] if layout.surround is None else [Ends.SURROUNDINGS]))
+            *([] if layout.surround is None and not layout.emitting_media else [Ends.SURROUNDINGS]))

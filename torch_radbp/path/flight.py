@@ -30,6 +30,7 @@ from torch_radbp.path.passage import distance_passed, leg_inside, way_left
 from torch_radbp.path.state import BSDF_U, BSDF_V, ROULETTE, Arrival, Position, Settings
 from torch_radbp.path.surface import surface_met
 from torch_radbp.path.vertex import Terms, VertexKind
+from torch_radbp.path.volume_emission import with_volume_emission
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import bounce_key, uniform
 from torch_radbp.scene.tables.light_tree import Vantage
@@ -79,6 +80,13 @@ class FlightVertex(VertexKind):
         chance = longer / settled(arrival.flight.chance).clamp_min(TINY)
         scattered = way_left(scene, arrival, t) * kind.scattering(table, p, wi) * chance
 
+        # Le: the light that media emit on the way, up to the next surface.
+        surface = t
+        if settings.moving and arrival.flight.emission is not None:
+            si = surface_met(scene, arrival, settings, here)
+            surface = torch.where(si.valid, si.t, FAR)
+        Le = with_volume_emission(Vec3.full(t, 0.0), scene, arrival, surface)
+
         # Ld: the light of one point on a light, as the phase function scatters it.
         none, there = Vec3.full(state.pdf, 0.0), torch.ones_like(state.pdf, dtype=torch.bool)
         light, Ld = None, none
@@ -100,7 +108,7 @@ class FlightVertex(VertexKind):
         survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
         survives = both(number(ROULETTE) < survival, may_go_on(settings, scene.layout, state, pdf, None))
         place = FlightPlace(kind, table, p, t, wi, wo)
-        return Terms(none, Ld, light, weight, 1.0 / survival, pdf, survives, place)
+        return Terms(Le, Ld, light, weight, 1.0 / survival, pdf, survives, place)
 
     def distance_flown(self, scene: SceneTensors, arrival: Arrival, settings: Settings,
                        here: Corners | None = None) -> tuple[Tensor, Tensor | float]:

@@ -68,6 +68,6 @@ def connects(settings: Settings, layout: Layout, state: PathState, narrow: Tenso
 
 def may_go_on(settings: Settings, layout: Layout, state: PathState, pdf: Tensor, narrow: Tensor | None) -> Tensor | None:
     """(N,) bool: paths that go on may bring something; None: all may. Args as for `connects` and `narrowly`."""
-    if state.first is None or (settings.light_paths == "all") == layout.from_lamps:
+    if state.first is None or (settings.light_paths == "all") == layout.from_lamps or layout.emitting_media:
         return None
     return (state.first != NOT_YET) | narrowly(pdf, narrow)

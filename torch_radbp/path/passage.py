@@ -22,7 +22,7 @@ from torch import Tensor
 
 from torch_radbp.connection.light import FAR
 from torch_radbp.connection.media import transmittance, transmittance_of
-from torch_radbp.interface.medium import MediumKind, MediumWay, Tracking, colour_chosen, mean_of_colours
+from torch_radbp.interface.medium import MediumKind, MediumWay, TrackedEmission, Tracking, colour_chosen, mean_of_colours
 from torch_radbp.path.panes import no_panes, pane_at, through_panes, with_pane
 from torch_radbp.path.state import BSDF_CHOICE, Arrival, BoundaryCrossing, Flight, PathState, Position
 from torch_radbp.raycast.protocol import Hit
@@ -79,7 +79,7 @@ def steps_seed(key: BounceKey) -> Tensor:
 
 
 @stage("scene")
-def tracking_begun(scene: SceneTensors, ahead: Ray, leg: Tensor, medium: Tensor, seed: Tensor) -> Tracking:
+def tracking_begun(scene: SceneTensors, ahead: Ray, leg: Tensor, medium: Tensor, seed: Tensor, shadow: bool) -> Tracking:
     """Rays at the start of legs through media, of which those run that are followed by steps.
 
     Args:
@@ -88,12 +88,15 @@ def tracking_begun(scene: SceneTensors, ahead: Ray, leg: Tensor, medium: Tensor,
         leg: (N,) to the next surface.
         medium: (N,) int32, numbers of the media.
         seed: (N,) int32.
+        shadow: nobody asks what media emit on the way.
     """
     first, last = torch.zeros_like(leg), torch.zeros_like(leg)
     for number in scene.layout.tracked_media:
         here, span = medium == number, scene.layout.media[number].enter(scene.media[number], ahead, leg)
         first, last = (torch.where(here, new, old) for new, old in zip(span, (first, last)))
-    return Tracking(first, torch.full_like(leg, torch.inf), Vec3.full(leg, 1.0), Vec3.full(leg, 1.0), seed, first < last)
+    whole = Vec3.full(leg, 1.0)
+    emission = None if shadow or not scene.layout.emitting_media else TrackedEmission(first, whole, whole)
+    return Tracking(first, torch.full_like(leg, torch.inf), whole, Vec3.full(leg, 1.0), seed, first < last, emission)
 
 
 @stage("scene")
@@ -285,14 +288,19 @@ def moved_way(kind: MediumKind, table: Any, ray: Ray, way: MediumWay, borders: S
         borders: (N,) each, attached, where rays pass boundaries; infinite: they do not.
         ray, way, distance: as for `moved_ways`.
     """
-    begins, ends = torch.zeros_like(distance), distance
-    for border in borders:
-        before = settled(border) <= way.place
-        begins = torch.where(before & (settled(border) > settled(begins)), border, begins)
-        ends = torch.where(~before & (settled(border) < settled(ends)), border, ends)
-    first, leg = leg_inside(kind, table, ray, begins, ends)
+    first, leg = leg_inside(kind, table, ray, *leg_around(way.place, borders, distance))
     longer = leg / settled(leg)
     return way._replace(length=way.length * longer, place=first + (way.place - settled(first)) * longer)
+
+
+def leg_around(place: Tensor, borders: Sequence[Tensor], distance: Tensor) -> tuple[Tensor, Tensor]:
+    """The distances at which the legs begin and end on which places are, (N,) each, attached; args as for `moved_way`."""
+    begins, ends = torch.zeros_like(distance), distance
+    for border in borders:
+        before = settled(border) <= place
+        begins = torch.where(before & (settled(border) > settled(begins)), border, begins)
+        ends = torch.where(~before & (settled(border) < settled(ends)), border, ends)
+    return begins, ends
 
 
 def leg_inside(kind: MediumKind, table: Any, ray: Ray, begins: Tensor, ends: Tensor) -> tuple[Tensor, Tensor]:

@@ -15,6 +15,7 @@ from torch_radbp.path.passage import shown_through, way_through
 from torch_radbp.path.state import Arrival, Position, Settings
 from torch_radbp.path.surface import surface_met
 from torch_radbp.path.vertex import Terms, VertexKind
+from torch_radbp.path.volume_emission import with_volume_emission
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import Corners
 from torch_radbp.tensors.vec import Vec3
@@ -37,6 +38,7 @@ class PathEnd(VertexKind):
         Le = emission(scene, proposal, arrival, si, settings, texture_values)
         distance = torch.where(si.valid, si.t, FAR)
         Le = attenuated(Le, shown_through(arrival, way_through(scene, arrival, distance)))
+        Le = with_volume_emission(Le, scene, arrival, distance)
         return Terms(Le, Vec3.full(si.t, 0.0), None, None, None, None, torch.zeros_like(si.valid), si)
 
 

@@ -148,15 +148,17 @@ def side_met(scene: SceneTensors, ray: Ray, hit: Hit, lanes: Tensor, nothing: Te
 
 
 @stage("scene")
-def shines(scene: SceneTensors, hit: Hit, image_lanes: ImageLanes | None) -> Tensor:
-    """(N,) bool: rays that hit an emitter or leave the scene towards an environment; int32 if some lanes are of the image
-    alone.
+def shines(scene: SceneTensors, hit: Hit, image_lanes: ImageLanes | None, flight: Flight | None = None) -> Tensor:
+    """(N,) bool: rays that hit an emitter, leave the scene towards an environment, or pass media that emit; int32 if some
+    lanes are of the image alone.
 
     Args:
         scene: detached; any part of it.
-        hit, image_lanes: as for `appearance_met`.
+        hit, image_lanes, flight: as for `appearance_met`.
     """
     met = hit.prim >= 0
     lit = met & (lookup(scene.triangles.emitter, hit.prim.clamp_min(0)) >= 0)
     found = lit | ~met if scene.layout.surround else lit
+    if flight is not None and flight.emission is not None:
+        found = found | (flight.emission.weight > 0)
     return found if image_lanes is None else _numbered((~found).to(torch.int32), 1, image_lanes)

@@ -33,7 +33,7 @@ def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool, image_lanes: Im
         flight: (N,) see `Arrival`.
     """
     if last:
-        return None, *one_queue(Ends.LAST_BOUNCE, integrand.part(Ends.LAST_BOUNCE).call(shines, hit, image_lanes))
+        return None, *one_queue(Ends.LAST_BOUNCE, integrand.part(Ends.LAST_BOUNCE).call(shines, hit, image_lanes, flight))
     number, front = appearances_met(integrand, ray, hit, image_lanes, flight)
     return front, *queues_by(number, events_of(integrand.proposal.layout, last), image_lanes is not None)
 

@@ -95,6 +95,17 @@ class ShadowWay(NamedTuple):
     crossings: tuple[BoundaryCrossing, ...] | None = None  # in turn; None: rays carry no derivatives
 
 
+class EmissionPlace(NamedTuple):
+    """A place on the ways of rays through media at which it is looked at what these emit, (N,) each; detached."""
+
+    t: Tensor  # distance to it
+    medium: Tensor  # int32, number of that in which it is
+    weight: Tensor  # by which the light counts that is emitted there and let through: 1 / density over length
+    total: Tensor  # of all places of which this was picked, their worth
+    ways: tuple[MediumWay, ...]  # to it, in each of `Layout.media`
+    panes: PanesPassed | None  # that are passed up to it; None: the scene has none
+
+
 class Flight(NamedTuple):
     """How far paths come in media, (N,) each; detached."""
 
@@ -110,6 +121,7 @@ class Flight(NamedTuple):
     panes: PanesPassed | None = None
     stays: Tensor | None = None
     choice: Tensor | None = None
+    emission: EmissionPlace | None = None  # None: no medium emits
 
 
 class Arrival(NamedTuple):

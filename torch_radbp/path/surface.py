@@ -17,6 +17,7 @@ from torch_radbp.path.light_share import connects, may_go_on
 from torch_radbp.path.passage import medium_beyond, shown_through, way_through
 from torch_radbp.path.state import BSDF_CHOICE, BSDF_U, BSDF_V, ROULETTE, Arrival, Position, Settings
 from torch_radbp.path.vertex import Terms, VertexKind
+from torch_radbp.path.volume_emission import with_volume_emission
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import bounce_key, uniform
 from torch_radbp.scene.tables.light_tree import Vantage
@@ -66,9 +67,10 @@ class SurfaceVertex(VertexKind):
         through = way_through(scene, arrival, si.t)
         of_material, of_emitter, of_sample = shares_of(scene, texture_values)
 
-        # Le: the light that it emits.
+        # Le: the light that it emits, and what media do on the way.
         shown = shown_through(arrival, through)
         Le = attenuated(emission(scene, proposal, arrival, si, settings, of_emitter), shown)
+        Le = with_volume_emission(Le, scene, arrival, si.t)
 
         # Ld: the light of one point on a light, as the material scatters it.
         material = material_at(scene, si, of_material)

@@ -27,6 +27,7 @@ from torch_radbp.path.passage import (
 )
 from torch_radbp.path.shadow_passage import next_shadow_leg, shadow_ahead, shadow_begun
 from torch_radbp.path.state import BoundaryCrossing, Flight, PathState, ShadowWay
+from torch_radbp.path.volume_emission import emission_begun, emission_on_leg
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.differentiated import detached
@@ -50,6 +51,8 @@ def free_flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -
     if not layout.follows:
         return hit, part.call(free_flight, state, hit, at)
     way, pick = part.call(way_begun, state, at), integrand.stages(rows)
+    if layout.emitting_media:
+        way = way._replace(flight=way.flight._replace(emission=part.call(emission_begun, state)))
 
     def flown(met: Hit, lanes: Tensor) -> tuple[Hit, PathPassage, Tensor]:
         """Flies through media, to the next surface at most, and passes that if it is but a boundary; see `next_leg`."""
@@ -57,7 +60,11 @@ def free_flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -
         if layout.tracked_media:
             length = part.call(surface_ahead, way.ahead, met, lanes)
             tracking = tracked(integrand, *pick((way.ahead, way.flight.medium, way.seed, way.v), lanes), length, flies)
-        return part.call(next_leg, state.ray, way, met, tracking, lanes, flies)
+        hit, on, passes = part.call(next_leg, state.ray, way, met, tracking, lanes, flies)
+        if layout.emitting_media:
+            emission = part.call(emission_on_leg, state.ray, way, met, tracking, lanes)
+            on = on._replace(flight=on.flight._replace(emission=emission))
+        return hit, on, passes
 
     lanes, crossings = all_lanes(hit.prim), BoundaryCrossings(integrand, state.medium)
     hit, way, passes = flown(hit, lanes)
@@ -129,7 +136,7 @@ def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[
         met, tracking = integrand.caster.intersect(ahead), None
         if layout.tracked_media:
             length = part.call(shadow_ahead, shadow, distance, passed.ahead, met, lanes)
-            tracking = tracked(integrand, ahead, medium, seed, length, length, False)
+            tracking = tracked(integrand, ahead, medium, seed, length, length, False, shadow=True)
         on, passes = part.call(next_shadow_leg, shadow, distance, passed, met, tracking, lanes)
         crossings.add(lanes, met, medium, on.medium, passes)
         put_rows(passed, lanes, on)
@@ -140,7 +147,7 @@ def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[
 
 
 def tracked(integrand: Integrand, ahead: Ray, medium: Tensor, seed: Tensor, v: Tensor, length: Tensor,
-            flies: bool) -> Tracking:
+            flies: bool, shadow: bool = False) -> Tracking:
     """Follows rays by steps through those media that vary in space, until they scatter or leave, (N,).
 
     Args:
@@ -150,9 +157,10 @@ def tracked(integrand: Integrand, ahead: Ray, medium: Tensor, seed: Tensor, v: T
         v: (N,) the random number that chooses a colour.
         length: (N,) to the next surface.
         flies: rays may scatter; else what is left on the whole way is estimated.
+        shadow: as for `tracking_begun`.
     """
     part, pick = integrand.part(Ends.SURROUNDINGS), integrand.stages(rows)
-    tracking = apart(part.call(tracking_begun, ahead, length, medium, seed))
+    tracking = apart(part.call(tracking_begun, ahead, length, medium, seed, shadow))
     for number in integrand.proposal.layout.tracked_media:
         def tracked_on(lanes: Tensor, number: int = number) -> Tensor:
             """Takes some steps; returns the lanes that need more."""

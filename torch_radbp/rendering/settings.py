@@ -98,8 +98,13 @@ def settings_of_integrand(renderer: nn.Module, scene: SceneTensors, cameras: Seq
     sampling = renderer.sampling
     moving = sampling == "attached" or any_differentiated((scene.triangles, cameras)) or (
         sampling == "hybrid" and scene.layout.bending) or (scene.layout.follows and scene.lights_move)
+    if scene.layout.emitting_media and any(shape.bsdf.kind().straight for shape in renderer.scene.shapes):
+        # What is emitted along a ray counts whatever the ray meets, a boundary or what is behind it. So its direction must
+        # not follow a point there, as it does unless all sampling is attached.
+        sampling = "attached"
     following = moving and sampling == "hybrid" and any(look.kind.follows for look in scene.layout.appearances)
-    return Settings(nee=renderer.nee, hide_emitters=renderer.hide_emitters, moving=moving,
+    nee = renderer.nee and bool(renderer.scene.emitters)  # else media alone emit, to which nothing connects
+    return Settings(nee=nee, hide_emitters=renderer.hide_emitters, moving=moving,
                     sampling=sampling if moving else "detached", following=following)
 
 

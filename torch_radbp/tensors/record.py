@@ -52,6 +52,13 @@ def with_parts(record: tuple | list | dict, parts: list) -> tuple | list | dict:
     return parts if isinstance(record, list) else tuple.__new__(type(record), parts)
 
 
+def selected(mask: Tensor, a: Any, b: Any) -> Any:
+    """`torch.where` for tensors or records of tensors; None stays None."""
+    if isinstance(a, tuple):
+        return with_parts(a, [selected(mask, *parts) for parts in zip(a, b)])
+    return None if a is None else torch.where(mask, a, b)
+
+
 def rows_between(record, first: int, last: int):
     """The rows from `first` to before `last` of every tensor of a record; None stays None."""
     if record is None or isinstance(record, Tensor):

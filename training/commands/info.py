@@ -60,18 +60,23 @@ def _shapes(scene) -> Table:
 
 
 def _media(scene) -> Table:
-    table = _table("MEDIA", "name", "type", "extinction", "grid", "where")
+    table = _table("MEDIA", "name", "type", "extinction", "grid", "emission", "where")
     for medium in scene.media:
         places = ["around all sensors"] if medium is scene.around else []
         for shape in scene.shapes:
             name = scene.name_of(shape)
             places += [f"in {name}"] * (shape.interior is medium) + [f"around {name}"] * (shape.exterior is medium)
         extinction = medium.scale * medium.sigma_t.samples()
-        values = dict.fromkeys(f"{float(end):.4g}" for end in (extinction.min(), extinction.max()))
         grid = " x ".join(map(str, extinction.shape)) if extinction.ndim == 4 else ""
-        table.add_row(scene.name_of(medium), medium.type, " to ".join(values), grid, ", ".join(places))
-    table.caption = "extinction: the least and the largest, scale included, 1 / length"
+        emission = "" if medium.emission is None else _range(medium.emission.samples())
+        table.add_row(scene.name_of(medium), medium.type, _range(extinction), grid, emission, ", ".join(places))
+    table.caption = "extinction and emission: the least and the largest; extinction with the scale; both 1 / length"
     return table
+
+
+def _range(values) -> str:
+    """The least and the largest of some values."""
+    return " to ".join(dict.fromkeys(f"{float(end):.4g}" for end in (values.min(), values.max())))
 
 
 def _emitters(scene) -> Table:

@@ -1,7 +1,9 @@
-"""A network in the place of a bitmap: the optimiser sees its weights, the light path calls it where it meets the surface.
+"""A network in the place of a bitmap or of a grid in space: the optimiser sees its weights.
 
-The weights of all layers are one vector. It is the leaf of a parametrisation of the bitmap, whose texels thereby are the
-values of the network at their centres: in the report, in the metrics, and in the scene that is saved.
+The weights of all layers are one vector. It is the leaf of a parametrisation of the map, whose texels, or cells, thereby are
+the values of the network at their centres: in the report, in the metrics, and in the scene that is saved. A network in the
+place of a bitmap the light path calls where it meets the surface; one in the place of a grid is read at its cells, as of
+`rb.NeuralVolume`.
 """
 
 import math
@@ -15,7 +17,7 @@ from torch_radbp.training.recipe_parameter import Network, Parameter
 
 
 class WaveNetwork(nn.Module):
-    """Linear RGB or grey at (N, 2) places: waves of random directions and lengths, then layers with ReLU, then a sigmoid.
+    """Linear RGB or grey at (N, A) places: waves of random directions and lengths, then layers with ReLU, then a sigmoid.
 
     Reference: Tancik et al. 2020, "Fourier Features Let Networks Learn High Frequency Functions in Low Dimensional Domains".
 
@@ -23,21 +25,22 @@ class WaveNetwork(nn.Module):
         spec: its size and seed.
         bounds: of its values.
         channels: 3 of colours, 1 of grey.
+        axes: A, 2 or 3.
     """
 
-    def __init__(self, spec: Network, bounds: tuple[float, float], channels: int = 3):
+    def __init__(self, spec: Network, bounds: tuple[float, float], channels: int = 3, axes: int = 2):
         super().__init__()
         self.bounds = bounds
         self.sizes = [2 * spec.waves, *[spec.width] * spec.layers, channels]
         generator = torch.Generator().manual_seed(spec.seed)
-        self.register_buffer("waves", spec.frequency * torch.randn(2, spec.waves, generator=generator))
+        self.register_buffer("waves", spec.frequency * torch.randn(axes, spec.waves, generator=generator))
         # Drawn as `nn.Linear` draws them.
         initial = [(2.0 * torch.rand((before + 1) * after, generator=generator) - 1.0) / math.sqrt(before)
                    for before, after in pairwise(self.sizes)]
         self.register_buffer("initial_weights", torch.cat(initial))
 
     def forward(self, weights: Tensor, place: Tensor) -> Tensor:
-        """(N, 3 or 1) values at (N, 2) places, attached to both."""
+        """(N, 3 or 1) values at places, attached to both."""
         phase = place @ self.waves
         values, used = torch.cat([phase.sin(), phase.cos()], 1), 0
         for number, (before, after) in enumerate(pairwise(self.sizes)):
@@ -49,14 +52,14 @@ class WaveNetwork(nn.Module):
 
 
 class Texels(nn.Module):
-    """Maps a vector of weights to the values of the network at the centres of texels, (H, W, 3 or 1)."""
+    """Maps a vector of weights to the values of the network at the centres of texels, (H, W, 3 or 1), or of cells,
+    (Z, Y, X, 3 or 1)."""
 
     def __init__(self, network: WaveNetwork, shape: tuple[int, ...]):
         super().__init__()
         self.network, self.shape = network, shape
-        height, width, _ = shape
-        v, u = torch.meshgrid((torch.arange(height) + 0.5) / height, (torch.arange(width) + 0.5) / width, indexing="ij")
-        self.register_buffer("centres", torch.stack([u, v], 2).view(-1, 2))
+        along = torch.meshgrid(*((torch.arange(side) + 0.5) / side for side in shape[:-1]), indexing="ij")
+        self.register_buffer("centres", torch.stack(along[::-1], -1).view(-1, len(along)))
 
     def forward(self, weights: Tensor) -> Tensor:
         return self.network(weights, self.centres).view(self.shape)
@@ -67,8 +70,9 @@ class Texels(nn.Module):
 
 
 def make_texels(spec: Parameter, held: Tensor) -> Texels:
-    """Returns the map from the weights of a recipe's network to the texels of a bitmap like `held`."""
-    return Texels(WaveNetwork(spec.network or Network(), spec.bounds, held.shape[2]), held.shape).to(held)
+    """Returns the map from the weights of a recipe's network to the texels of a map like `held`."""
+    *sides, channels = held.shape
+    return Texels(WaveNetwork(spec.network or Network(), spec.bounds, channels, len(sides)), held.shape).to(held)
 
 
 class OnBitmap(nn.Module):

@@ -11,6 +11,7 @@ from torch_radbp.texture.neural import NeuralTexture
 from torch_radbp.training import recipe_parameter as recipe
 from torch_radbp.training.recovery.network import OnBitmap, make_texels
 from torch_radbp.training.recovery.rigid import Rigid
+from torch_radbp.volume.gridvolume import GridVolume
 
 SMOOTHNESS = 19.0  # of large steps, if the recipe does not say
 
@@ -18,9 +19,9 @@ SMOOTHNESS = 19.0  # of large steps, if the recipe does not say
 def check_fit(module: nn.Module, attribute: str, spec: recipe.Parameter, name: str) -> None:
     """Raises ValueError if a parameter is not of the kind that its parametrisation is for."""
     kind = f"and parameter {name!r} is the {attribute} of a {type(module).__name__}"
-    if spec.parametrisation == "network" and not (isinstance(module, Bitmap) and attribute == "data"):
-        raise ValueError(f'parametrisation = "network" is for the data of bitmaps, {kind}; name a bitmap\'s data, or take '
-                         f"another parametrisation")
+    if spec.parametrisation == "network" and not (isinstance(module, (Bitmap, GridVolume)) and attribute == "data"):
+        raise ValueError(f'parametrisation = "network" is for the data of bitmaps and grids, {kind}; name the data of '
+                         f"one, or take another parametrisation")
     if spec.parametrisation == "large_steps" and not is_shape(module, attribute):
         raise ValueError(f'parametrisation = "large_steps" is for the vertex_positions of meshes, {kind}')
     axes = len(spec.coarse_to_fine.cells) if spec.coarse_to_fine else 0
@@ -58,7 +59,7 @@ def put_variables(scene: nn.Module, module: nn.Module, attribute: str, spec: rec
         parametrisation = make_texels(spec, held)
     if parametrisation is not None:
         parametrize.register_parametrization(module, attribute, parametrisation)
-    if spec.parametrisation != "network":
+    if spec.parametrisation != "network" or not isinstance(module, Bitmap):
         return None
     stand_in = NeuralTexture(OnBitmap(parametrisation.network, module.parametrizations[attribute].original, module))
     replace(scene, module, stand_in)

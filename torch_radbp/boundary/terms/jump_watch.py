@@ -129,7 +129,7 @@ class JumpWatch:
         names, layout = moving_names(rendering), rendering.call.scene.layout
         if not names or not (layout.follows or (layout.scattering_media and rendering.max_depth > 1)):
             return None
-        lack = ("what edges and shadows contribute, since rays pass surfaces on their ways through media"
+        lack = ("what edges and shadows contribute, since rays pass surfaces on ways through media, or these vary or emit"
                 if layout.follows else "what edges and shadows contribute to the light that the medium scatters")
         return SilhouetteWarning(f"derivatives with respect to {listed(sorted(names))} lack {lack}: check_gradient measures "
                                  "how much that is. Those by extinction, albedo and phase function, by colours and by "

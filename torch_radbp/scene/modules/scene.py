@@ -46,7 +46,7 @@ class Scene(ModuleTree):
             self._name_once(child, named)
         if not self.sensors:
             raise SceneError("the scene has no sensor: add <sensor type=\"perspective\">")
-        if not self.emitters:
+        if not self.emitters and all(medium.kind().emission is None for medium in self.media):
             raise SceneError("the scene has no emitter, so that every image is black: add an emitter of type "
                              f"{', '.join(sorted(REGISTRY['emitter']))}")
         self._check_places()

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import torch
 
+from torch_radbp.emitter.point import Point
 from torch_radbp.interface.emitter import Light, stacked
 from torch_radbp.interface.medium import Table
 from torch_radbp.interface.texture import Reader, bank_of
@@ -97,7 +98,7 @@ def pack(scene: Scene, cache: PackCache | None = None, light_choice: str | None 
 
 def objects_of(scene: Scene) -> Objects:
     """Collects the objects of a scene by category."""
-    emitters = tuple(scene.emitters)
+    emitters = tuple(scene.emitters) or (Point(intensity=0.0),)  # media alone emit; tables are not empty
     return Objects(scene, tuple(scene.bsdfs()), tuple(scene.shapes), tuple(each is not None for each in scene.shown_by),
                    tuple(map(tuple, scene.groups.values())), emitters,
                    tuple(emitter for emitter in emitters if not emitter.kind().on_surface), tuple(scene.media),
@@ -183,7 +184,7 @@ def sides_of(objects: Objects, materials: Materials) -> dict[str, Any]:
     """
     around, straight = objects.scene.around, [look.kind.straight for look in materials.appearances]
     follows = bool(objects.media) and (any(straight) or any(shape.bounds_media for shape in objects.shapes) or any(
-        medium.kind().tracked for medium in objects.media))
+        medium.kind().tracked or medium.kind().emission is not None for medium in objects.media))
     panes = tuple((number, materials.table.appearance.tolist().index(number), look)
                   for number, look in enumerate(materials.appearances) if follows and straight[number]
                   and not (look.kind.invisible or look.outside or look.needs_footprint))

@@ -12,6 +12,7 @@ from torch_radbp.interface.emitter import LightKind
 from torch_radbp.interface.texture import TexturePoint, TextureValue
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
+from torch_radbp.tensors.record import selected
 from torch_radbp.tensors.vec import Vec3, where
 
 
@@ -81,11 +82,3 @@ def merged_by_case(cases: list[Case], values: list):
         elif value is not None:
             result = selected(case.mask, value, result)
     return result
-
-
-def selected(mask: Tensor, a, b):
-    """`torch.where` for tensors or records of tensors."""
-    if isinstance(a, tuple):
-        parts = [selected(mask, *parts) for parts in zip(a, b)]
-        return type(a)(*parts) if hasattr(a, "_fields") else tuple(parts)
-    return torch.where(mask, a, b)

@@ -40,7 +40,8 @@ class Layout:
     media: tuple[MediumKind, ...] = ()  # that light travels through, by their numbers
     around: int | None = None  # the number of the medium in which the sensors stand; None: empty space
     from_lamps: bool = False  # paths begin at lamps, and end at the camera, which stands in the place of the lights
-    follows: bool = False  # rays are followed through media, since they pass surfaces there, or some vary in space
+    # Rays are followed through media, since they pass surfaces there, or some vary in space or emit.
+    follows: bool = False
     # Then the appearances of surfaces that a part of the light passes straight: their number in `appearances`, the row of a
     # material that has it, and it.
     panes: tuple[tuple[int, int, Appearance], ...] = ()
@@ -80,6 +81,12 @@ class Layout:
     def tracked_media(self) -> tuple[int, ...]:
         """The numbers of the media that rays are followed through by steps."""
         return tuple(number for number, kind in enumerate(self.media) if kind.tracked)
+
+    @property
+    def emitting_media(self) -> tuple[int, ...]:
+        """The numbers of the media that emit light; paths that begin at lamps meet none."""
+        return tuple(number for number, kind in enumerate(self.media)
+                     if kind.emission is not None and not self.from_lamps)
 
     @property
     def surface_lights(self) -> dict[int, LightKind]:
