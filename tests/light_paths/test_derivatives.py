@@ -10,7 +10,7 @@ from torch import Tensor
 import torch_radbp as rb
 from tests.deep import deep_but
 from tests.gradients import EXACT, REPLAY, assert_informative, assert_transposed, image_and_gradients, relative_error
-from tests.light_paths.scenes import lit_ball
+from tests.light_paths.scenes import BALL, LAMPS, camera_named, lit_ball
 from tests.scenes import diffuse, load, look_at, overhead, rectangle, rgb
 
 GLASS, ROUGH, PLASTIC = {"type": "dielectric"}, {"type": "roughdielectric", "alpha": 0.3}, {"type": "plastic"}
@@ -209,3 +209,39 @@ def test_a_box_filter_is_said_to_see_nothing_of_where_light_lands():
     with pytest.warns(rb.SilhouetteWarning, match="box filter"):
         rb.Renderer(scene, spp=1, light_paths="caustics")(seed=0)
     assert not any("box filter" in str(warning.message) for warning in smooth)
+
+
+MOVED = {
+    "ball": ("ball.to_world", (0, 3), 0.03),
+    "receiver": ("floor.to_world", (2, 3), 0.03),
+    "receiver grows": ("floor.to_world", (0, 0), 0.03),
+    "camera": ("camera.to_world", (0, 3), 0.03),
+}
+
+
+@pytest.mark.parametrize("name", deep_but(["receiver", "camera"], MOVED))
+def test_edges_and_shadows_in_view_count_where_all_light_comes_from_lamps(name):
+    parameter, place, step = MOVED[name]
+    camera = camera_named("perspective", 16, "gaussian") | {"fov": 85}
+    scene = load(torch.float64, integrator={"type": "path", "max_depth": 3}, camera=camera, lamp=LAMPS["point"],
+                 floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)),
+                 ball=BALL | {"center": [0.3, 0, 0.9]})
+    wanted, found, expected = scene.get_parameter(parameter), [], []
+    ramp = torch.linspace(0.0, 2.0, 16, dtype=torch.float64)
+    w = 0.5 + ramp + ramp[:, None] ** 2
+    for seed in range(8):
+        wanted.requires_grad_(False)
+        sides = []
+        for sign in (1, -1):
+            with torch.no_grad():
+                wanted[place] += sign * step
+                sides.append(rb.Renderer(scene, spp=512, light_paths="all")(seed=seed))
+                wanted[place] -= sign * step
+        expected.append(float(((sides[0] - sides[1]) * w).sum()) / (2 * step))
+        wanted.requires_grad_()
+        gradient, = torch.autograd.grad((rb.Renderer(scene, spp=128, light_paths="all")(seed=seed) * w).sum(), [wanted])
+        found.append(float(gradient[place]))
+    found, expected = torch.tensor(found), torch.tensor(expected)
+    error = math.sqrt(float(found.var() + expected.var()) / len(found))
+    assert error < 0.1 * abs(float(expected.mean()))  # enough to tell a wrong one
+    assert abs(float(found.mean() - expected.mean())) < max(3.5 * error, 0.05 * abs(float(expected.mean())))

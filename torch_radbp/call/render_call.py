@@ -54,6 +54,9 @@ class RenderCall(NamedTuple):
     # (None: not known), and their radiance.
     quantities: Callable[[Integrand, PathState, Hit | None, Vec3], Sequence[Tensor]] | None = None
     shared: bool = False  # light is shared among paths that begin at the camera and at lamps: see `Settings.light_paths`
+    # The same call with the light of paths from the camera alone, where all other light comes by paths from lamps, and is
+    # fixed to the surfaces that it lights, not to pixels; for boundary terms. None: it does not.
+    camera_share: RenderCall | None = None
 
     def still(self) -> RenderCall:
         """The call without derivatives."""

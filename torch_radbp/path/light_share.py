@@ -14,7 +14,8 @@ import torch
 from torch import Tensor
 
 from torch_radbp.path.state import PathState, Settings
-from torch_radbp.scene.tables.scene_tensors import Layout
+from torch_radbp.scene.tables.scene_tensors import Layout, SceneTensors
+from torch_radbp.tensors.lookup import lookup
 
 # `PathState.first`: not scattered yet, or this plus 1 if the first vertex was narrow, plus 2 if the last one was.
 NOT_YET, SCATTERED = 0, 1
@@ -64,6 +65,14 @@ def connects(settings: Settings, layout: Layout, state: PathState, narrow: Tenso
     if settings.light_paths == "all":
         return torch.where(state.first == NOT_YET, here, first_was_narrow(state))
     return (state.first == NOT_YET) | first_was_narrow(state) | ~here  # this is x_1
+
+
+def ends_lamp_paths(scene: SceneTensors, prim: Tensor) -> Tensor:
+    """(N,) bool: with "all", paths from lamps end on triangles where they scatter by chance; `prim`: int32, which."""
+    material, narrow = lookup(scene.triangles.material, prim.clamp_min(0)), scene.materials.narrow
+    if narrow is None:
+        return prim >= 0
+    return (prim >= 0) & ~(lookup(narrow, material) | lookup(narrow, material + scene.materials.count))
 
 
 def may_go_on(settings: Settings, layout: Layout, state: PathState, pdf: Tensor, narrow: Tensor | None) -> Tensor | None:

@@ -45,8 +45,9 @@ def light_paths_of(renderer: Renderer, call: RenderCall) -> str:
     return chosen
 
 
-def shared_image(renderer: Renderer, call: RenderCall) -> Tensor:
-    """The images of a call, (B, 3 + C, H, W), by paths that begin at the camera and at lamps; attached, in either mode.
+def shared_image(renderer: Renderer, call: RenderCall) -> tuple[Tensor, RenderCall]:
+    """The images of a call, (B, 3 + C, H, W), by paths that begin at the camera and at lamps, attached, in either mode; and
+    the call as boundary terms take it.
 
     Args:
         renderer: has the settings.
@@ -55,18 +56,21 @@ def shared_image(renderer: Renderer, call: RenderCall) -> Tensor:
     light_paths = light_paths_of(renderer, call)
     lit = lights_of_paths(call.scene, light_paths)
     if light_paths == "camera" or not lit:
-        return rendered(call)
+        return rendered(call), call
     narrow = None if renderer.light_paths == "auto" else narrow_materials(call)
-    call = with_narrow_materials(call, narrow)
+    whole, call = call, with_narrow_materials(call, narrow)
     # Paths from the camera find no light without extent by way of ideal vertices, so that there is nothing to share.
     apart = light_paths == "caustics" and narrow is None and all(kind.delta for kind in lit)
-    found = torch.cat([image_from_lamps(renderer, call, number, light_paths) for number in range(len(call.views))])
     first_only = light_paths == "all" and narrow is None and not any(
         appearance.kind.delta for appearance in call.scene.layout.appearances)
+    share = call if apart else sharing(call, light_paths, 1 if first_only else None)
+    if light_paths == "all" and all(kind.aimed for kind in lit):
+        whole = whole._replace(camera_share=share)
+    found = torch.cat([image_from_lamps(renderer, call, number, light_paths) for number in range(len(call.views))])
     if first_only and call.quantities is None and all(kind.delta for kind in lit):
-        return found  # the camera sees none of the lights, and nothing that scatters narrowly
-    images = rendered(call if apart else sharing(call, light_paths, 1 if first_only else None))
-    return images + found if images.shape[1] == 3 else torch.cat([images[:, :3] + found, images[:, 3:]], 1)
+        return found, whole  # the camera sees none of the lights, and nothing that scatters narrowly
+    images = rendered(share)
+    return images + found if images.shape[1] == 3 else torch.cat([images[:, :3] + found, images[:, 3:]], 1), whole
 
 
 def paths_can_begin_at_lamps(call: RenderCall) -> bool:
@@ -107,11 +111,14 @@ def lights_of_paths(scene: SceneTensors, light_paths: str) -> list[LightKind]:
 
 def left_out_of_paths(light_paths: str) -> SilhouetteWarning:
     """The warning that no term has the edges that light from lamps passes."""
-    light = "caustics" if light_paths == "caustics" else "light"
-    return SilhouetteWarning(f"shapes, lamps or cameras move, and paths from lamps bring {light}: what edges and borders "
-                             f"of shadows contribute to the derivatives of that light is left out, or not exact. Those by "
-                             f"colours, powers, roughness, indices of refraction and heights of bump maps lack at most the "
-                             f"edges that turned light passes. check_gradient measures how much it is")
+    light, lack = ("caustics", "what edges and borders of shadows contribute to the derivatives of that light is left out, "
+                   "or not exact") if light_paths == "caustics" else (
+        "light", "left out, or not exact, is what edges contribute to its derivatives that it passes on its way to or from "
+        "mirrors and glass, or from a projector or a beam (directionalarea), or by bounces with sampling='attached'; and "
+        "where bodies touch. Other edges in view and borders of shadows count")
+    return SilhouetteWarning(f"shapes, lamps or cameras move, and paths from lamps bring {light}: {lack}. Those by colours, "
+                             f"powers, roughness, indices of refraction and heights of bump maps lack at most the edges "
+                             f"that turned light passes. check_gradient measures how much it is")
 
 
 def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_paths: str = "all") -> Tensor:

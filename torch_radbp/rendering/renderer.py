@@ -217,10 +217,10 @@ class Renderer(nn.Module):
         edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1], aovs is not None)
         if outputs is not None:
             call = call._replace(quantities=beside_image(tuple(dict.fromkeys(outputs.values()))))
-        images, channels = shared_image(self, call), None
+        (images, shared), channels = shared_image(self, call), None
         if outputs is not None:
             channels, images = images[:, 3:].detach(), images[:, :3].clone(memory_format=torch.contiguous_format)
-        images = self.gradient_watch.watched(self.with_terms(images, edges, call), call)
+        images = self.gradient_watch.watched(self.with_terms(images, edges, shared), call)
         return images if outputs is None else (images, self.quantities(call, edges, outputs, channels))
 
     def with_terms(self, images: Tensor, edges: EdgesOfCall, call: RenderCall) -> Tensor:
@@ -263,7 +263,7 @@ class Renderer(nn.Module):
                              seed_grad, beside={"origins": origins, "directions": directions})
         self.noise_watch.look(seed, call.parameters)
         edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1])
-        image = self.with_terms(shared_image(self, call), edges, call)[0, :, :, 0].t()
+        image = self.with_terms(shared_image(self, call)[0], edges, call)[0, :, :, 0].t()
         return self.gradient_watch.watched(image.clone(memory_format=torch.contiguous_format), call)
 
     @public_call
@@ -322,7 +322,7 @@ class Renderer(nn.Module):
     def look(self, call: RenderCall, seed: int, aovs: bool = False) -> EdgesOfCall:
         """Finds the edges at which a call's images are discontinuous, and warns of what derivatives or image lack."""
         rendering = rendering_of(call, self.scene, self.sampling, self.cache_for_aovs if aovs else self.cache,
-                                 PRIMARY in self.terms, SHADOW in self.terms, self.depth_limit)
+                                 PRIMARY in self.terms, SHADOW in self.terms, self.depth_limit, self.light_paths == "all")
         edges = edges_of_call(rendering, seed)
         self.jump_watch.look(rendering)  # casts rays, for which the tree of a large mesh may still be built
         return edges

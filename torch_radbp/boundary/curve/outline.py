@@ -120,7 +120,8 @@ class Outlines:
         self.passing = Passing()
 
     def of_views(self, rendering: Rendering, seed: int) -> list[Jumps]:
-        """The discontinuity curves of each view: at all shapes if its camera moves, else at moving shapes.
+        """The discontinuity curves of each view: at all shapes if its camera moves, or anything before which light is fixed
+        to surfaces (`eye/lit_sides.py`), else at moving shapes.
 
         Args:
             rendering: of which something moves.
@@ -131,7 +132,8 @@ class Outlines:
         turning, sliding = (own._replace(shapes=tuple(moves or bool(names) for moves, names in zip(own.shapes, more)))
                             for more in (rendering.turners, names_sliding(rendering)))
         everything = Moving(*((True,) * len(part) for part in own))
-        wanted = [(everything,) * 3 if moving else (own, turning, sliding) for moving in rendering.camera_movers]
+        wanted = [(everything,) * 3 if moving or rendering.from_lamps and any(map(any, own)) else (own, turning, sliding)
+                  for moving in rendering.camera_movers]
         sizes = rendering.sizes
         lines, edges_of_shape = lines_on_shapes(rendering), self.edges_of_shape(scene, sizes)
         numbers = numbers_of(lines, rendering.call)

@@ -46,6 +46,7 @@ class Rendering:
     primary: bool  # boundary terms of edges in view are computed
     shadows: bool  # boundary terms of shadows are computed
     max_depth: int  # of paths, as the renderer has it
+    from_lamps: bool = False  # all light comes by paths that begin at lamps
 
     @property
     def has_area(self) -> bool:
@@ -196,7 +197,7 @@ class Rendering:
 
 
 def rendering_of(call: RenderCall, scene: Scene, sampling: str, cache: PackCache, primary: bool, shadows: bool,
-                 max_depth: int) -> Rendering:
+                 max_depth: int, from_lamps: bool) -> Rendering:
     """The rendering of a call; boundary terms of edges in view are off if pixels have no area. Args as of `Rendering`.
 
     In view counts what is in any window of a film: what is said once is to hold for all.
@@ -204,7 +205,8 @@ def rendering_of(call: RenderCall, scene: Scene, sampling: str, cache: PackCache
     looks = [(view, lens) for view in call.views for lens in view.camera.kind.lookouts(detached(view.camera.lens))]
     primary = primary and all(view.camera.kind.has_area for view in call.views)
     blind = call.scene.layout.follows  # boundary terms do not see edges behind boundaries of media
-    return Rendering(scene, call, looks, sampling, cache, primary and not blind, shadows and not blind, max_depth)
+    return Rendering(scene, call, looks, sampling, cache, primary and not blind, shadows and not blind, max_depth,
+                     from_lamps)
 
 
 def whole_sight(view: View, lens: Lens) -> CameraSight:

@@ -17,6 +17,7 @@ from torch_radbp.path.camera_rays import CameraSample, sample_camera
 from torch_radbp.path.event import SurfaceMet
 from torch_radbp.path.integrand import Integrand, int32_number
 from torch_radbp.path.lanes import put_rows
+from torch_radbp.path.light_share import ends_lamp_paths
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Onward
 from torch_radbp.path.taped_bounces import bounces_taken
@@ -128,6 +129,9 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, batch: PathB
                        lobe_around(picked.onwards, picked.density),
                        torch.arange(len(sample), device=sample.device) < tried if tried else None)
     found = rows(found, (found.depth >= 0).nonzero().squeeze(1))
+    if call.camera_share is not None:
+        lit_from_lamps = (found.depth == 0) & ends_lamp_paths(call.camera_share.integrand.scene, found.hit.prim)
+        found = found._replace(slides=found.slides & ~lit_from_lamps)
     if call.scene.triangles.plain is None:
         return found
     geometry = geometry_of(call.scene)

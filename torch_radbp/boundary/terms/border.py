@@ -34,6 +34,7 @@ from torch_radbp.boundary.curve.silhouette import crosses_view
 from torch_radbp.boundary.eye.edges_tried import edges_tried, eyes_for_each
 from torch_radbp.boundary.eye.eyes import Eyes
 from torch_radbp.boundary.eye.light_points import light_eyes, light_line, light_points
+from torch_radbp.boundary.eye.lit_sides import motion_of_surface
 from torch_radbp.boundary.eye.seen_edges import (
     BESIDE,
     Casting,
@@ -57,6 +58,7 @@ from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.view import View
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.event import Ends
+from torch_radbp.path.light_share import ends_lamp_paths
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene.tables.scene_tensors import SceneTensors, extent_of
@@ -202,7 +204,12 @@ class DirectShadows(ShadowTerm):
     def seen(self, number: int, geometry: Geometry, found: CutOff) -> Vec2:
         borders, aperture = found.samples
         on_border = border(self.call.scene, geometry, self.casting.outline, borders)
-        return on_film(self.call.views[number].camera, on_border, aperture)
+        seen = on_film(self.call.views[number].camera, on_border, aperture)
+        if self.call.camera_share is None:
+            return seen
+        moved = motion_of_surface(self.call, number, geometry, borders.receiver, aperture)
+        lit_from_lamps = ends_lamp_paths(self.call.camera_share.integrand.scene, borders.receiver.prim)
+        return Vec2(*(place - torch.where(lit_from_lamps, own, 0.0) for place, own in zip(seen, moved)))
 
 
 def border(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,

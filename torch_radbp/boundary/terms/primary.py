@@ -42,6 +42,7 @@ from torch_radbp.boundary.curve.term import lines_slide
 from torch_radbp.boundary.curve.terminators import lamps_of
 from torch_radbp.boundary.eye.deposit import Deposit, image_of
 from torch_radbp.boundary.eye.in_sight import PathsBeside, Sent, in_sight, paths_beside
+from torch_radbp.boundary.eye.lit_sides import deposits_of_sides, light_from_lamps
 from torch_radbp.boundary.eye.motion import JumpPlaces, moved_places
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.jit.order import chosen
@@ -67,6 +68,7 @@ class SeenByCamera(NamedTuple):
 
     turns: tuple[bool, ...]  # for each channel, whether the two sides of a surface differ
     evaluate: Evaluate  # computes the channels, detached
+    is_radiance: bool = False
 
 
 def moves(call: RenderCall) -> bool:
@@ -92,7 +94,7 @@ def image_jumps(call: RenderCall, jumps: list[Jumps | None]) -> Tensor:
     def radiance(integrand: Integrand, start: PathState, hit: Hit) -> tuple[Tensor, ...]:
         return tuple(trace(integrand, start, hit=hit))
 
-    return jumps_of_views(call, jumps, SeenByCamera((True,) * 3, radiance))
+    return jumps_of_views(call, jumps, SeenByCamera((True,) * 3, radiance, is_radiance=True))
 
 
 def jumps_of_views(call: RenderCall, jumps: list[Jumps | None], seen: SeenByCamera) -> Tensor:
@@ -127,6 +129,8 @@ def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps
         geometry = geometry_of(call.scene)._replace(lines=jumps.lines)
         moved = moved_places(call.stages, geometry, view.camera, found, call.adjoint.taped)
         deposits = [Deposit(rows(found.places.film, found.shown), found.strength, moved)]
+        if call.camera_share is not None and seen.is_radiance:
+            deposits += lit_sides(call, still, number, viewed, found)
     return image_of(call, number, deposits, len(seen.turns))
 
 
@@ -182,11 +186,13 @@ def _kinds_of(places: Places) -> tuple[int, ...]:
     return tuple(kind for term in FILM_TERMS for kind in term.kinds if counts.get(kind))
 
 
-def differences(call: RenderCall, integrand: Integrand, viewed: ExaminedView, found: InView, asked: Tensor,
-                seen: SeenByCamera) -> tuple[Tensor, Tensor]:
-    """Of samples `asked` (M,) int32: the visible ones, (K,) int32, and values behind less values ahead, (C, K) float64."""
+def sides_in_sight(call: RenderCall, integrand: Integrand, viewed: ExaminedView, found: InView,
+                   asked: Tensor) -> tuple[PathsBeside, Tensor, Tensor]:
+    """Paths beside the visible ones of samples, (2 K,); which of the M these are, (K,) int32; and how often samples count,
+    (M,). Args as for `differences`.
+    """
     stages, geometry, sight = viewed[:3]
-    places, table, kinds = found
+    _, table, kinds = found
     sent = torch.full((), len(asked), dtype=torch.int32, device=asked.device)
     lane = lanes(3 * len(asked), asked)
     sample = stages(rays_beside)(sight, table, asked, sent, lane, call.scene.layout.traces_cones)
@@ -194,7 +200,27 @@ def differences(call: RenderCall, integrand: Integrand, viewed: ExaminedView, fo
     times = stages(in_sight)(geometry, table, asked, rays, sent, lane[:len(asked)], kinds)
     clear = chosen(times != 0)
     counts = sent, torch.full_like(sent, len(clear))
-    start: PathsBeside = stages(paths_beside)(table, asked, rays, times, clear, counts, lanes(2 * len(clear), asked))
+    start = stages(paths_beside)(table, asked, rays, times, clear, counts, lanes(2 * len(clear), asked))
+    return start, clear, times
+
+
+def lit_sides(call: RenderCall, still: RenderCall, number: int, viewed: ExaminedView, found: JumpPlaces) -> list[Deposit]:
+    """The part of places in view that light of paths from lamps loses or gains, as `eye/lit_sides.py` says; args as before.
+    """
+    with torch.no_grad():
+        integrand = integrand_of(still, still.integrand, number)
+        table = viewed.stages(in_sight).taken(places=found.places)
+        places = InView(found.places, *table, found.kinds)
+        start, clear, times = sides_in_sight(still, integrand, viewed, places, found.shown)
+        light = light_from_lamps(still, number, start.sample, start.hit) * rows(times, clear).repeat(2)
+    places = rows(found.places, rows(found.shown, clear))
+    return deposits_of_sides(call, number, places, start.hit, light)
+
+
+def differences(call: RenderCall, integrand: Integrand, viewed: ExaminedView, found: InView, asked: Tensor,
+                seen: SeenByCamera) -> tuple[Tensor, Tensor]:
+    """Of samples `asked` (M,) int32: the visible ones, (K,) int32, and values behind less values ahead, (C, K) float64."""
+    start, clear, times = sides_in_sight(call, integrand, viewed, found, asked)
     values = seen.evaluate(integrand, started(call, start.sample), start.hit)
     weight = start.sample.weight
     values = torch.stack([value if weight is None else value * weight for value in values]).double()
@@ -203,4 +229,4 @@ def differences(call: RenderCall, integrand: Integrand, viewed: ExaminedView, fo
     if all(seen.turns):
         return shown, jump
     turns = torch.tensor(seen.turns, device=jump.device)
-    return shown, jump * (turns[:, None] | (rows(places.kind, shown) != RIM))
+    return shown, jump * (turns[:, None] | (rows(found.places.kind, shown) != RIM))
