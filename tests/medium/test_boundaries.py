@@ -16,7 +16,19 @@ from tests.deep import deep, deep_but
 from tests.gradients import EXACT, REPLAY, assert_informative, assert_transposed, image_and_gradients, relative_error
 from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, look_at, overhead, rectangle, rgb
-from tests.scenes.media import BLACK, DULL, MOVING, NAMES, NULL, SETTINGS, ball, haze, room, slab
+from tests.scenes.media import (
+    BLACK,
+    DULL,
+    MOVING,
+    NAMES,
+    NULL,
+    SETTINGS,
+    assert_chance_and_connection_agree,
+    ball,
+    haze,
+    room,
+    slab,
+)
 
 GLASS = {"type": "dielectric", "int_ior": 1.3}
 ROUGH = {"type": "roughdielectric", "int_ior": 1.3, "alpha": 0.3}
@@ -49,13 +61,7 @@ def test_in_a_furnace_radiance_is_1_behind_all_boundaries():
 
 @pytest.mark.parametrize("bsdf", [NULL, ROUGH], ids=["null", "rough"])
 def test_lamps_seen_through_boundaries_by_chance_and_by_connection_agree(bsdf):
-    scene = room(bsdf)
-    del scene._modules["bulb"]  # which chance does not find
-    means = torch.stack([torch.stack([rb.render(scene, spp=8192, max_depth=5, rr_depth=3, nee=nee, seed=seed).mean((0, 2, 3))
-                                      for seed in range(12)]) for nee in (False, True)])
-    assert (means > 0).all()
-    difference, error = means.mean(1).diff(dim=0)[0], (means.var(1) / means.shape[1]).sum(0).sqrt()
-    assert (difference.abs() < 4 * error).all() and (error < 0.05 * means[1].mean(0)).all()
+    assert_chance_and_connection_agree(room(bsdf))
 
 
 @pytest.mark.parametrize("nee", [False, True])

@@ -15,7 +15,7 @@ import torch
 import torch_radbp as rb
 from tests.gradients import EXACT, REPLAY, assert_transposed, image_and_gradients, relative_error
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
-from tests.scenes.media import BLACK, DULL, haze
+from tests.scenes.media import BLACK, DULL, assert_chance_and_connection_agree, haze
 
 SAMPLINGS = ("detached", "hybrid", "attached")
 NEAR = 0.01  # from the camera to where its rays begin, the near plane
@@ -59,13 +59,7 @@ def test_in_a_furnace_radiance_is_1_by_connections_too():
 
 def test_lamps_found_by_chance_and_by_connection_agree():
     """In colours that differ, so that distances are sampled by one of three."""
-    scene = room()
-    del scene._modules["bulb"]  # which chance does not find
-    means = torch.stack([torch.stack([rb.render(scene, spp=8192, max_depth=5, rr_depth=3, nee=nee, seed=seed).mean((0, 2, 3))
-                                      for seed in range(12)]) for nee in (False, True)])
-    assert (means > 0).all()
-    difference, error = means.mean(1).diff(dim=0)[0], (means.var(1) / means.shape[1]).sum(0).sqrt()
-    assert (difference.abs() < 4 * error).all() and (error < 0.05 * means[1].mean(0)).all()
+    assert_chance_and_connection_agree(room())
 
 
 def single_scattering(sigma_t, albedo, g, count: int = 20001) -> torch.Tensor:

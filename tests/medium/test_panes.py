@@ -16,7 +16,19 @@ from tests.deep import deep, deep_but
 from tests.gradients import EXACT, REPLAY, assert_informative, assert_transposed, image_and_gradients, relative_error
 from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
-from tests.scenes.media import BLACK, DULL, MOVING, NAMES, NULL, SETTINGS, ball, haze, room, slab
+from tests.scenes.media import (
+    BLACK,
+    DULL,
+    MOVING,
+    NAMES,
+    NULL,
+    SETTINGS,
+    assert_chance_and_connection_agree,
+    ball,
+    haze,
+    room,
+    slab,
+)
 from torch_radbp.io.values.transform import scale
 
 CLAY = diffuse(0.7, 0.5, 0.3)
@@ -135,13 +147,7 @@ def test_a_floor_below_a_lamp_behind_a_tinted_pane_is_as_bright_as_the_integral(
 
 @pytest.mark.parametrize("name", deep_but(["mask"], ["thin", "mask", "mask of thin", "blend"]))
 def test_lamps_behind_panes_by_chance_and_by_connection_agree(name):
-    scene = room(PANES[name])
-    del scene._modules["bulb"]  # which chance does not find
-    means = torch.stack([torch.stack([rb.render(scene, spp=8192, max_depth=5, rr_depth=3, nee=nee, seed=seed).mean((0, 2, 3))
-                                      for seed in range(12)]) for nee in (False, True)])
-    assert (means > 0).all()
-    difference, error = means.mean(1).diff(dim=0)[0], (means.var(1) / means.shape[1]).sum(0).sqrt()
-    assert (difference.abs() < 4 * error).all() and (error < 0.05 * means[1].mean(0)).all()
+    assert_chance_and_connection_agree(room(PANES[name]))
 
 
 def test_a_lamp_that_is_otherwise_invisible_is_seen():
