@@ -19,11 +19,10 @@ SENSORS = 8  # independent batches
 SPP = 64  # of each
 BIAS = 0.05  # relative, that must be noticed
 # Where rare choices decide: a lobe, a light, a part of the sky.
-NOISY_SPP, NOISY_BIAS = 1024, 0.1
+NOISY_SPP, NOISY_BIAS = 2048, 0.1
 NOISY = ("pane", "dielectric", "blend", "blend of deltas", "mask", "plastic", "twosided", "sunsky", "trilinear bumps",
          "rough glass beckmann", "brushed glass beckmann", "homogeneous", "fog by a table", "fog of two kinds",
-         "heterogeneous", "smoke of three colours", "flame",
-         "glowing fog")
+         "heterogeneous", "smoke of three colours", "flame", "glowing fog")
 ROWS = [*((examples().get(pair), str(pair)) for pair in sorted(registered()) if is_still(pair)),
         *((example, str(example)) for example in MORE)]
 SOME = [pytest.param(example, id=name, marks=[pytest.mark.deep] * (place % 8 > 0))

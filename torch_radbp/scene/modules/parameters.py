@@ -179,8 +179,11 @@ def check_values(name: str, value: Tensor, domains: tuple[Domain, ...], leeway: 
     """
     least, greatest = torch.stack(value.aminmax()).double().tolist()
     finite = abs(least) < torch.inf and abs(greatest) < torch.inf
+    highest = min([domain.high for domain in domains], default=torch.inf)  # what all allow, of which the leeway is a share
     for domain in domains:
-        domain.check_range(f"parameter {name!r}", value, least, greatest, leeway, OUTSIDE if finite else NOT_FINITE)
+        open_above = domain.low > -torch.inf and domain.high > highest
+        within = domain._replace(high=highest, high_is_in=True) if open_above else domain
+        within.check_range(f"parameter {name!r}", value, least, greatest, leeway, OUTSIDE if finite else NOT_FINITE)
         domain.warn(f"parameter {name!r}", greatest)
         if domain.is_pose:
             domain.check_pose(f"parameter {name!r}: {name.rpartition('.')[2]}", value)
