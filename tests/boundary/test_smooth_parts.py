@@ -42,12 +42,18 @@ def test_sides_of_a_cube_are_smooth_parts_and_so_is_a_ball(thing, parts, sizes, 
     assert near.any() and torch.equal(found.part[here], found.part[found.continues[near].long()])
 
 
-def test_smooth_parts_are_found_anew_only_if_vertices_have_moved(monkeypatch):
-    scene = load(sensor=IN_MIRROR, mirror=MIRROR, thing=CUBE, sky=SKY)
+def test_smooth_parts_are_found_anew_only_if_other_edges_are_smooth(monkeypatch):
+    flat = {"type": "mesh", "vertex_positions": torch.tensor([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]),
+            "faces": torch.tensor([[0, 1, 2], [0, 2, 3]]), "bsdf": METAL}
+    scene = load(sensor=IN_MIRROR, mirror=MIRROR, thing=flat, sky=SKY)
     first, second = (surfaces(scene, monkeypatch).smooth for _ in range(2))
-    assert first is second
-    scene.get_parameter("thing.to_world").data[0, 3] += 0.5
-    assert surfaces(scene, monkeypatch).smooth is not first
+    assert first is second and int((first.part == first.part[-1]).sum()) == 2
+    positions = scene.get_parameter("thing.vertex_positions").data
+    positions[:, 2] += 0.5
+    assert surfaces(scene, monkeypatch).smooth is first
+    positions[3, 2] += 0.5  # the square has a crease
+    folded = surfaces(scene, monkeypatch).smooth
+    assert folded is not first and int((folded.part == folded.part[-1]).sum()) == 1
 
 
 def test_what_hangs_together_has_the_least_number_among_it():

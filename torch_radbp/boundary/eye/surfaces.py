@@ -22,7 +22,7 @@ from torch_radbp.scene.tables.placement import for_lanes
 from torch_radbp.scene.tables.scene_tensors import SceneTensors, TriangleTable
 from torch_radbp.scene.tables.triangle_corners import at_corners
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.stage import Stages, stage
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Vec3, interpolated
 
 
@@ -64,6 +64,7 @@ class CachedSmoothParts(NamedTuple):
 
     vertices: Vec3
     meshes: list[Outline]
+    smooth_edges: list[Tensor]  # (E,) bool of each mesh: surfaces continue smoothly across them
     smooth: SmoothParts
 
 
@@ -71,7 +72,7 @@ KNOWN: WeakKeyDictionary[Scene, CachedSmoothParts] = WeakKeyDictionary()
 
 
 def surfaces_of(call: RenderCall, meshes: list[Outline], lines: LineTable | None) -> Surfaces:
-    """The surfaces of a call's scene; smooth parts are cached while vertices and edges are unchanged.
+    """The surfaces of a call's scene; smooth parts are cached while the same edges are smooth, wherever vertices move.
 
     Args:
         call: detached.
@@ -79,9 +80,14 @@ def surfaces_of(call: RenderCall, meshes: list[Outline], lines: LineTable | None
         lines: of textures.
     """
     triangles, known = call.scene.triangles, KNOWN.get(call.module)
-    if (known is None or not all(map(same_values, known.vertices, triangles.vertices.p))
-            or len(meshes) != len(known.meshes) or any(own is not old for own, old in zip(meshes, known.meshes))):
-        known = CachedSmoothParts(triangles.vertices.p, meshes, smooth_parts(call.stages, call.scene, meshes))
+    same_meshes = (known is not None and len(meshes) == len(known.meshes)
+                   and all(own is old for own, old in zip(meshes, known.meshes)))
+    if not same_meshes or not all(map(same_values, known.vertices, triangles.vertices.p)):
+        geometry = geometry_of(call.scene)
+        smooth_edges = [call.stages(goes_on)(geometry, mesh) for mesh in meshes]
+        smooth = known.smooth if same_meshes and all(map(torch.equal, smooth_edges, known.smooth_edges)) else (
+            smooth_parts(meshes, smooth_edges, len(triangles.material), call.scene.device))
+        known = CachedSmoothParts(triangles.vertices.p, meshes, smooth_edges, smooth)
         KNOWN[call.module] = known
     vertices = triangles.vertices._replace(attributes=(), uv=None if lines is None else triangles.vertices.uv)
     triangles = triangles._replace(vertices=vertices, clearance=None, along=None, emitter=None, balls=None, attributes=(),
@@ -89,20 +95,20 @@ def surfaces_of(call: RenderCall, meshes: list[Outline], lines: LineTable | None
     return Surfaces(triangles, NormalsOnly(call.scene.layout.shading_normals), known.smooth, lines)
 
 
-def smooth_parts(stages: Stages, scene: SceneTensors, meshes: Sequence[Outline]) -> SmoothParts:
+def smooth_parts(meshes: Sequence[Outline], smooth_edges: Sequence[Tensor], count: int, device: torch.device) -> SmoothParts:
     """Computes which triangles belong to one smooth surface.
 
     Args:
-        stages: of the call.
-        scene: detached.
-        meshes: the edges of all of them, in the frames of their vertices.
+        meshes: the edges of all of them.
+        smooth_edges: (E,) bool of each: surfaces continue smoothly across them.
+        count: the number of triangles of the scene.
+        device: of the scene.
     """
-    geometry, device, count = geometry_of(scene), scene.device, len(scene.triangles.material)
     continues = torch.full((3 * count,), -1, dtype=torch.int32, device=device)
     joints = [torch.zeros(2, 0, dtype=torch.int64, device=device)]
-    for mesh in meshes:
-        own = stages(goes_on)(geometry, mesh).nonzero().squeeze(1)
-        one, other = (corner[own].long() for corner in mesh.edges.corner[:2])
+    for mesh, smooth in zip(meshes, smooth_edges):
+        edges = smooth.nonzero().squeeze(1)
+        one, other = (corner[edges].long() for corner in mesh.edges.corner[:2])
         faces = torch.div(one, 3, rounding_mode="floor"), torch.div(other, 3, rounding_mode="floor")
         continues[one], continues[other] = faces[1].int(), faces[0].int()
         joints.append(torch.stack(faces))
@@ -121,10 +127,10 @@ def connected(joints: Tensor, count: int) -> Tensor:
     """Connected components: for each of `count` items the least number in its component; `joints`: (2, J) int64 pairs."""
     label = torch.arange(count, device=joints.device)
     while True:
-        own = label[joints]
-        least = own.amin(0)
+        ends = label[joints[0]], label[joints[1]]
+        least = torch.minimum(*ends)
         found = label.clone()
-        for end in own:
+        for end in ends:
             found.scatter_reduce_(0, end, least, "amin")
         found = found[found]
         if torch.equal(found, label):
