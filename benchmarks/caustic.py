@@ -7,7 +7,8 @@ and 900 steps there are twice the samples, by half the rate. The loss is the mea
 picture, each over its mean. Two pictures that are drawn by code have the place of the tutorial's.
 
     Mitsuba    the tutorial's loop: a mesh of 512 x 512 vertices, `ptracer`, 64 samples in images and 32 in derivatives
-    ours       the same steps with a bump map of 512 x 512 texels, `ptracer`, 32 samples in both
+    ours       the same steps with a normal map of 512 x 512 texels, the vertex normals of that mesh, which plain torch makes
+               of the heights; `ptracer`, 32 samples in both
 
 Mitsuba takes ``--its`` steps, or fewer if ``--seconds`` are over before, and ours goes on until Mitsuba's seconds are over.
 Steps that compile come first and count for nothing. It prints losses after equal steps and after equal seconds: `loss`, the
@@ -33,7 +34,7 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.func import functional_call
-from torch.nn.functional import interpolate
+from torch.nn.functional import conv2d, grid_sample, interpolate, normalize, pad
 
 import torch_radbp as rb
 from benchmarks.headline.chart import panel, write_chart
@@ -44,7 +45,7 @@ from benchmarks.scenes.caustic import GLASS, PICTURES, PIXELS, plate_scene, rect
 PLATE, START = 512, 32  # texels or vertices a side; cells of the first grid
 DOUBLES, CALMER = (40, 160, 360, 640), (700, 900)  # steps
 RATE, MOST, SPP = 3e-5, 0.01, 32  # of Adam; the bound of heights
-HEIGHTS = "scene.top.bsdf.nested_texture.data"
+NORMALS = "scene.top.bsdf.normalmap.data"
 EVERY, SHARES = 10, (0.25, 0.5, 1.0)  # steps between plates; of the seconds, after which losses are printed
 STEPS = (20, 40, 80, 120, 160, 200, 300, 400, 600, 800, 1000)  # after which losses are printed
 
@@ -72,13 +73,15 @@ class Schedule:
 
 
 class OurLoop:
-    """The tutorial's loop with a bump map."""
+    """The tutorial's loop with a normal map: heights are a thousandth of the way to the floor, so that nothing need move."""
 
     def __init__(self, picture: Tensor):
         self.picture, self.schedule, self.size = picture, Schedule(), START
-        texture = {"type": "bitmap", "data": torch.zeros(PLATE, PLATE, 1), "raw": True, "wrap_mode": "clamp"}
-        self.renderer = rb.Renderer(rb.load_dict(plate_scene(rectangle(
-            0, True, 1, bsdf={"type": "bumpmap", "texture": texture, "bsdf": GLASS}))))
+        texture = {"type": "bitmap", "data": as_colours(torch.zeros(PLATE, PLATE)), "raw": True, "wrap_mode": "clamp"}
+        glass = {"type": "normalmap", "normalmap": texture, "bsdf": GLASS, "flip_invalid_normals": False,
+                 "use_shadowing_function": False}
+        side = PLATE / (PLATE - 1)  # with half a texel around, so that texels have their middles at the mesh's vertices
+        self.renderer = rb.Renderer(rb.load_dict(plate_scene(rectangle(0, True, side, bsdf=glass))))
         self.begin(torch.zeros(START, START))
 
     def begin(self, grid: Tensor) -> None:
@@ -91,7 +94,7 @@ class OurLoop:
             self.begin(larger(self.grid.detach(), 2 * len(self.grid)))
         if self.schedule.calms(number):
             self.optimizer.param_groups[0]["lr"] = self.schedule.rate
-        image = functional_call(self.renderer, {HEIGHTS: larger(self.grid, PLATE)[..., None]},
+        image = functional_call(self.renderer, {NORMALS: as_colours(at_vertices(self.grid))},
                                 kwargs={"seed": number, "spp": self.schedule.spp})[0].mean(0)
         loss = (image / image.detach().mean() - self.picture).square().mean()
         self.optimizer.zero_grad()
@@ -102,12 +105,30 @@ class OurLoop:
         return loss.item()
 
     def heights(self) -> Tensor:
-        return larger(self.grid.detach(), PLATE)
+        return at_vertices(self.grid.detach())
+
+
+def at_vertices(grid: Tensor) -> Tensor:
+    """(PLATE, PLATE) the values of a grid, whose cells fill the plate, at the vertices of a mesh, from rim to rim."""
+    across = torch.linspace(-1, 1, PLATE)
+    places = torch.stack(torch.meshgrid(across, across, indexing="xy"), -1)
+    return grid_sample(grid[None, None], places[None], padding_mode="border", align_corners=False)[0, 0]
 
 
 def larger(grid: Tensor, size: int) -> Tensor:
     """(size, size) a grid between whose values lie straight lines."""
     return interpolate(grid[None, None], size=(size, size), mode="bilinear")[0, 0]
+
+
+# The slope along u at a vertex, by heights around: that of its six faces, weighted by their angles. Along v: transposed.
+SLOPE = torch.tensor([[0.0, -1.0, 1.0], [-3.0, 0.0, 3.0], [-1.0, 1.0, 0.0]]) / 8
+
+
+def as_colours(heights: Tensor) -> Tensor:
+    """(PLATE, PLATE, 3) the texels of a normal map, one at each vertex of a plate of 2 x 2: the normals of a smooth mesh."""
+    around = pad(heights[None, None], (1, 1, 1, 1), mode="replicate") * ((PLATE - 1) / 2)
+    slopes = conv2d(around, torch.stack([SLOPE, SLOPE.T])[:, None])[0]
+    return (normalize(torch.stack([-slopes[0], -slopes[1], torch.ones_like(heights)], -1), dim=-1) + 1) / 2
 
 
 class MitsubaPlate:

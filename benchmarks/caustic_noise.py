@@ -1,12 +1,13 @@
 """Noise where lamps shine through or off what is narrow, by who brings the light: ``python -m benchmarks.caustic_noise``.
 
-Lamps of some extent, so that paths from the camera find all light, if by chance: a ball of glass under a lamp, a bulb (a lamp
-in a ball of glass), a mirror beside a lamp, a glossy ball under a small lamp; 32 x 32 pixels, 64 samples, depth 5. Each is
-rendered and differentiated with paths from the camera alone (`Renderer(light_paths="camera")`) and in the other ways, in
+Lamps of some extent, so that paths from the camera find all light, if by chance: a ball of glass under a lamp, a bulb (a
+lamp in a ball of glass), a mirror beside a lamp, a glossy ball under a small lamp; 32 x 32 pixels, 64 samples, depth 5. Each
+is rendered and differentiated with paths from the camera alone (`Renderer(light_paths="camera")`) and in the other ways, in
 turns. For image and for the derivative of each parameter it prints variance times CPU seconds over that of the camera's
 paths: below 1 the way is better. Variances are sums over entries, of many seeds; `z` is the greatest difference of a
-derivative's sum from the camera's, in standard errors. The loss is the mean square of the difference of the image, weighted
-by a fixed pattern, from nothing: image and derivative have samples of their own.
+derivative's sum from the camera's, in standard errors: where mirrors and glass move, the camera's lacks edges of lamps that
+surfaces see there, as a warning says. The loss is the mean of the image, weighted by a fixed pattern. Image and derivative
+have samples of their own.
 
 ``--balls`` prints instead how noisy the derivative by the place of a ball of plastic before a floor is beside that of a
 diffuse one, with terms of the interior alone and with all terms.
@@ -143,7 +144,8 @@ def scene_rows(seeds: int, only: list[str]) -> None:
             other, doubt = found[way].derivative()
             z = ((other - mean) / (variance + doubt).sqrt().clamp_min(1e-30)).tolist()
             cells = ", ".join(f"`{each}` {cost:.2f}" for each, cost in zip(names, costs))
-            print(f"| {name} | {way} | {image:.2f} | {cells} | {max(z, key=abs):+.1f} |", flush=True)
+            worst = max(z, key=abs)
+            print(f"| {name} | {way} | {image:.2f} | {cells} | {worst:+.1f} `{names[z.index(worst)]}` |", flush=True)
 
 
 def ball_rows(seeds: int) -> None:

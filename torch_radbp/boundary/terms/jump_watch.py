@@ -241,6 +241,9 @@ class JumpWatch:
         instead = "" if all(turning.values()) else (" With sampling='hybrid' those of surfaces that are neither ideal nor "
                                                     "of glass do not.")
         by = " by surfaces, not by the camera," if all(id(bsdf) in computed for bsdf, _ in materials) else ""
+        if any(not (kind.delta or kind.surround) for kind in (emitter.kind() for emitter in rendering.emitters)):
+            instead += (" If most of it are edges of lamps, take light_paths=\"caustics\", whose paths begin at these and "
+                        "pass no such edge.")
         return SilhouetteWarning(f"derivatives with respect to {listed(turning)} lack the contribution of edges seen{by} by "
                                  f"reflection or refraction: scattered directions follow the parameter and slide over the "
                                  f"edges of shapes, where radiance is discontinuous.{instead} check_gradient measures how "
