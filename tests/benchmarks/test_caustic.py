@@ -8,8 +8,9 @@ import pytest
 import torch
 from PIL import Image
 
-from benchmarks.caustic import EVERY, OurLoop, Run, Schedule, larger, run
+from benchmarks.caustic import EVERY, PLATE, OurLoop, Run, Schedule, as_colours, at_vertices, larger, run
 from benchmarks.scenes.caustic import PICTURES, PIXELS
+from torch_radbp.shape.normals import angle_weighted_normals
 
 HERE = Path(__file__).parents[2]
 
@@ -38,6 +39,19 @@ def test_the_schedule_is_the_tutorials():
 def test_a_larger_grid_shows_the_same_plane():
     rise = torch.arange(8.0).expand(8, 8)
     assert torch.allclose(larger(rise, 16)[:, 1:-1].diff(dim=1), torch.tensor(0.5))
+
+
+def test_texels_are_the_normals_of_the_smooth_mesh():
+    heights = at_vertices(1e-4 * torch.randn(64, 64, generator=torch.Generator().manual_seed(1)))
+    across = torch.linspace(-1, 1, PLATE)
+    v, u = torch.meshgrid(across, across, indexing="ij")
+    number = torch.arange(PLATE * PLATE).view(PLATE, PLATE)
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+    faces = torch.cat([torch.stack(each, -1).reshape(-1, 3) for each in ((a, b, c), (b, d, c))])
+    normals = angle_weighted_normals(torch.stack([u, v, heights], -1).reshape(-1, 3), faces).view(PLATE, PLATE, 3)
+    inside = slice(1, -1)
+    assert normals[inside, inside, :2].abs().max() > 0.005
+    assert torch.allclose(2 * as_colours(heights)[inside, inside] - 1, normals[inside, inside], atol=2e-5)
 
 
 def test_our_loop_comes_nearer_to_the_picture():
