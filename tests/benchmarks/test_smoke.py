@@ -8,7 +8,8 @@ import pytest
 import torch
 from PIL import Image
 
-from benchmarks.smoke import LEAST, MOST, RATE, START, Judge, OurLoop, Run, SameLoop, Setup, run, scene_file
+from benchmarks.smoke import Judge
+from benchmarks.smoke_loops import LEAST, MOST, RATE, START, OurLoop, Run, SameLoop, Setup, run, scene_file
 from torch_radbp.formats.volume import read_volume
 
 HERE = Path(__file__).parents[2]
