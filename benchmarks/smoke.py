@@ -6,11 +6,12 @@ of 512 samples. Both renderers load the same file and begin with the same thin f
 
     Mitsuba          the tutorial's loop: a grid of 16^3, 20 rounds by 8 samples, then of 64^3, 20 rounds by 64 samples; Adam
                      with a rate of 0.02 steps after each view; values are cut off at 1e-6 and 1
-    ours             tutorial 13's: all views at once, 8 samples, a grid that grows from 8^3 to 64^3, and a rate that falls
+    ours             all views at once, 8 samples, a grid that grows from 8^3 to 64^3, a rate that falls, and total variation
     ours, its loop   ours in the tutorial's loop, step by step the same
+    Mitsuba, our loop   our loop with Mitsuba's images and derivatives
 
-With ``--seconds`` Mitsuba's second part goes on until they are over. Ours has the seconds that Mitsuba has taken, and the
-copy of its loop goes on with the second part until then; steps that compile come first and count for nothing. Errors, as
+With ``--seconds`` Mitsuba's second part goes on until they are over. The others have the seconds that Mitsuba has taken, and
+the copy of its loop goes on with the second part until then; steps that compile come first and count for nothing. Errors, as
 parts of the true root mean square:
 
     grid     root mean square of the difference of densities, at the centres of 64^3 cells
@@ -41,7 +42,18 @@ import torch_radbp as rb
 from benchmarks.headline.chart import panel, write_chart
 from benchmarks.headline.race import Curve
 from benchmarks.peers import mitsuba_for
-from benchmarks.smoke_loops import COARSE, FINE, MitsubaLoop, OurLoop, Run, SameLoop, Setup, run, scene_file
+from benchmarks.smoke_loops import (
+    COARSE,
+    FINE,
+    MitsubaImages,
+    MitsubaLoop,
+    OurLoop,
+    Run,
+    SameLoop,
+    Setup,
+    run,
+    scene_file,
+)
 from torch_radbp.optim.coarse_to_fine import resampled
 from torch_radbp.training.recovery.volume_picture import volume_picture
 
@@ -139,7 +151,8 @@ def main() -> None:
         scene = scene_file(Path(folder), options.views, options.size, options.scale)
         samples, fine = (16, COARSE) if options.small else (512, FINE)  # of a target
         setup = Setup(scene, targets_of(mi, scene, options.views, samples), options.spp, options.rounds, fine)
-        loops = {"Mitsuba": lambda setup: MitsubaLoop(setup, mi), "ours": OurLoop, "ours, its loop": SameLoop}
+        loops = {"Mitsuba": lambda setup: MitsubaLoop(setup, mi), "ours": OurLoop, "ours, its loop": SameLoop,
+                 "Mitsuba, our loop": lambda setup: OurLoop(setup, MitsubaImages(setup, mi))}
         runs, seconds = {}, options.seconds
         for name, loop in loops.items():
             run(loop(setup._replace(rounds=1)), 1)  # compiles
