@@ -83,8 +83,9 @@ def translated(mi, described: dict) -> dict:
             value = mi.ScalarTransform4f(np.asarray(value))
         elif key in ("data", "bitmap"):
             values = np.ascontiguousarray(value, dtype=np.float32)
-            key, value = ("grid", mi.VolumeGrid(values)) if described["type"] == "gridvolume" else (key, mi.Bitmap(values))
-            found |= {"raw": True} if key == "grid" else {}
+            grid = described["type"] == "gridvolume"
+            key, value = ("grid", mi.VolumeGrid(values)) if grid else ("bitmap", mi.Bitmap(values))
+            found |= {"raw": True} if grid else {}
         found[key] = value
     return found
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import bisect
 import time
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -155,7 +155,7 @@ class SameLoop:
 class Images(Protocol):
     """Images of a density, by either renderer."""
 
-    volume: torch.nn.Module  # whose `data` they show
+    volume: Any  # a gridvolume, whose `data` they show
 
     def __call__(self, number: int, spp: int) -> Tensor:
         """Images of all views, (views, 3, H, W), attached to the density; `number`: of their samples."""
