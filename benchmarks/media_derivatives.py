@@ -8,7 +8,8 @@ where the parameter is at the end of its range. Of poses directions are compared
     error    |gradient - differences| over |differences|, of the whole vector
     noise    what of it standard errors explain, over independent batches
     z        the worst entry in standard errors, and the bound that chance exceeds as rarely as 3.5 for one entry
-    verdict  right: error of at most 3%, or z within the bound; not known: noise above 3%
+    verdict  right: error of at most 3%; within 3.5 standard errors: error above that, but z within the bound; wrong:
+             neither; not known: not wrong, but noise above 3%
 
 Batches are added until the noise is below ``--noise``, for at most ``--seconds``. ``--mitsuba`` adds the gradient of
 `prbvolpath` (mitsuba==3.9.1), compared with the same differences, and its size along them, 1 where it is right; poses are
@@ -82,8 +83,9 @@ def translated(mi, described: dict) -> dict:
             value = mi.ScalarTransform4f(np.asarray(value))
         elif key in ("data", "bitmap"):
             values = np.ascontiguousarray(value, dtype=np.float32)
-            key, value = ("grid", mi.VolumeGrid(values)) if described["type"] == "gridvolume" else (key, mi.Bitmap(values))
-            found |= {"raw": True} if key == "grid" else {}
+            grid = described["type"] == "gridvolume"
+            key, value = ("grid", mi.VolumeGrid(values)) if grid else ("bitmap", mi.Bitmap(values))
+            found |= {"raw": True} if grid else {}
         found[key] = value
     return found
 

@@ -67,7 +67,9 @@ class Comparison(NamedTuple):
             return "**not finite, or zero**"
         if self.error > CLOSE and self.z > self.bound:
             return "**wrong**"
-        return "right" if self.noise <= CLOSE else "not known"
+        if self.noise > CLOSE:
+            return "not known"
+        return "right" if self.error <= CLOSE else f"within {FARTHEST} standard errors"
 
 
 class Batches:

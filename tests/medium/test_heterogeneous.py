@@ -1,4 +1,4 @@
-"""Media that vary in space: rays are followed by steps.
+"""Media that vary in space: rays are followed from collision to collision.
 
 Where extinction is the same everywhere they are homogeneous media; a furnace; bounds that hold; the gradient of every
 strategy, stride and way of running against the tape's; forward mode; differences, also where extinction is 0.

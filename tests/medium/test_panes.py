@@ -7,6 +7,7 @@ the gradient of every strategy, stride and way of running against the tape's; fo
 from __future__ import annotations
 
 import math
+import warnings
 
 import pytest
 import torch
@@ -281,6 +282,27 @@ def test_a_warning_says_that_edges_of_panes_have_no_part_in_derivatives():
     scene.pane.to_world.requires_grad_()
     with pytest.warns(rb.SilhouetteWarning, match="`pane.to_world` lack what edges and shadows contribute, since rays pass"):
         rb.render(scene, spp=1)
+
+
+@pytest.mark.parametrize("opacity", [
+    {"type": "bitmap", "bitmap": SMOOTH, "raw": True, "filter_type": "trilinear"},
+    torch.nn.Sequential(torch.nn.Linear(2, 1), torch.nn.Sigmoid())], ids=["trilinear", "network"])
+def test_one_warning_says_which_panes_are_met_for_their_textures(opacity):
+    """Not in empty space, where passing is a bounce everywhere, nor where others are read on the way."""
+    def said(scene: rb.Scene) -> list[str]:
+        renderer = rb.Renderer(scene.float(), spp=1, max_depth=2, compile=False)
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always")
+            for seed in range(2):
+                renderer(seed=seed)
+        return [str(each.message) for each in found if "without a bounce" in str(each.message)]
+
+    message, = said(under_a_pane(mask(opacity)))
+    assert "but not through `pane.bsdf`:" in message and "as `pane.bsdf.opacity`, are not read" in message
+    empty = load(camera=overhead(2, 4.0, 0.7), sky={"type": "constant"},
+                 pane=rectangle((0, 0, 1.0), 3.0, bsdf=mask(opacity)))
+    read = mask({"type": "bitmap", "bitmap": SMOOTH, "raw": True}, CLAY)
+    assert said(empty) == [] == said(under_a_pane(read))
 
 
 @pytest.mark.parametrize("settings", [{}, {"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)}, {"chunk": 40},

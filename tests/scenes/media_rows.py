@@ -63,7 +63,13 @@ def cells(channels: int = 1, largest: float = 2.0, seed: int = 50) -> np.ndarray
     return largest * np.random.default_rng(seed).uniform(0.2, 1.0, (2, 2, 2, channels))
 
 
+def emitting(medium: dict[str, Any], emission: Any) -> dict[str, Any]:
+    """A medium that emits, too: by colour, or the values of a grid."""
+    return {**medium, "emission": rgb(*emission) if isinstance(emission, tuple) else grid(emission)}
+
+
 HALF_EMPTY = cells() * (np.arange(8).reshape(2, 2, 2, 1) % 2)
+GLOW = (0.3, 0.2, 0.1)  # radiance per length
 GREY, COLOURED = even(1.0), even((0.5, 0.25, 2.0), (0.9, 0.6, 0.4))
 MEDIA = {
     "fog": even((0.1, 0.05, 0.3), (0.9, 0.6, 0.4)), "grey": GREY,
@@ -75,6 +81,11 @@ MEDIA = {
     "coloured smoke": smoke(cells(3)[:, :1], (0.9, 0.8, 0.7)), "smoke of colours": smoke(cells(), cells(3, 0.9, 7)[:1]),
     "half black smoke": smoke(cells(), cells(3, 0.9, 7)[:1] * (np.arange(4).reshape(1, 2, 2, 1) % 2)),
     "scaled smoke": smoke(cells(largest=0.5), factor=4.0), "smoke scaled by 0": smoke(cells(), factor=0.0),
+    "glowing fog": emitting(COLOURED, GLOW), "glowing grid in fog": emitting(COLOURED, cells(3, 1.0, 8)),
+    "glowing emptiness": emitting(even(0.0), GLOW), "fog that glows in red": emitting(COLOURED, (0.5, 0.0, 0.0)),
+    "glowing smoke": emitting(smoke(cells()), cells(3, 1.0, 8)), "glowing empty smoke": emitting(
+        smoke(0.0 * HALF_EMPTY), GLOW), "half glowing smoke": emitting(smoke(cells(3)[:, :1], (0.9, 0.8, 0.7)), HALF_EMPTY),
+    "dense glowing smoke": emitting(smoke(cells(largest=6.0)), GLOW),
 }
 PHASES: dict[str, dict[str, Any]] = {
     "isotropic": {"type": "isotropic"}, "rayleigh": {"type": "rayleigh"}, "hg backwards": {"type": "hg", "g": -0.5},
@@ -123,6 +134,7 @@ LIGHTS: dict[str, dict[str, Any]] = {
     "ember": {"ember": {"type": "sphere", "center": [0.3, 0.2, 0.1], "radius": 0.2, "bsdf": BLACK,
                         "emitter": {"type": "area", "radiance": rgb(6, 5, 4)}}},  # in the medium
     "glow": {},  # of the ground
+    "own light": {},  # of the medium
 }
 
 
@@ -139,6 +151,7 @@ PARAMETERS = {
     "extinction": Parameter(("air.sigma_t.value.value", "air.sigma_t.data")),
     "albedo": Parameter(("air.albedo.value.value", "air.albedo.data")),
     "scale": Parameter(("air.scale",)),
+    "emission": Parameter(("air.emission.value.value", "air.emission.data"), 0.5),
     "g": Parameter(("air.phase_function.g",), 0.15),
     "weight": Parameter(("air.phase_function.weight.value.value", "air.phase_function.weight.data"), 0.14, 1.0),
     "g of the first": Parameter(("air.phase_function.phase_0.g",), 0.15),
@@ -245,6 +258,26 @@ def embedded() -> list[Row]:
         Row("coloured", "null", "point", "intensity"), Row("thin", "roughdielectric", "glow", "roughness")]
 
 
+def emission() -> list[Row]:
+    """What media emit by themselves: without extinction or emission, in colours, behind glass, around what moves."""
+    named = {"emission": {"null": ("glowing fog", "glowing emptiness", "fog that glows in red", "glowing smoke",
+                                   "half glowing smoke", "glowing empty smoke"),
+                          "dielectric": ("glowing fog", "glowing smoke"), "roughdielectric": ("glowing grid in fog",)},
+             "extinction": {"null": ("glowing grid in fog", "glowing emptiness", "glowing smoke", "glowing empty smoke"),
+                            "dielectric": ("glowing fog", "half glowing smoke"), "roughdielectric": ("glowing smoke",),
+                            "none": ("glowing fog",)},
+             "albedo": {"null": ("glowing fog", "glowing smoke")}, "scale": {"null": ("dense glowing smoke",)},
+             "pose of the body": {"null": ("glowing fog", "glowing grid in fog")},
+             "pose of the camera": {"null": ("glowing fog",)}}
+    found = [Row(medium, boundary, "own light", parameter) for parameter, boundaries in named.items()
+             for boundary, media in boundaries.items() for medium in media]
+    return found + [Row("glowing smoke", "null", "own light", "emission", "hg", "inside"),
+                    Row("glowing smoke", "null", "own light", "reflectance of the stone", embedded="stone"),
+                    Row("glowing fog", "null", "own light", "pose of the core", embedded="core"),
+                    Row("glowing fog", "dielectric", "own light", "pose of the body", depth=2),
+                    Row("glowing fog", "null", "envmap", "extinction", "hg", depth=24)]
+
+
 def long_paths() -> list[Row]:
     """Many bounces, of which roulette ends some."""
     return [Row("coloured", "null", "constant", "extinction", "hg", depth=24),
@@ -264,4 +297,4 @@ def poses() -> list[Row]:
 
 
 def rows() -> list[Row]:
-    return [*extinctions(), *lights(), *colours(), *phases(), *embedded(), *long_paths(), *poses()]
+    return [*extinctions(), *lights(), *colours(), *phases(), *embedded(), *emission(), *long_paths(), *poses()]

@@ -85,7 +85,7 @@ class RenderCall(NamedTuple):
 def started(call: RenderCall, sample: CameraSample) -> PathState:
     """The paths that begin with some rays."""
     layout = call.scene.layout
-    medium = (-1 if layout.around is None else layout.around) if layout.follows else None
+    medium = (-1 if layout.around is None else layout.around) if layout.traces_segments else None
     return start_path(sample.ray, sample.key, call.scene.lights.by_place, call.following, sample.cone, medium, sample.power,
                       call.shared, sample.slides)
 

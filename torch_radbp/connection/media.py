@@ -34,7 +34,7 @@ def transmittance_of(scene: SceneTensors, ray: Ray, ways: tuple[MediumWay, ...])
     """
     through = Vec3.full(ray.d.x, 1.0)
     for kind, table, way in zip(scene.layout.media, scene.media, ways):
-        if not kind.tracked:
+        if not kind.heterogeneous:
             through = through * kind.transmittance(table, ray, way.length)
             continue
         extinction = kind.extinction(table, ray.o + ray.d * way.place, ray.d)
@@ -50,6 +50,6 @@ def attenuated(light: Vec3, through: Vec3 | None) -> Vec3:
 
 def transmittance_to_light(scene: SceneTensors, start: Vec3, light: LightSample) -> Vec3 | None:
     """`transmittance` from points to light samples, (N,); None: connections say what they pass, or nothing is there."""
-    if scene.layout.around is None or scene.layout.follows:
+    if scene.layout.around is None or scene.layout.traces_segments:
         return None
     return transmittance(scene, *connection_of(start, light))

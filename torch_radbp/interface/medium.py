@@ -28,14 +28,14 @@ class MediumWay(NamedTuple):
     """The way of rays through one medium, (N,) each; detached."""
 
     length: Tensor
-    # Of media that are followed by steps an estimate of what is left, by colour (where flights are sampled, divided by the
+    # Of heterogeneous media an estimate of what is left, by colour (where flights are sampled, divided by the
     # same as `Tracking.beyond`), and the distance from where the ray began to a point picked evenly on the way. Else None.
     left: Vec3 | None = None
     place: Tensor | None = None
 
 
-class TrackedEmission(NamedTuple):
-    """A place that is picked evenly on the ways of rays that are followed by steps, so far, (N,) each; detached."""
+class EmissionCandidate(NamedTuple):
+    """A place that is picked evenly on the ways of rays through heterogeneous media, so far, (N,) each; detached."""
 
     t: Tensor  # distance to it
     left: Vec3  # there, as in `Tracking`, over the same number
@@ -43,7 +43,7 @@ class TrackedEmission(NamedTuple):
 
 
 class Tracking(NamedTuple):
-    """Rays that are followed through one medium by steps, (N,) each; detached.
+    """Rays that are followed through one heterogeneous medium from collision to collision, (N,) each; detached.
 
     `left` and `beyond` may be divided by any one number of each lane, such as the probability of what the lane has done.
     """
@@ -54,7 +54,7 @@ class Tracking(NamedTuple):
     beyond: Vec3  # probability of coming so far, by the colour that decides; where they scatter the density of that
     seed: Tensor  # int32, changes at every step
     running: Tensor  # bool: they go on
-    emission: TrackedEmission | None = None  # None: nobody asks what media emit
+    emission: EmissionCandidate | None = None  # None: nobody asks what media emit
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class MediumKind:
     """The functions of one kind of medium; those behind `transmittance` are of media that scatter."""
 
     scatters: ClassVar[bool] = False
-    tracked: ClassVar[bool] = False  # rays are followed through it by steps; else `transmittance` is in closed form
+    heterogeneous: ClassVar[bool] = False  # free flights are sampled by tracking; else `transmittance` is in closed form
     # Of media that scatter: what they emit, read from the column `emission` of the table; None: they do not.
     emission: VolumeKind | None = field(default=None, kw_only=True)
 
@@ -103,25 +103,25 @@ class MediumKind:
         of the three colours. Detached; args as for `sample_flight`. Of media whose `transmittance` is in closed form."""
         raise TypeError(f"{type(self).__name__} emits nothing")
 
-    def enter(self, table: Table, ray: Ray, leg: Tensor) -> tuple[Tensor, Tensor]:
-        """Distances between which rays are in the medium that is followed by steps, (N,); empty if the second is not more.
+    def enter(self, table: Table, ray: Ray, segment: Tensor) -> tuple[Tensor, Tensor]:
+        """Distances between which rays are in a heterogeneous medium, (N,); empty if the second is not more.
 
         Args:
             table, ray: as for `sample_flight`.
-            leg: (N,) to where the next surface is, or boundary; 1e10 where there is none.
+            segment: (N,) to where the next surface is, or boundary; 1e10 where there is none.
         """
-        raise TypeError(f"{type(self).__name__} is not followed by steps")
+        raise TypeError(f"{type(self).__name__} is not heterogeneous")
 
-    def track(self, table: Table, ray: Ray, leg: Tensor, v: Tensor, tracking: Tracking, flies: bool) -> Tracking:
-        """Follows rays by some steps.
+    def track(self, table: Table, ray: Ray, segment: Tensor, v: Tensor, tracking: Tracking, flies: bool) -> Tracking:
+        """Follows rays by some steps of delta tracking, or of ratio tracking.
 
         Args:
-            table, ray, leg: as for `enter`.
+            table, ray, segment: as for `enter`.
             v: (N,) chooses the colour that decides, as for `sample_flight`.
             tracking: (N,) so far.
             flies: rays may scatter; else they do not, and only what is left is estimated.
         """
-        raise TypeError(f"{type(self).__name__} is not followed by steps")
+        raise TypeError(f"{type(self).__name__} is not heterogeneous")
 
     def sampled_for_derivatives(self, table: Table, extent: Tensor, of_image: bool) -> Table:
         """The table by which paths are sampled whose samples are of the derivative.
@@ -135,8 +135,8 @@ class MediumKind:
 
     def extinction(self, table: Table, p: Vec3, wi: Vec3) -> Vec3:
         """The share of light that is lost per unit of length at points, (N,), along directions, by colour; attached. Of
-        media that are followed by steps."""
-        raise TypeError(f"{type(self).__name__} is not followed by steps")
+        heterogeneous media."""
+        raise TypeError(f"{type(self).__name__} is not heterogeneous")
 
     def scattering(self, table: Table, p: Vec3, wi: Vec3) -> Vec3:
         """The share of light that is scattered per unit of length at points, (N,), along directions, by colour; attached."""

@@ -22,7 +22,7 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.interface.medium import MediumKind, TrackedEmission, Tracking, colour_chosen
+from torch_radbp.interface.medium import EmissionCandidate, MediumKind, Tracking, colour_chosen
 from torch_radbp.interface.phase import PhaseKind
 from torch_radbp.interface.volume import VolumeKind
 from torch_radbp.medium.coarse_grid import CoarseGrid, cell_of, coarse_grid, distance_to_next_cell
@@ -59,7 +59,7 @@ class HeterogeneousKind(MediumKind):
     """Extinction and albedo are read at every point."""
 
     scatters: ClassVar[bool] = True
-    tracked: ClassVar[bool] = True
+    heterogeneous: ClassVar[bool] = True
     sigma_t: VolumeKind
     albedo: VolumeKind
     phase_function: PhaseKind
@@ -81,9 +81,9 @@ class HeterogeneousKind(MediumKind):
     def sample_phase(self, table: HeterogeneousTable, p: Vec3, wi: Vec3, u: Tensor, v: Tensor) -> Vec3:
         return self.phase_function.sample(table.phase, p, wi, u, v)
 
-    def enter(self, table: HeterogeneousTable, ray: Ray, leg: Tensor) -> tuple[Tensor, Tensor]:
-        low, high = lookup(table.grid.low, index(leg)), lookup(table.grid.high, index(leg))
-        first, last = torch.zeros_like(leg), leg
+    def enter(self, table: HeterogeneousTable, ray: Ray, segment: Tensor) -> tuple[Tensor, Tensor]:
+        low, high = lookup(table.grid.low, index(segment)), lookup(table.grid.high, index(segment))
+        first, last = torch.zeros_like(segment), segment
         for o, d, a, b in zip(ray.o, ray.d, low, high):
             # A ray along a face is inside or outside all the way.
             inverse = 1.0 / torch.where(d.abs() > TINY, d, TINY)
@@ -93,9 +93,9 @@ class HeterogeneousKind(MediumKind):
             first, last = torch.where(near > first, near, first), torch.where(far < last, far, last)
         return first, last
 
-    def track(self, table: HeterogeneousTable, ray: Ray, leg: Tensor, v: Tensor, tracking: Tracking,
+    def track(self, table: HeterogeneousTable, ray: Ray, segment: Tensor, v: Tensor, tracking: Tracking,
               flies: bool) -> Tracking:
-        first, last = self.enter(table, ray, leg)
+        first, last = self.enter(table, ray, segment)
         for _ in range(STEPS):
             before, tracking = tracking, self.step(table, ray, last, v, tracking, flies)
             if before.emission is not None and self.emission is not None:
@@ -142,7 +142,7 @@ def with_emission(tracking: Tracking, before: Tracking, first: Tensor, last: Ten
     reached = torch.minimum(tracking.t, last)
     along = u * (reached - first)
     here = before.running & (along < reached - before.t)
-    place = TrackedEmission(before.t + along, before.left, before.beyond)
+    place = EmissionCandidate(before.t + along, before.left, before.beyond)
     return tracking._replace(seed=torch.where(before.running, seed, tracking.seed), emission=selected(here, place, emission))
 
 

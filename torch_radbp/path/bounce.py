@@ -93,7 +93,7 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
     if state.vantage is not None:
         ahead = ahead._replace(vantage=kind.vantage(terms))
     of_shadow = None
-    if scene.layout.follows:
+    if scene.layout.traces_segments:
         of_shadow, of_ray = (kind.medium(scene, terms, arrival, ray.d) for ray in (shadow, ahead.ray))
         ahead = ahead._replace(medium=of_ray)
     shown = (terms.Le, terms.Ld, F) if settings.shown else (None, None, None)

@@ -26,7 +26,7 @@ from torch_radbp.interface.medium import MediumKind
 from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.light_connection import connected_to_light, light_numbers
 from torch_radbp.path.light_share import connects, may_go_on
-from torch_radbp.path.passage import distance_passed, leg_inside, way_left
+from torch_radbp.path.passage import distance_passed, segment_inside, way_left
 from torch_radbp.path.state import BSDF_U, BSDF_V, ROULETTE, Arrival, Position, Settings
 from torch_radbp.path.surface import surface_met
 from torch_radbp.path.vertex import Terms, VertexKind
@@ -123,8 +123,8 @@ class FlightVertex(VertexKind):
             passed = distance_passed(scene, ray, crossing.hit)
             begins = torch.where(settled(passed) < torch.inf, passed, begins)
         kind = scene.layout.media[self.number]
-        if kind.tracked:
-            begins, way = leg_inside(kind, scene.media[self.number], ray, begins, torch.where(si.valid, si.t, FAR))
+        if kind.heterogeneous:
+            begins, way = segment_inside(kind, scene.media[self.number], ray, begins, torch.where(si.valid, si.t, FAR))
         else:
             way = torch.where(si.valid, si.t - begins, 1.0)
         longer = way / settled(way)

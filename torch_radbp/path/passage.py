@@ -3,9 +3,10 @@
 A ray passes boundaries that are surfaces of BSDF `null` straight, from one medium into the next, until it meets a surface
 that scatters, or a flight ends in a medium. Passing is no bounce: the hit that is left is that of the last surface, as far
 from where the ray began as it is, and the way is told by its lengths in each of the media. Of those that are the same
-everywhere that is all that the transmittance depends on, and its derivative. Others are followed by steps: what is left of
-light is an estimate then, and a point that is picked evenly on the way tells the derivative (`MediumWay`). Other surfaces
-that let light pass straight are passed by chance (`panes.py`). So are connections to lights followed (`shadow_passage.py`).
+everywhere that is all that the transmittance depends on, and its derivative. In others rays are followed from collision to
+collision: what is left of light is an estimate then, and a point that is picked evenly on the way tells the derivative
+(`MediumWay`). Other surfaces that let light pass straight are passed by chance (`panes.py`). So are connections to lights
+followed (`shadow_passage.py`).
 
 In each medium the same random number decides anew how far the path flies, of which passing has used up a part.
 
@@ -22,7 +23,7 @@ from torch import Tensor
 
 from torch_radbp.connection.light import FAR
 from torch_radbp.connection.media import transmittance, transmittance_of
-from torch_radbp.interface.medium import MediumKind, MediumWay, TrackedEmission, Tracking, colour_chosen, mean_of_colours
+from torch_radbp.interface.medium import EmissionCandidate, MediumKind, MediumWay, Tracking, colour_chosen, mean_of_colours
 from torch_radbp.path.panes import no_panes, pane_at, through_panes, with_pane
 from torch_radbp.path.state import BSDF_CHOICE, Arrival, BoundaryCrossing, Flight, PathState, Position
 from torch_radbp.raycast.protocol import Hit
@@ -37,7 +38,7 @@ from torch_radbp.tensors.vec import TINY, Ray, Vec3, cross, dot, rows, where
 from torch_radbp.vertex.interaction import corner_rows, surface_interaction
 
 SALT = 0x1B873593  # tells the random numbers of flights from those of bounces
-LEG = 0x2545F491  # added to seeds after a leg
+NEXT_SEGMENT = 0x2545F491  # added to seeds after a segment
 FLIGHT_U, FLIGHT_V = range(2)
 ALMOST_ONE = 1.0 - 1e-7
 
@@ -55,7 +56,7 @@ class PathPassage(NamedTuple):
 
 @stage("scene")
 def way_begun(scene: SceneTensors, state: PathState, at: Position) -> PathPassage:
-    """The ways of paths before their first leg; args as for `free_flights`."""
+    """The ways of paths before their first segment; args as for `free_flights`."""
     # What decides whether there is a flight at all has a point of its own, beside that of the direction that follows.
     key, ray = bounce_key(state.key, at.counter + SALT), detached(state.ray)
     u, v = (uniform(key, dimension, state.pdf.dtype) for dimension in (FLIGHT_U, FLIGHT_V))
@@ -69,7 +70,7 @@ def way_begun(scene: SceneTensors, state: PathState, at: Position) -> PathPassag
 
 def ways_at_first(scene: SceneTensors, none: Tensor) -> tuple[MediumWay, ...]:
     """No ways in any medium; `none`: (N,) zeros."""
-    return tuple(MediumWay(none, Vec3.full(none, 1.0), none) if kind.tracked else MediumWay(none)
+    return tuple(MediumWay(none, Vec3.full(none, 1.0), none) if kind.heterogeneous else MediumWay(none)
                  for kind in scene.layout.media)
 
 
@@ -79,87 +80,88 @@ def steps_seed(key: BounceKey) -> Tensor:
 
 
 @stage("scene")
-def tracking_begun(scene: SceneTensors, ahead: Ray, leg: Tensor, medium: Tensor, seed: Tensor, shadow: bool) -> Tracking:
-    """Rays at the start of legs through media, of which those run that are followed by steps.
+def tracking_begun(scene: SceneTensors, ahead: Ray, segment: Tensor, medium: Tensor, seed: Tensor, shadow: bool) -> Tracking:
+    """Rays at the start of segments through media, of which those run that are in heterogeneous ones.
 
     Args:
         scene: detached; any part of it.
         ahead: (N,) rays.
-        leg: (N,) to the next surface.
+        segment: (N,) to the next surface.
         medium: (N,) int32, numbers of the media.
         seed: (N,) int32.
         shadow: nobody asks what media emit on the way.
     """
-    first, last = torch.zeros_like(leg), torch.zeros_like(leg)
-    for number in scene.layout.tracked_media:
-        here, span = medium == number, scene.layout.media[number].enter(scene.media[number], ahead, leg)
+    first, last = torch.zeros_like(segment), torch.zeros_like(segment)
+    for number in scene.layout.heterogeneous_media:
+        here, span = medium == number, scene.layout.media[number].enter(scene.media[number], ahead, segment)
         first, last = (torch.where(here, new, old) for new, old in zip(span, (first, last)))
-    whole = Vec3.full(leg, 1.0)
-    emission = None if shadow or not scene.layout.emitting_media else TrackedEmission(first, whole, whole)
-    return Tracking(first, torch.full_like(leg, torch.inf), whole, Vec3.full(leg, 1.0), seed, first < last, emission)
+    whole = Vec3.full(segment, 1.0)
+    emission = None if shadow or not scene.layout.emitting_media else EmissionCandidate(first, whole, whole)
+    return Tracking(first, torch.full_like(segment, torch.inf), whole, Vec3.full(segment, 1.0), seed, first < last, emission)
 
 
 @stage("scene")
-def runs_in(scene: SceneTensors, tracking: Tracking, medium: Tensor, number: int) -> Tensor:
-    """(N,) bool: rays are followed by steps through the medium of a number; args as for `tracking_begun`."""
+def is_tracked_in(scene: SceneTensors, tracking: Tracking, medium: Tensor, number: int) -> Tensor:
+    """(N,) bool: rays go on in the heterogeneous medium of a number; args as for `tracking_begun`."""
     return tracking.running & (medium == number)
 
 
-@stage("scene", "ahead", "leg", "v", "tracking")
-def tracking_on(scene: SceneTensors, ahead: Ray, leg: Tensor, v: Tensor, tracking: Tracking, lanes: Tensor, number: int,
+@stage("scene", "ahead", "segment", "v", "tracking")
+def tracking_on(scene: SceneTensors, ahead: Ray, segment: Tensor, v: Tensor, tracking: Tracking, lanes: Tensor, number: int,
                 flies: bool) -> Tracking:
     """Follows some rays by some steps, (M,); see `MediumKind.track`.
 
     Args:
         scene: detached; any part of it.
-        ahead, leg, v, tracking: (N,).
+        ahead, segment, v, tracking: (N,).
         lanes: (M,) int32, those of N that are meant.
         number: of the medium.
         flies: rays may scatter.
     """
-    ahead, leg, v, tracking = rows((ahead, leg, v, tracking), lanes)
-    return scene.layout.media[number].track(scene.media[number], ahead, leg, v, tracking, flies)
+    ahead, segment, v, tracking = rows((ahead, segment, v, tracking), lanes)
+    return scene.layout.media[number].track(scene.media[number], ahead, segment, v, tracking, flies)
 
 
 @stage("scene", "ahead")
 def surface_ahead(scene: SceneTensors, ahead: Ray, hit: Hit, lanes: Tensor) -> Tensor:
-    """The distance along the next leg to the surface that a ray meets, (M,); 1e10 where there is none. Args as for
-    `next_leg`; `ahead`: that of the passage."""
+    """The distance along the next segment to the surface that a ray meets, (M,); 1e10 where there is none. Args as for
+    `next_segment`; `ahead`: that of the passage."""
     ahead = rows(ahead, lanes)
     return torch.where(hit.prim >= 0, dot(surface_interaction(scene, ahead, hit).p - ahead.o, ahead.d), FAR).clamp_min(0.0)
 
 
-def with_leg(scene: SceneTensors, ways: tuple[MediumWay, ...], medium: Tensor, leg: Leg) -> tuple[MediumWay, ...]:
-    """Ways with a leg more, in the media of these numbers, (N,)."""
+def with_segment(scene: SceneTensors, ways: tuple[MediumWay, ...], medium: Tensor,
+                 segment: Segment) -> tuple[MediumWay, ...]:
+    """Ways with a segment more, in the media of these numbers, (N,)."""
     extended_ways = []
     for number, (kind, table, way) in enumerate(zip(scene.layout.media, scene.media, ways)):
         here = medium == number
-        if not kind.tracked:
-            extended_ways.append(MediumWay(way.length + torch.where(here, leg.last, 0.0)))
+        if not kind.heterogeneous:
+            extended_ways.append(MediumWay(way.length + torch.where(here, segment.last, 0.0)))
             continue
-        # Pick a point evenly on all of the way: on this leg with the probability of its share.
-        first, last = kind.enter(table, leg.ahead, leg.length)
-        length = torch.where(here, (torch.minimum(last, leg.last) - first).clamp_min(0.0), 0.0)
+        # Pick a point evenly on all of the way: on this segment with the probability of its share.
+        first, last = kind.enter(table, segment.ahead, segment.length)
+        length = torch.where(here, (torch.minimum(last, segment.last) - first).clamp_min(0.0), 0.0)
         total = way.length + length
-        seed, on_leg = next_number(leg.tracking.seed, length.dtype)
+        seed, on_segment = next_number(segment.tracking.seed, length.dtype)
         _, share = next_number(seed, length.dtype)
-        place = torch.where(on_leg * total < length, leg.come + first + share * length, way.place)
-        extended_ways.append(MediumWay(total, where(here, way.left * leg.tracking.left, way.left), place))
+        place = torch.where(on_segment * total < length, segment.come + first + share * length, way.place)
+        extended_ways.append(MediumWay(total, where(here, way.left * segment.tracking.left, way.left), place))
     return tuple(extended_ways)
 
 
-class Leg(NamedTuple):
-    """A leg of a way, (N,) each."""
+class Segment(NamedTuple):
+    """A segment of a way, (N,) each."""
 
     ahead: Ray
-    come: Tensor  # distance from where the way began to where the leg does
+    come: Tensor  # distance from where the way began to where the segment does
     length: Tensor  # to the next surface; 1e10 where there is none
     last: Tensor  # to where it ends
-    tracking: Tracking | None  # where it ended in a medium that is followed by steps; None: there is none
+    tracking: Tracking | None  # where it ended in a heterogeneous medium; None: there is none
 
 
 @stage("scene", "ray", "way")
-def next_leg(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, tracking: Tracking | None, lanes: Tensor,
+def next_segment(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, tracking: Tracking | None, lanes: Tensor,
              flies: bool) -> tuple[Hit, PathPassage, Tensor]:
     """Follows rays through one medium: to where they scatter, to a surface, or through a boundary into the next.
 
@@ -168,7 +170,7 @@ def next_leg(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, tracking
         ray: (N,) as they began.
         way: (N,) so far.
         hit: (M,) what `way.ahead` meets.
-        tracking: (M,) of those that were followed through media by steps.
+        tracking: (M,) of those in heterogeneous media; None: there are none.
         lanes: (M,) int32, those of N that are meant.
         flies: paths may scatter in media; else they go straight to the next surface.
 
@@ -183,7 +185,7 @@ def next_leg(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, tracking
     end, density, beyond = torch.full_like(length, torch.inf), Vec3.full(length, 0.0), Vec3.full(length, 1.0)
     for number in scene.layout.scattering_media if flies else ():
         kind, table, here = scene.layout.media[number], scene.media[number], flight.medium == number
-        if kind.tracked:
+        if kind.heterogeneous:
             distance, of_flight, farther = tracking.end, tracking.beyond, tracking.beyond
         else:
             distance = kind.sample_flight(table, way.ahead, length, way.u, way.v)
@@ -191,8 +193,8 @@ def next_leg(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, tracking
         end = torch.where(here & (distance < length), distance, end)
         density, beyond = where(here, of_flight, density), where(here, farther, beyond)
     scatters = end < torch.inf
-    leg = Leg(way.ahead, come, length, torch.minimum(end, length), tracking)
-    ways = with_leg(scene, flight.ways, flight.medium, leg)
+    segment = Segment(way.ahead, come, length, torch.minimum(end, length), tracking)
+    ways = with_segment(scene, flight.ways, flight.medium, segment)
     # Go on behind the surface, if it is but a boundary, or if what lets light pass straight is chosen among its lobes.
     row, seed, beyond_it = lookup(scene.triangles.boundary, si.prim), next_seed(way.seed, tracking), way.beyond * beyond
     passes, panes, stays, choice = lookup(scene.boundaries.invisible, row), flight.panes, flight.stays, flight.choice
@@ -215,8 +217,8 @@ def next_leg(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, tracking
 
 
 def next_seed(seed: Tensor, tracking: Tracking | None) -> Tensor:
-    """(N,) int32, the seed of the next leg."""
-    return hash32((seed if tracking is None else tracking.seed) + LEG)
+    """(N,) int32, the seed of the next segment."""
+    return hash32((seed if tracking is None else tracking.seed) + NEXT_SEGMENT)
 
 
 @stage("scene")
@@ -268,7 +270,7 @@ def moved_ways(scene: SceneTensors, ray: Ray, ways: tuple[MediumWay, ...], cross
         changes += [(crossing.before, change), (crossing.after, -change)]
     moved = []
     for number, (kind, way) in enumerate(zip(scene.layout.media, ways)):
-        if kind.tracked:
+        if kind.heterogeneous:
             moved.append(moved_way(kind, scene.media[number], ray, way, borders, distance))
             continue
         length = way.length
@@ -280,21 +282,21 @@ def moved_ways(scene: SceneTensors, ray: Ray, ways: tuple[MediumWay, ...], cross
 
 def moved_way(kind: MediumKind, table: Any, ray: Ray, way: MediumWay, borders: Sequence[Tensor],
               distance: Tensor) -> MediumWay:
-    """The way through a medium that is followed by steps: the point that is picked on it stays where it is on its leg, as a
-    share of that, and the way counts by how much longer the leg is.
+    """The way through a heterogeneous medium: the point that is picked on it stays where it is on its segment, as a share of
+    that, and the way counts by how much longer the segment is.
 
     Args:
         kind, table: the medium.
         borders: (N,) each, attached, where rays pass boundaries; infinite: they do not.
         ray, way, distance: as for `moved_ways`.
     """
-    first, leg = leg_inside(kind, table, ray, *leg_around(way.place, borders, distance))
-    longer = leg / settled(leg)
+    first, segment = segment_inside(kind, table, ray, *segment_around(way.place, borders, distance))
+    longer = segment / settled(segment)
     return way._replace(length=way.length * longer, place=first + (way.place - settled(first)) * longer)
 
 
-def leg_around(place: Tensor, borders: Sequence[Tensor], distance: Tensor) -> tuple[Tensor, Tensor]:
-    """The distances at which the legs begin and end on which places are, (N,) each, attached; args as for `moved_way`."""
+def segment_around(place: Tensor, borders: Sequence[Tensor], distance: Tensor) -> tuple[Tensor, Tensor]:
+    """The distances at which the segments of places begin and end, (N,) each, attached; args as for `moved_way`."""
     begins, ends = torch.zeros_like(distance), distance
     for border in borders:
         before = settled(border) <= place
@@ -303,9 +305,9 @@ def leg_around(place: Tensor, borders: Sequence[Tensor], distance: Tensor) -> tu
     return begins, ends
 
 
-def leg_inside(kind: MediumKind, table: Any, ray: Ray, begins: Tensor, ends: Tensor) -> tuple[Tensor, Tensor]:
-    """Where a leg between two distances along rays enters what a medium that is followed by steps fills, and its length in
-    there, (N,) each, attached; length 1 where it is not in there."""
+def segment_inside(kind: MediumKind, table: Any, ray: Ray, begins: Tensor, ends: Tensor) -> tuple[Tensor, Tensor]:
+    """Where a segment between two distances along rays enters what a heterogeneous medium fills, and its length in there,
+    (N,) each, attached; length 1 where it is not in there."""
     first, last = kind.enter(table, ray, ends)
     first = torch.where(begins > first, begins, first)
     return first, torch.where(settled(last - first) > TINY, last - first, 1.0)
@@ -327,7 +329,7 @@ def way_left(scene: SceneTensors, arrival: Arrival, distance: Tensor) -> Vec3 | 
         arrival: the paths, with their ways.
         distance: (N,) attached length of the whole way.
     """
-    if scene.layout.follows:
+    if scene.layout.traces_segments:
         flight, ways = arrival.flight, arrival.flight.ways
         if flight.crossings is not None:
             ways = moved_ways(scene, arrival.state.ray, ways, flight.crossings, flight.medium, distance)

@@ -13,7 +13,16 @@ from torch import Tensor
 from torch_radbp.connection.light import FAR
 from torch_radbp.interface.medium import MediumWay, Tracking
 from torch_radbp.path.panes import no_panes, pane_at, with_pane
-from torch_radbp.path.passage import LEG, SALT, Leg, medium_beyond, next_seed, steps_seed, ways_at_first, with_leg
+from torch_radbp.path.passage import (
+    NEXT_SEGMENT,
+    SALT,
+    Segment,
+    medium_beyond,
+    next_seed,
+    steps_seed,
+    ways_at_first,
+    with_segment,
+)
 from torch_radbp.path.state import PanesPassed, Position
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import LaneKey, bounce_key
@@ -47,21 +56,21 @@ def shadow_begun(scene: SceneTensors, shadow: Ray, distance: Tensor, medium: Ten
         key: of the paths.
         at: the depth.
     """
-    seed, none = steps_seed(bounce_key(key, at.counter + SALT + LEG)), torch.zeros_like(distance)
+    seed, none = steps_seed(bounce_key(key, at.counter + SALT + NEXT_SEGMENT)), torch.zeros_like(distance)
     return ShadowPassage(shadow, medium, seed, none < 1.0, ways_at_first(scene, none), no_panes(scene, none)), distance > 0
 
 
 @stage("scene", "shadow", "distance", "passed")
-def next_shadow_leg(scene: SceneTensors, shadow: Ray, distance: Tensor, passed: ShadowPassage, hit: Hit,
+def next_shadow_segment(scene: SceneTensors, shadow: Ray, distance: Tensor, passed: ShadowPassage, hit: Hit,
                     tracking: Tracking | None, lanes: Tensor) -> tuple[ShadowPassage, Tensor]:
-    """Takes the next legs of shadow rays: to the light, or to a surface that blocks it, or through a boundary.
+    """Takes the next segments of shadow rays: to the light, or to a surface that blocks it, or through a boundary.
 
     Args:
         scene: detached; any part of it.
         shadow, distance: (N,) as they began.
         passed: (N,) so far.
         hit: (M,) what `passed.ahead` meets.
-        tracking: (M,) of those that were followed through media by steps.
+        tracking: (M,) of those in heterogeneous media; None: there are none.
         lanes: (M,) int32, those of N that are meant.
 
     Returns:
@@ -72,7 +81,7 @@ def next_shadow_leg(scene: SceneTensors, shadow: Ray, distance: Tensor, passed: 
     surface, left = dot(si.p - passed.ahead.o, shadow.d), distance - come
     met = (hit.prim >= 0) & (surface < left)
     length = torch.where(met, surface, left).clamp_min(0.0)
-    ways = with_leg(scene, passed.ways, passed.medium, Leg(passed.ahead, come, length, length, tracking))
+    ways = with_segment(scene, passed.ways, passed.medium, Segment(passed.ahead, come, length, length, tracking))
     passes, panes = lookup(scene.boundaries.invisible, lookup(scene.triangles.boundary, si.prim)), passed.panes
     seed = next_seed(passed.seed, tracking)
     if panes is not None:
@@ -87,7 +96,7 @@ def next_shadow_leg(scene: SceneTensors, shadow: Ray, distance: Tensor, passed: 
 
 @stage("scene", "shadow", "distance", "ahead")
 def shadow_ahead(scene: SceneTensors, shadow: Ray, distance: Tensor, ahead: Ray, hit: Hit, lanes: Tensor) -> Tensor:
-    """The lengths of the next legs of shadow rays, (M,), args as for `next_shadow_leg`; `ahead`: that of the passage."""
+    """The lengths of the next segments of shadow rays, (M,), args as for `next_shadow_segment`; `ahead`: of the passage."""
     shadow, distance, ahead = rows((shadow, distance, ahead), lanes)
     left = distance - dot(ahead.o - shadow.o, ahead.d)
     surface = torch.where(hit.prim >= 0, dot(surface_interaction(scene, ahead, hit).p - ahead.o, ahead.d), FAR)

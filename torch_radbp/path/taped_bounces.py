@@ -48,7 +48,7 @@ def recordable(integrand: Integrand) -> bool:
     of media they are on a processor, if nothing moves. Who is asked outside is told no tangents."""
     layout = integrand.proposal.layout
     return (integrand.stages.is_compiled and not (integrand.attached and torch.is_grad_enabled())
-            and not (layout.follows and (integrand.settings.moving or integrand.target.counts_stay))
+            and not (layout.traces_segments and (integrand.settings.moving or integrand.target.counts_stay))
             and not (layout.reads_outside and inside_dual_level())
             and (integrand.caster is None or integrand.caster.recorded_as is not None))
 

@@ -1,4 +1,4 @@
-"""The loops that follow rays through media, leg by leg from boundary to boundary; `passage.py` has what happens on one."""
+"""The loops that trace rays through media, segment by segment from boundary to boundary; `passage.py` has one segment."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from torch_radbp.path.panes import through_panes
 from torch_radbp.path.passage import (
     PathPassage,
     free_flight,
+    is_tracked_in,
     moved_ways,
-    next_leg,
-    runs_in,
+    next_segment,
     surface_ahead,
     tracking_begun,
     tracking_on,
     way_begun,
 )
-from torch_radbp.path.shadow_passage import next_shadow_leg, shadow_ahead, shadow_begun
+from torch_radbp.path.shadow_passage import next_shadow_segment, shadow_ahead, shadow_begun
 from torch_radbp.path.state import BoundaryCrossing, Flight, PathState, ShadowWay
-from torch_radbp.path.volume_emission import emission_begun, emission_on_leg
+from torch_radbp.path.volume_emission import emission_begun, emission_on_segment
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.differentiated import detached
@@ -45,24 +45,25 @@ def free_flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -
         depth: of the bounce.
     """
     layout, flies = integrand.proposal.layout, not integrand.is_last(depth)
-    if not layout.follows and not (layout.scattering_media and flies):
+    if not layout.traces_segments and not (layout.scattering_media and flies):
         return hit, None
     part, at, state = integrand.part(Ends.SURROUNDINGS), integrand.at(depth), detached(state)
-    if not layout.follows:
+    if not layout.traces_segments:
         return hit, part.call(free_flight, state, hit, at)
     way, pick = part.call(way_begun, state, at), integrand.stages(rows)
     if layout.emitting_media:
         way = way._replace(flight=way.flight._replace(emission=part.call(emission_begun, state)))
 
     def flown(met: Hit, lanes: Tensor) -> tuple[Hit, PathPassage, Tensor]:
-        """Flies through media, to the next surface at most, and passes that if it is but a boundary; see `next_leg`."""
+        """Flies through media, to the next surface at most, and passes that if it is but a boundary; see `next_segment`."""
         tracking = None
-        if layout.tracked_media:
+        if layout.heterogeneous_media:
             length = part.call(surface_ahead, way.ahead, met, lanes)
-            tracking = tracked(integrand, *pick((way.ahead, way.flight.medium, way.seed, way.v), lanes), length, flies)
-        hit, on, passes = part.call(next_leg, state.ray, way, met, tracking, lanes, flies)
+            begun = pick((way.ahead, way.flight.medium, way.seed, way.v), lanes)
+            tracking = tracking_ended(integrand, *begun, length, flies)
+        hit, on, passes = part.call(next_segment, state.ray, way, met, tracking, lanes, flies)
         if layout.emitting_media:
-            emission = part.call(emission_on_leg, state.ray, way, met, tracking, lanes)
+            emission = part.call(emission_on_segment, state.ray, way, met, tracking, lanes)
             on = on._replace(flight=on.flight._replace(emission=emission))
         return hit, on, passes
 
@@ -123,7 +124,7 @@ class BoundaryCrossings:
 def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[Tensor, ShadowWay | None]:
     """Which shadow rays are free, (N,) bool, and their ways through media; None: rays are not followed."""
     layout = integrand.proposal.layout
-    if not layout.follows:
+    if not layout.traces_segments:
         return inverted(integrand.caster.occluded(vertex.shadow, vertex.shadow_distance)), None
     part, shadow, distance = integrand.part(Ends.SURROUNDINGS), detached(vertex.shadow), vertex.shadow_distance
     pick, crossings = integrand.stages(rows), BoundaryCrossings(integrand, vertex.shadow_medium)
@@ -134,10 +135,10 @@ def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[
         """Follows shadow rays to the next surface; returns the lanes that pass it, since it is but a boundary."""
         ahead, medium, seed = pick((passed.ahead, passed.medium, passed.seed), lanes)
         met, tracking = integrand.caster.intersect(ahead), None
-        if layout.tracked_media:
+        if layout.heterogeneous_media:
             length = part.call(shadow_ahead, shadow, distance, passed.ahead, met, lanes)
-            tracking = tracked(integrand, ahead, medium, seed, length, length, False, shadow=True)
-        on, passes = part.call(next_shadow_leg, shadow, distance, passed, met, tracking, lanes)
+            tracking = tracking_ended(integrand, ahead, medium, seed, length, length, False, shadow=True)
+        on, passes = part.call(next_shadow_segment, shadow, distance, passed, met, tracking, lanes)
         crossings.add(lanes, met, medium, on.medium, passes)
         put_rows(passed, lanes, on)
         return pick(lanes, chosen(passes))
@@ -146,9 +147,9 @@ def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[
     return passed.free, ShadowWay(passed.ways, passed.medium, passed.panes, crossings.in_turn())
 
 
-def tracked(integrand: Integrand, ahead: Ray, medium: Tensor, seed: Tensor, v: Tensor, length: Tensor,
+def tracking_ended(integrand: Integrand, ahead: Ray, medium: Tensor, seed: Tensor, v: Tensor, length: Tensor,
             flies: bool, shadow: bool = False) -> Tracking:
-    """Follows rays by steps through those media that vary in space, until they scatter or leave, (N,).
+    """Follows rays through heterogeneous media until they scatter or leave, (N,).
 
     Args:
         ahead: (N,) rays.
@@ -161,14 +162,14 @@ def tracked(integrand: Integrand, ahead: Ray, medium: Tensor, seed: Tensor, v: T
     """
     part, pick = integrand.part(Ends.SURROUNDINGS), integrand.stages(rows)
     tracking = apart(part.call(tracking_begun, ahead, length, medium, seed, shadow))
-    for number in integrand.proposal.layout.tracked_media:
-        def tracked_on(lanes: Tensor, number: int = number) -> Tensor:
+    for number in integrand.proposal.layout.heterogeneous_media:
+        def next_steps(lanes: Tensor, number: int = number) -> Tensor:
             """Takes some steps; returns the lanes that need more."""
             on = part.call(tracking_on, ahead, length, v, tracking, lanes, number, flies)
             put_rows(tracking, lanes, on)
             return pick(lanes, chosen(on.running))
 
-        repeated(chosen(part.call(runs_in, tracking, medium, number)), tracked_on)
+        repeated(chosen(part.call(is_tracked_in, tracking, medium, number)), next_steps)
     return tracking
 
 

@@ -5,10 +5,10 @@ A ray of length l that ends on a surface, or nowhere, brings
     int_0^l T(t) e(t) dt
 
 with T the transmittance up to a distance t and e the radiance that is emitted there per unit of length. That is estimated at
-one place of each ray: on each leg one is sampled, and one of the legs is picked, by what light of even emission would bring
-from there (a reservoir). Nothing is divided by the extinction or by the emission, so that both may be 0, and have the right
-derivatives there. Legs that only some flights reach count by the probability of that, and by what
-the panes before them let through.
+one place of each ray: on each segment one is sampled, and one of the segments is picked, by what light of even emission
+would bring from there (a reservoir). Nothing is divided by the extinction or by the emission, so that both may be 0, and
+have the right derivatives there. Segments that only some flights reach count by the probability of that, and by what the
+panes before them let through.
 
 Reference: Chandrasekhar 1960, "Radiative Transfer"; Pharr, Jakob and Humphreys 2023, "Physically Based Rendering", section
 14.1.2.
@@ -23,15 +23,15 @@ from torch_radbp.connection.media import transmittance_of
 from torch_radbp.interface.medium import Tracking, mean_of_colours
 from torch_radbp.path.panes import no_panes, through_panes
 from torch_radbp.path.passage import (
-    Leg,
     PathPassage,
+    Segment,
     distance_passed,
-    leg_around,
-    leg_inside,
     moved_ways,
+    segment_around,
+    segment_inside,
     surface_ahead,
     ways_at_first,
-    with_leg,
+    with_segment,
 )
 from torch_radbp.path.state import Arrival, EmissionPlace, PathState
 from torch_radbp.raycast.protocol import Hit
@@ -54,18 +54,18 @@ def emission_begun(scene: SceneTensors, state: PathState) -> EmissionPlace:
 
 
 @stage("scene", "ray", "way")
-def emission_on_leg(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, tracking: Tracking | None,
+def emission_on_segment(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, tracking: Tracking | None,
                     lanes: Tensor) -> EmissionPlace:
-    """The places on rays with one leg more, (M,); args as for `passage.next_leg`."""
+    """The places on rays with one segment more, (M,); args as for `passage.next_segment`."""
     length, (ray, way) = surface_ahead(scene, way.ahead, hit, lanes), rows((ray, way), lanes)
     flight, come, before = way.flight, dot(way.ahead.o - ray.o, way.ahead.d), way.flight.emission
     assert before is not None
     seed, u = next_number(way.seed + SALT, length.dtype)
-    # Where on the leg, and how densely does the colour that decides fly through there?
+    # Where on the segment, and how densely does the colour that decides fly through there?
     place, density, emits = torch.zeros_like(length), Vec3.full(length, 1.0), torch.zeros_like(length, dtype=torch.bool)
     for number in scene.layout.emitting_media:
         kind, table, here = scene.layout.media[number], scene.media[number], flight.medium == number
-        if kind.tracked:
+        if kind.heterogeneous:
             first, last = kind.enter(table, way.ahead, length)
             flown, t = torch.minimum(last, tracking.end) - first, tracking.emission.t
             of_colours, here = tracking.emission.beyond / flown.clamp_min(TINY), here & (flown > 0)
@@ -76,9 +76,9 @@ def emission_on_leg(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, t
     # What is left of light on the way from there; whatever it is, it is estimated without bias.
     if tracking is not None and tracking.emission is not None:
         tracking = tracking._replace(left=tracking.emission.left)
-    ways = with_leg(scene, flight.ways, flight.medium, Leg(way.ahead, come, length, place, tracking))
+    ways = with_segment(scene, flight.ways, flight.medium, Segment(way.ahead, come, length, place, tracking))
     worth = torch.where(emits, weight * mean_of_colours(transmittance_of(scene, ray, ways)), 0.0)
-    # Pick this leg, or one before.
+    # Pick this segment, or one before.
     total = before.total + worth
     _, u = next_number(seed, length.dtype)
     here = u * total < worth
@@ -101,15 +101,15 @@ def with_volume_emission(Le: Vec3, scene: SceneTensors, arrival: Arrival, distan
     ray, crossings = arrival.state.ray, arrival.flight.crossings
     t, medium, weight, _, ways, panes = arrival.flight.emission
     if crossings is not None:
-        # The place stays where it is on its leg, as a share of that, and counts by how much longer the leg is.
-        begins, ends = leg_around(t, [distance_passed(scene, ray, crossing.hit) for crossing in crossings], distance)
-        first, leg = begins, ends - begins
+        # The place stays where it is on its segment, as a share of that, and counts by how much longer the segment is.
+        begins, ends = segment_around(t, [distance_passed(scene, ray, crossing.hit) for crossing in crossings], distance)
+        first, segment = begins, ends - begins
         for number in scene.layout.emitting_media:
             kind = scene.layout.media[number]
-            if kind.tracked:
-                inside = leg_inside(kind, scene.media[number], ray, begins, ends)
-                first, leg = selected(medium == number, inside, (first, leg))
-        longer = leg / settled(leg).clamp_min(TINY)
+            if kind.heterogeneous:
+                inside = segment_inside(kind, scene.media[number], ray, begins, ends)
+                first, segment = selected(medium == number, inside, (first, segment))
+        longer = segment / settled(segment).clamp_min(TINY)
         passed = tuple(crossing._replace(hit=crossing.hit._replace(
             prim=torch.where(crossing.hit.t < t, crossing.hit.prim, -1))) for crossing in crossings)
         t, weight = first + (t - settled(first)) * longer, weight * longer

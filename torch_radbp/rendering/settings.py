@@ -97,7 +97,7 @@ def settings_of_integrand(renderer: nn.Module, scene: SceneTensors, cameras: Seq
     """The settings with which the integrand of a call is compiled: which rays carry derivatives."""
     sampling = renderer.sampling
     moving = sampling == "attached" or any_differentiated((scene.triangles, cameras)) or (
-        sampling == "hybrid" and scene.layout.bending) or (scene.layout.follows and scene.lights_move)
+        sampling == "hybrid" and scene.layout.bending) or (scene.layout.traces_segments and scene.lights_move)
     if scene.layout.emitting_media and any(shape.bsdf.kind().straight for shape in renderer.scene.shapes):
         # What is emitted along a ray counts whatever the ray meets, a boundary or what is behind it. So its direction must
         # not follow a point there, as it does unless all sampling is attached.

@@ -204,7 +204,7 @@ def rendering_of(call: RenderCall, scene: Scene, sampling: str, cache: PackCache
     """
     looks = [(view, lens) for view in call.views for lens in view.camera.kind.lookouts(detached(view.camera.lens))]
     primary = primary and all(view.camera.kind.has_area for view in call.views)
-    blind = call.scene.layout.follows  # boundary terms do not see edges behind boundaries of media
+    blind = call.scene.layout.traces_segments  # boundary terms do not see edges behind boundaries of media
     return Rendering(scene, call, looks, sampling, cache, primary and not blind, shadows and not blind, max_depth,
                      from_lamps)
 

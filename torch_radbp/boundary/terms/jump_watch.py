@@ -22,6 +22,7 @@ from torch_radbp.boundary.terms.shadows import shadows_left_out
 from torch_radbp.boundary.warning.caustics import Caustic, caustic_of
 from torch_radbp.boundary.warning.inward import inward_faces
 from torch_radbp.boundary.warning.left_out import lines_left_out, silhouettes_left_out
+from torch_radbp.boundary.warning.panes_met import panes_met
 from torch_radbp.boundary.warning.unmapped import unmapped_textures
 from torch_radbp.boundary.warning.without_rays import views_without_rays
 from torch_radbp.plugin.errors import level_of_the_caller
@@ -63,7 +64,7 @@ class JumpWatch:
                       self.jumps_of_a_bsdf, self.edges_slid_over, self.edges_far_off]
         self.said: dict[str, Warning] = {}  # by their messages
         # Looks at the image that are due: one at the first rendering is enough.
-        self.of_images: list[Callable] = [unmapped_textures, inward_faces]
+        self.of_images: list[Callable] = [unmapped_textures, inward_faces, panes_met]
         self.caustic: Caustic | None = None  # as of the first rendering
         self.viewed: set[int] = set()  # ids of the sensors whose rays have been looked at
         self.looked_at: set[str | tuple] = set()  # the moving parameters for which shadows of some kinds have been searched
@@ -80,8 +81,8 @@ class JumpWatch:
         if not sensors <= self.viewed:
             self.say(views_without_rays(rendering, self.viewed))
             self.viewed |= sensors
-        follows = rendering.call.scene.layout.follows  # through media, where no term has edges
-        for look in [self.edges_in_a_medium] if follows else self.looks:
+        segments = rendering.call.scene.layout.traces_segments  # through media, where no term has edges
+        for look in [self.edges_in_a_medium] if segments else self.looks:
             warning = look(rendering)
             if warning is not None:
                 self.looks = [other for other in self.looks if other != look]  # not in place: other threads look too
@@ -127,10 +128,10 @@ class JumpWatch:
     def edges_in_a_medium(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about edges that a medium which scatters sees, where anything moves, or None: no term has them."""
         names, layout = moving_names(rendering), rendering.call.scene.layout
-        if not names or not (layout.follows or (layout.scattering_media and rendering.max_depth > 1)):
+        if not names or not (layout.traces_segments or (layout.scattering_media and rendering.max_depth > 1)):
             return None
         lack = ("what edges and shadows contribute, since rays pass surfaces on ways through media, or these vary or emit"
-                if layout.follows else "what edges and shadows contribute to the light that the medium scatters")
+                if layout.traces_segments else "what edges and shadows contribute to the light that the medium scatters")
         return SilhouetteWarning(f"derivatives with respect to {listed(sorted(names))} lack {lack}: check_gradient measures "
                                  "how much that is. Those by extinction, albedo and phase function, by colours and by "
                                  "lamps' powers lack nothing")

@@ -92,7 +92,7 @@ def pack(scene: Scene, cache: PackCache | None = None, light_choice: str | None 
     textures = tuple(bank_of_textures(cache, number, group, objects) for number, group in enumerate(materials.textures))
     check_networks(cache, (*layout.readers, *layout.lit), (*textures, *lit_banks), dtype, device)
     media = cache.part("media", tables_of_media, scene, inventory.reach(objects.media), objects)
-    boundaries = cache.part("boundaries", boundary_table, scene, settled, objects) if layout.follows else None
+    boundaries = cache.part("boundaries", boundary_table, scene, settled, objects) if layout.traces_segments else None
     return SceneTensors(triangles, materials.table, textures, lights, bank, lit_banks, media, boundaries, layout)
 
 
@@ -139,7 +139,7 @@ def _columns_of(cache: PackCache, objects: Objects, layout: Layout, aovs: bool) 
                    tuple(row[id(shape.bsdf)] for shape in objects.shapes),
                    tuple(shape.emitter is not None for shape in objects.shapes), plain_shapes(objects),
                    _numbers_of(objects) if aovs else None,
-                   boundaries_of(objects)[1] if layout.follows else None)
+                   boundaries_of(objects)[1] if layout.traces_segments else None)
 
 
 def triangles_of(cache: PackCache, objects: Objects, placed: tuple[PlacedShape, ...], columns: Columns) -> TriangleTable:
@@ -183,12 +183,12 @@ def sides_of(objects: Objects, materials: Materials) -> dict[str, Any]:
     Those are met as all others whose textures are read outside, or depend on the footprint of a sample.
     """
     around, straight = objects.scene.around, [look.kind.straight for look in materials.appearances]
-    follows = bool(objects.media) and (any(straight) or any(shape.bounds_media for shape in objects.shapes) or any(
-        medium.kind().tracked or medium.kind().emission is not None for medium in objects.media))
+    segments = bool(objects.media) and (any(straight) or any(shape.bounds_media for shape in objects.shapes) or any(
+        medium.kind().heterogeneous or medium.kind().emission is not None for medium in objects.media))
     panes = tuple((number, materials.table.appearance.tolist().index(number), look)
-                  for number, look in enumerate(materials.appearances) if follows and straight[number]
+                  for number, look in enumerate(materials.appearances) if segments and straight[number]
                   and not (look.kind.invisible or look.outside or look.needs_footprint))
-    return {"around": None if around is None else objects.media.index(around), "follows": follows, "panes": panes}
+    return {"around": None if around is None else objects.media.index(around), "traces_segments": segments, "panes": panes}
 
 
 def boundaries_of(objects: Objects) -> tuple[tuple[tuple[int, int, bool], ...], tuple[int, ...]]:

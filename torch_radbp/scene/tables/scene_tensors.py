@@ -40,8 +40,8 @@ class Layout:
     media: tuple[MediumKind, ...] = ()  # that light travels through, by their numbers
     around: int | None = None  # the number of the medium in which the sensors stand; None: empty space
     from_lamps: bool = False  # paths begin at lamps, and end at the camera, which stands in the place of the lights
-    # Rays are followed through media, since they pass surfaces there, or some vary in space or emit.
-    follows: bool = False
+    # Rays are traced through media segment by segment, since they pass surfaces there, or some vary in space or emit.
+    traces_segments: bool = False
     # Then the appearances of surfaces that a part of the light passes straight: their number in `appearances`, the row of a
     # material that has it, and it.
     panes: tuple[tuple[int, int, Appearance], ...] = ()
@@ -78,9 +78,9 @@ class Layout:
         return tuple(number for number, kind in enumerate(self.media) if kind.scatters)
 
     @property
-    def tracked_media(self) -> tuple[int, ...]:
-        """The numbers of the media that rays are followed through by steps."""
-        return tuple(number for number, kind in enumerate(self.media) if kind.tracked)
+    def heterogeneous_media(self) -> tuple[int, ...]:
+        """The numbers of the media that vary in space, in which free flights are sampled by tracking."""
+        return tuple(number for number, kind in enumerate(self.media) if kind.heterogeneous)
 
     @property
     def emitting_media(self) -> tuple[int, ...]:
