@@ -56,20 +56,14 @@ def named(images: Renderer | Images, parameters: Parameters) -> dict[str, Tensor
 
     Raises:
         TypeError: for names beside a function, whose scene is not known.
-        ValueError: for a parameter that is computed from others.
+        AttributeError: if the scene has no such parameter; the message lists the nearest names.
     """
     if isinstance(parameters, Mapping):
         return dict(parameters)
     if not isinstance(images, Renderer):
         raise TypeError("beside a function parameters must map names to tensors, got "
                         f"{type(parameters).__name__}; for instance {{\"gains\": exposure.gains}}")
-    found = {name: images.scene.get_parameter(name) for name in ([parameters] if isinstance(parameters, str) else parameters)}
-    for name, parameter in found.items():
-        if not parameter.is_leaf:
-            raise ValueError(f"parameter {name!r} is computed from other tensors, as by a parametrisation: map a name to these, "
-                             f"such as {{{name!r}: ....parametrizations.value.original}}, and ask covariance.propagated for "
-                             "deviations of the value")
-    return found
+    return {name: images.scene.get_parameter(name) for name in ([parameters] if isinstance(parameters, str) else parameters)}
 
 
 def precision_of(noise: Noise) -> Tensor:
