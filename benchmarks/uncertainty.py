@@ -1,15 +1,15 @@
 """How well deviations are predicted, and how soon Gauss-Newton is there: ``python -m benchmarks.uncertainty``.
 
-*Calibration.* Each task is fitted to ``--refits`` targets by `rb.optim.GaussNewton`: a rendering of many samples, of a seed of
-its own, with normal noise of 5 % of each pixel (and of 0.1). Printed are the standard deviations of what is found over those
-that `rb.covariance` predicts, root mean square over parameters, the least and greatest of them, and the share of the 95 %
-intervals that hold the truth. Fits begin near the truth: what is asked is the spread, not whether they arrive.
+*Calibration.* Each task is fitted to ``--refits`` targets by `rb.optim.GaussNewton`: a rendering of many samples, of a seed
+of its own, with normal noise of 5 % of each pixel (and of 0.1). Printed are the standard deviations of what is found over
+those that `rb.covariance` predicts, root mean square over parameters, the least and greatest of them, and the share of the
+95 % intervals that hold the truth. Fits begin near the truth: what is asked is the spread, not whether they arrive.
 
-*Speed.* ``--speed``: from a start that is off, seconds until the root mean square of the relative errors of the parameters is
-at most 1.2 times what Gauss-Newton ends with, for it and for Adam with each of five learning rates, times 1, of the same
-renderer, loss and, for Adam, 16 samples per pixel in two buffers. Targets have no noise but that of their samples. The first of Adam's steps
-that is there counts, even where the next is not; what is not there within ``--patience`` times Gauss-Newton's seconds is
-printed as more than these.
+*Speed.* ``--speed``: from a start that is off, seconds until the root mean square of the relative errors of the parameters
+is at most 1.2 times what Gauss-Newton ends with, for it and for Adam with each of five learning rates, of the same
+renderer, loss and, for Adam, 16 samples per pixel in two buffers. Targets have no noise but that of their samples. The first
+of Adam's steps that is there counts, even where the next is not; what is not there within ``--patience`` times
+Gauss-Newton's seconds is printed as more than these.
 
 Both are of one process and thread; the first call of each is not timed.
 """
@@ -249,11 +249,9 @@ def raced(task: Task, patience: float) -> Race:
     limit, best, rate = patience * seconds, math.inf, math.nan
     for each in RATES:
         move(task, start)
-        groups = [{"params": [parameter.requires_grad_()], "lr": each * float(parameter.detach().abs().mean().clamp_min(0.1))}
-                  for parameter in task.parameters.values()]
-        adam = torch.optim.Adam(groups)
-        if task.scene is not None:
-            adam = rb.optim.bounded(adam, task.scene) if any(parameter.ndim for parameter in task.parameters.values()) else adam
+        adam = rb.optim.bounded(torch.optim.Adam([
+            {"params": [parameter.requires_grad_()], "lr": each * float(parameter.detach().abs().mean().clamp_min(0.1))}
+            for parameter in task.parameters.values()]), task.scene)
 
         def step(number: int, adam: torch.optim.Adam = adam) -> None:
             adam.zero_grad()
@@ -296,7 +294,7 @@ def main() -> None:
     parser.add_argument("tasks", nargs="*", default=[], help=f"of {', '.join(TASKS)}; none: all")
     parser.add_argument("--refits", type=int, default=100)
     parser.add_argument("--speed", action="store_true", help="beside Adam, instead of the calibration")
-    parser.add_argument("--patience", type=float, default=20.0)
+    parser.add_argument("--patience", type=float, default=10.0)
     given = parser.parse_args()
     warnings.simplefilter("ignore")
     with one_thread():
@@ -306,13 +304,15 @@ def main() -> None:
             if given.speed:
                 race = raced(task, given.patience)
                 adam = f"{race.adam:7.2f} s, rate {race.rate}" if race.adam < math.inf else f"> {race.patience:5.2f} s"
-                print(f"{name:12} {size:4} parameters, error {100 * race.error:6.2f} %: Gauss-Newton {race.gauss_newton:6.2f} s, "
-                      f"Adam {adam}; over Adam {race.gauss_newton / min(race.adam, race.patience):.3f}", flush=True)
+                share = race.gauss_newton / min(race.adam, race.patience)
+                print(f"{name:12} {size:4} parameters, error {100 * race.error:6.2f} %: Gauss-Newton "
+                      f"{race.gauss_newton:6.2f} s, Adam {adam}; over Adam {share:.3f}", flush=True)
                 continue
             found = calibrated(task, given.refits)
-            print(f"{name:12} {size:4} parameters, {found.flat} not told: deviations of {given.refits} refits over predicted "
-                  f"{float(found.ratios.square().mean().sqrt()):.2f} ({float(found.ratios.min()):.2f} to "
-                  f"{float(found.ratios.max()):.2f}), coverage {100 * found.coverage:.1f} %, {found.seconds:.0f} s", flush=True)
+            least, greatest, typical = found.ratios.min(), found.ratios.max(), found.ratios.square().mean().sqrt()
+            print(f"{name:12} {size:4} parameters, {found.flat} not told: deviations of {given.refits} refits over "
+                  f"predicted {float(typical):.2f} ({float(least):.2f} to {float(greatest):.2f}), coverage "
+                  f"{100 * found.coverage:.1f} %, {found.seconds:.0f} s", flush=True)
 
 
 if __name__ == "__main__":

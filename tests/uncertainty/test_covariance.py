@@ -104,12 +104,11 @@ def test_priors_that_make_no_sense(prior, message):
 
 
 def test_targets_of_another_shape_and_too_many_parameters():
-    renderer = renderer_of(wall_under_sun())
+    renderer, many = renderer_of(wall_under_sun()), torch.ones(300)
     with pytest.raises(ValueError, match="targets must have the shapes"):
         rb.covariance(renderer, torch.zeros(1, 3, 5, 4), COLOUR, noise=0.05)
     with pytest.raises(ValueError, match="up to 200"):
-        rb.covariance(lambda seed, spp: many.view(1, 1, 1, -1), torch.zeros(1, 1, 1, 300), {"many": (many := torch.ones(300))},
-                      noise=0.1)
+        rb.covariance(lambda seed, spp: many.view(1, 1, 1, -1), torch.zeros(1, 1, 1, 300), {"many": many}, noise=0.1)
 
 
 def test_the_next_view_is_the_one_that_sees_what_is_unknown():

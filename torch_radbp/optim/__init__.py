@@ -18,5 +18,5 @@ from torch_radbp.optim.mesh_losses import laplacian_loss, normal_consistency_los
 from torch_radbp.optim.ranges import Log, Sigmoid
 from torch_radbp.optim.remeshing import remesh
 
-__all__ = ["AdamUniform", "CoarseToFine", "GaussNewton", "LargeSteps", "Log", "Sigmoid", "bounded", 
+__all__ = ["AdamUniform", "CoarseToFine", "GaussNewton", "LargeSteps", "Log", "Sigmoid", "bounded",
            "laplacian_loss", "normal_consistency_loss", "refine", "remesh"]

@@ -42,13 +42,13 @@ class GaussNewton(torch.optim.Optimizer):
     `(image - target) / (target + 0.01)` is the relative error, `(image + 0.01).log() - (target + 0.01).log()` that of
     logarithms, where noise of the image biases the result. Masks multiply residuals.
 
-    Residuals and J have samples of their own: two renderings of residuals, r_1 and r_2, and two Jacobians, J_a and J_b, whose
-    means are r and J. So the gradient J^T r has no bias from noise, and steps end where it is 0. J^T J has one, which shortens
-    steps, as damping does, in directions that few samples hardly see. Up to 200 parameters J is computed as a whole, for 2 n
-    renderings in forward mode; beyond that, products with it in conjugate gradients, each for two forward and two backward
-    ones. A step counts if the squared error r_1^T r_2 falls, at the same seeds before and after, else damping grows. Where
-    more than 0.3 of a step is noise, by what the two halves of r and J say, `spp` is doubled, up to `max_spp`; there steps
-    become 1, 1/2, 1/3, ..., so that the result is the mean of what single steps would find.
+    Residuals and J have samples of their own: two renderings of residuals, r_1 and r_2, and two Jacobians, J_a and J_b,
+    whose means are r and J. So the gradient J^T r has no bias from noise, and steps end where it is 0. J^T J has one, which
+    shortens steps, as damping does, in directions that few samples hardly see. Up to 200 parameters J is computed as a
+    whole, for 2 n renderings in forward mode; beyond that, products with it in conjugate gradients, each for two forward and
+    two backward ones. A step counts if the squared error r_1^T r_2 falls, at the same seeds before and after, else damping
+    grows. Where more than 0.3 of a step is noise, by what the two halves of r and J say, `spp` is doubled, up to `max_spp`;
+    there steps become 1, 1/2, 1/3, ..., so that the result is the mean of what single steps would find.
 
     Its `search`: `spp` now, `damping`, `gain`, the fall of the error over the predicted one, `noise_share`, the
     length of the step's noise over that of the step, `averaged`, how many steps were limited by noise, `evaluations`, calls
@@ -86,7 +86,7 @@ class GaussNewton(torch.optim.Optimizer):
         self.max_spp, self.robust, self.iterations, self.seed = max_spp or 64 * spp, robust, iterations, seed
         self.low, self.high = ranges(self, scene)
         self.search = {"spp": spp, "damping": damping, "gain": 0.0, "noise_share": 0.0, "averaged": 0,
-                                "evaluations": 0}
+                       "evaluations": 0}
 
     def step(self, closure: Images) -> float:  # type: ignore[override]
         """Makes one step.
@@ -177,7 +177,8 @@ class GaussNewton(torch.optim.Optimizer):
             # Directions that nothing bends would make steps of any length.
             known = values > 1e-10 * float(values.abs().max())
             inverse = torch.where(known, 1 / (values.clamp_min(1e-300) + state["damping"]), 0.0)
-            step, noise = ((vectors @ (inverse * (vectors.T @ (free * part / root)))) for part in (model.gradient, model.noise))
+            step, noise = (vectors @ (inverse * (vectors.T @ (free * part / root)))
+                           for part in (model.gradient, model.noise))
             step = -step / root
             share = float(noise.norm() / (root * step).norm().clamp_min(1e-300))
             share = max(share, float(step @ model.bias @ step) / max(float(step @ model.matrix @ step), 1e-300))
@@ -207,7 +208,8 @@ def conjugate_gradients(model: Model, damping: float, free: Tensor, iterations: 
 
 def fall_of_error(before: list[Tensor], after: list[Tensor], weights: Tensor) -> tuple[float, float]:
     """By how much a step lowers r_1^T W r_2 / 2, without bias from noise, and how far two estimates of that are apart."""
-    a, b = (-0.5 * float((weights * (before[one] + after[one])) @ (after[two] - before[two])) for one, two in ((0, 1), (1, 0)))
+    a, b = (-0.5 * float((weights * (before[one] + after[one])) @ (after[two] - before[two]))
+            for one, two in ((0, 1), (1, 0)))
     return (a + b) / 2, abs(a - b)
 
 

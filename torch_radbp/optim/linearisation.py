@@ -15,8 +15,9 @@ class Linearisation:
     """Images as a function of n parameters, with products of its Jacobian J, (M, n), at where these stand.
 
     The function may be any composition of torch and of renderers that reads the parameters where they are: modules with
-    parametrisations, networks, exposures. While J v is computed the parameters are dual tensors in place, of unchanged value.
-    At the same seed products with J and with its transpose are exact transposes of each other; at several, independent.
+    parametrisations, networks, exposures. While J v is computed the parameters are dual tensors in place, of unchanged
+    value. At the same seed products with J and with its transpose are exact transposes of each other; at several,
+    independent.
 
     Args:
         images: a function of seed and samples per pixel that returns a tensor, or several, of any shapes; M numbers in all.
@@ -37,8 +38,8 @@ class Linearisation:
             raise ValueError("there must be at least one parameter, got none")
         for parameter in self.parameters:
             if not isinstance(parameter, Tensor) or not parameter.is_floating_point() or not parameter.is_leaf:
-                raise TypeError("parameters must be leaves of a floating dtype, such as scene.get_parameter(\"green.reflectance"
-                                f".value\"); of a parametrised one its `original`; got {_described(parameter)}")
+                raise TypeError("parameters must be leaves of a floating dtype, such as scene.get_parameter(NAME), of a "
+                                f"parametrised one its `original`; got {_described(parameter)}")
         if len({id(parameter) for parameter in self.parameters}) < len(self.parameters):
             raise ValueError("each parameter may be given once only")
         self.size = sum(parameter.numel() for parameter in self.parameters)

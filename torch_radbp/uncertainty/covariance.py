@@ -82,17 +82,17 @@ def covariance(images: Renderer | Images, targets: Tensor | Sequence[Tensor], pa
         found = rb.covariance(renderer, target, ["white.reflectance.value", "lamp.emitter.radiance.value"])
         print(found)  # values +- deviations, and what the images cannot tell
 
-    It is that of a linear model around where the parameters stand, which must be what the images fit best; it does not know of
-    other places that fit as well, of ranges, and of what renderer and world do not share. What changes images by no more than
-    three standard errors of the derivatives' own noise is said to be flat: more `spp` or `repeats` tell.
+    It is that of a linear model around where the parameters stand, which must be what the images fit best; it does not know
+    of other places that fit as well, of ranges, and of what renderer and world do not share. What changes images by no more
+    than three standard errors of the derivatives' own noise is said to be flat: more `spp` or `repeats` tell.
 
     Args:
         images, parameters, spp, seed: as for `curvature`; up to 200 numbers in all, `diagonal_covariance` takes more.
         targets: of the shapes of the images.
-        noise: standard deviation of a pixel of targets and renderings together, as for `curvature`; "residuals": one number for
-            all, from the difference of images and targets, which holds the noise of both, and what does not fit.
-        prior: standard deviations of what is known beforehand about parameters, by name, numbers or in the parameter's shape,
-            around where they stand; infinity is none.
+        noise: standard deviation of a pixel of targets and renderings together, as for `curvature`; "residuals": one number
+            for all, from the difference of images and targets, which holds the noise of both, and what does not fit.
+        prior: standard deviations of what is known beforehand about parameters, by name, numbers or in the parameter's
+            shape, around where they stand; infinity is none.
         repeats: Jacobians, of seeds of their own, at least 3.
 
     Returns:
@@ -134,7 +134,8 @@ def inverted(problem: Problem, bends: DenseCurvature, prior: Tensor) -> Covarian
         matrix[lost], matrix[:, lost] = 0.0, 0.0
         matrix[lost, lost] = torch.inf
     sigma = problem.precision[problem.precision > 0].reciprocal().mean().sqrt()
-    return CovarianceOfParameters(names, values, matrix, flat, correlated(matrix, values, names), float(sigma), problem, basis)
+    weak = correlated(matrix, values, names)
+    return CovarianceOfParameters(names, values, matrix, flat, weak, float(sigma), problem, basis)
 
 
 def correlated(matrix: Tensor, values: Tensor, names: list[str]) -> list[str]:
@@ -151,13 +152,14 @@ def correlated(matrix: Tensor, values: Tensor, names: list[str]) -> list[str]:
     return [words for _, words in sorted(found)]
 
 
-def diagonal_covariance(images: Renderer | Images, parameters: Parameters, *, noise: Noise, prior: Mapping[str, float | Tensor],
-                        spp: int | None = None, probes: int = 16, seed: int = 0) -> Diagonal:
+def diagonal_covariance(images: Renderer | Images, parameters: Parameters, *, noise: Noise,
+                        prior: Mapping[str, float | Tensor], spp: int | None = None, probes: int = 16,
+                        seed: int = 0) -> Diagonal:
     """Standard deviations of any number of parameters, such as the texels of a bitmap, by probing.
 
-    The diagonal of (J^T Sigma^-1 J + P)^-1 is the mean of z (J^T Sigma^-1 J + P)^-1 z over random signs z, each solved for by
-    conjugate gradients; without what lies beside the diagonal one probe would do. J^T J is of one seed, so that it is never
-    negative: its noise makes deviations too small where samples are few.
+    The diagonal of (J^T Sigma^-1 J + P)^-1 is the mean of z (J^T Sigma^-1 J + P)^-1 z over random signs z, each solved for
+    by conjugate gradients; without what lies beside the diagonal one probe would do. J^T J is of one seed, so that it is
+    never negative: its noise makes deviations too small where samples are few.
 
     Args:
         images, parameters, noise, spp, seed: as for `curvature`.
@@ -236,8 +238,8 @@ def prior_precision(problem: Problem, prior: Mapping[str, float | Tensor] | None
         if name not in problem.held:
             raise ValueError(f"the prior names {name!r}, which is none of the parameters: {problem.names}")
         if not bool((torch.as_tensor(deviation) > 0).all()):
-            raise ValueError(f"the prior of {name!r} is a standard deviation and must be positive, got {deviation}: what is known "
-                             "exactly is no parameter, so leave it out")
+            raise ValueError(f"the prior of {name!r} is a standard deviation and must be positive, got {deviation}: what is "
+                             "known exactly is no parameter, so leave it out")
     parts = [torch.as_tensor((prior or {}).get(name, torch.inf), dtype=torch.float64).expand(parameter.shape).reshape(-1)
              for name, parameter in problem.held.items()]
     return torch.cat(parts).cpu().square().reciprocal()

@@ -55,15 +55,16 @@ class Curvature:
         Args:
             direction: v, (n,), in the order of the parameters.
             pairs: of forward and backward passes that are averaged; from two on, their scatter is the error.
-            independent: False: both passes of a pair have the same seed. The product is then that of one noisy J, exactly, and
-                biased upwards by the variance of its noise.
+            independent: False: both passes of a pair have the same seed. The product is then that of one noisy J, exactly,
+                and biased upwards by the variance of its noise.
 
         Raises:
             ValueError: if v has another size, or there is no pair.
         """
         direction = torch.as_tensor(direction, dtype=torch.float64).detach().reshape(-1)
         if len(direction) != self.size or pairs < 1:
-            raise ValueError(f"direction must have {self.size} entries and pairs be at least 1, got {len(direction)} and {pairs}")
+            raise ValueError(f"direction must have {self.size} entries and pairs be at least 1, got {len(direction)} and "
+                             f"{pairs}")
         found = torch.stack([self._half(direction, self.seed + 2 * pair, self.seed + 2 * pair + independent)
                              for pair in range(pairs)])
         error = found.std(0) / pairs ** 0.5 if pairs > 1 else torch.full_like(found[0], torch.nan)
@@ -151,15 +152,15 @@ def curvature(images: Renderer | Images, parameters: Parameters, *, noise: Noise
         bends = rb.curvature(renderer, ["green.reflectance.value", "light.emitter.radiance.value"], noise=0.02)
         matrix, error, _ = bends.dense()
 
-    J comes by forward mode, J^T by the backward pass, without second derivatives of anything; the two of a product have seeds
-    of their own, so that noise does not bias it.
+    J comes by forward mode, J^T by the backward pass, without second derivatives of anything; the two of a product have
+    seeds of their own, so that noise does not bias it.
 
     Args:
         images: a renderer, all of whose sensors count; or a function of seed and samples per pixel that returns a tensor or
             several: some sensors, with exposures, networks, masks. It must read the parameters where they are.
         parameters: names of the renderer's scene; or names of one's own mapped to tensors, leaves that the images read.
-        noise: Sigma^1/2, the standard deviation of pixels, in units of the images: a number, or a tensor or several of as many
-            numbers as the images have; infinity where pixels do not count.
+        noise: Sigma^1/2, the standard deviation of pixels, in units of the images: a number, or a tensor or several of as
+            many numbers as the images have; infinity where pixels do not count.
         spp: samples per pixel; None: as the renderer.
         seed: of the first rendering; the next ones follow.
 

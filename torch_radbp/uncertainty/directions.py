@@ -43,7 +43,7 @@ def in_words(change: Tensor, values: Tensor, names: list[str], sizes: Tensor) ->
     if len(moved) == 1:
         return f"{names[moved[0]]} is not seen at all"
     if len(moved) == 2:
-        return pair_in_words(*moved, change, values, names)
+        return pair_in_words(moved[0], moved[1], change, values, names)
     relative = change[moved] / values[moved]
     if bool(relative.isfinite().all()) and bool((relative.abs() > (1 - ALIKE) * relative.abs().max()).all()):
         up = [names[index] for index, sign in zip(moved, relative.tolist(), strict=True) if sign * float(relative[0]) > 0]
@@ -55,7 +55,7 @@ def in_words(change: Tensor, values: Tensor, names: list[str], sizes: Tensor) ->
 
 
 def pair_in_words(first: int, second: int, change: Tensor, values: Tensor, names: list[str]) -> str:
-    """What is known of two parameters of which a direction of change is not told: a product, a ratio, a sum, ...; `in_words`."""
+    """What is known of two parameters whose change by a direction is not told: a product, a ratio, ...; `in_words`."""
     both = f"{names[first]} and {names[second]}"
     relative = change / values
     for kinds, (a, b) in ((("product", "ratio"), relative[[first, second]].tolist()),

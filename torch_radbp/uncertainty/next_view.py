@@ -48,13 +48,13 @@ def next_view(images: Renderer | Images, candidates: Sequence[str | int] | Mappi
         views = rb.next_view(renderer, ["left", "above", "close"], names, noise=0.02, prior={name: 0.3 for name in names})
         views.best
 
-    It needs no photograph, as the covariance of a linear model does not depend on what is measured; but it holds for where the
-    parameters stand, which should be a first fit.
+    It needs no photograph, as the covariance of a linear model does not depend on what is measured; but it holds for where
+    the parameters stand, which should be a first fit.
 
     Args:
         images: a renderer; or, with a mapping of candidates, what has been photographed as a function of seed and spp.
-        candidates: sensors of the renderer, by name or index; or names mapped to renderers or functions of seed and spp, such
-            as the same view by another lamp.
+        candidates: sensors of the renderer, by name or index; or names mapped to renderers or functions of seed and spp,
+            such as the same view by another lamp.
         parameters: as for `curvature`, of up to 200 numbers; with functions names mapped to tensors.
         noise: standard deviation of the pixels of all, in units of the images.
         prior: as for `covariance`, of every parameter; what is left is told relative to it.
@@ -72,8 +72,6 @@ def next_view(images: Renderer | Images, candidates: Sequence[str | int] | Mappi
     """
     if not candidates:
         raise ValueError("next_view chooses among candidates, got none")
-    if not isinstance(images, Renderer) and not (isinstance(candidates, Mapping) and not taken):
-        raise TypeError("beside a function, candidates must map names to renderers or functions of seed and spp")
     views: dict[str, Renderer | Images] = dict(candidates) if isinstance(candidates, Mapping) else {
         str(sensor): _sensors_of(images, [sensor]) for sensor in candidates}
     held = Problem(images, parameters, noise, spp).held
@@ -108,8 +106,8 @@ def sensitivity(images: Renderer | Images, parameters: Parameters, *, spp: int |
         spp, seed: as for a rendering.
 
     Returns:
-        By the name of each number, such as `green.reflectance.value[0]`, the shape of the images, in their unit per unit of the
-        parameter, float64.
+        By the name of each number, such as `green.reflectance.value[0]`, the shape of the images, in their unit per unit of
+        the parameter, float64.
 
     Raises:
         TypeError: as `curvature`.
@@ -123,8 +121,11 @@ def sensitivity(images: Renderer | Images, parameters: Parameters, *, spp: int |
     return {name: column.view(image.shape) for name, column in zip(problem.entries, columns.T, strict=True)}
 
 
-def _sensors_of(renderer: Renderer, sensors: list) -> Images:
+def _sensors_of(renderer: Renderer | Images, sensors: list) -> Images:
     """The images of some sensors."""
+    if not isinstance(renderer, Renderer):
+        raise TypeError("beside a function, candidates must map names to renderers or functions of seed and spp, and "
+                        f"nothing can be `taken`, got sensors {sensors}")
     return lambda seed, spp: renderer(seed=seed, spp=spp, sensors=sensors)
 
 
