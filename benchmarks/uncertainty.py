@@ -7,8 +7,8 @@ those that `rb.covariance` predicts, root mean square over parameters, the least
 
 *Speed.* ``--speed``: from a start that is off, seconds until the root mean square of the relative errors of the parameters
 is at most 1.2 times what Gauss-Newton ends with, for it and for Adam with each of five learning rates, of the same
-renderer, loss and, for Adam, 16 samples per pixel in two buffers. Targets have no noise but that of their samples. The first
-of Adam's steps that is there counts, even where the next is not; what is not there within ``--patience`` times
+renderer and loss, by two buffers of 16 or of 64 samples per pixel. Targets have no noise but that of their samples. The
+first of Adam's steps that is there counts, even where the next is not; what is not there within ``--patience`` times
 Gauss-Newton's seconds is printed as more than these.
 
 Both are of one process and thread; the first call of each is not timed.
@@ -22,6 +22,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import product
 from typing import Any, NamedTuple
 
 import torch
@@ -227,7 +228,7 @@ def raced(task: Task, patience: float) -> Race:
     """Seconds of Gauss-Newton and Adam from one start to the same error."""
     truth, generator = position(task), torch.Generator().manual_seed(3)
     with torch.no_grad():
-        target = task.images(10 ** 6, 4096)
+        target = task.images(10 ** 6, 16384)
     scale, start, unit = target + FLOOR, task.start(truth, generator), task.unit(truth)
 
     def error() -> float:
@@ -239,23 +240,23 @@ def raced(task: Task, patience: float) -> Race:
 
     def newton() -> list[tuple[float, float]]:
         move(task, start)
-        optimizer = rb.optim.GaussNewton(task.parameters.values(), task.scene, spp=16, max_spp=256)
-        return timed(lambda number: optimizer.step(residuals), error, 8, math.inf)
+        optimizer = rb.optim.GaussNewton(task.parameters.values(), task.scene, spp=64, max_spp=1024)
+        return timed(lambda number: optimizer.step(residuals), error, 12, math.inf)
 
     newton()
     course = newton()
     level = 1.2 * course[-1][1]
     seconds = next(at for at, off in course if off <= level)
     limit, best, rate = patience * seconds, math.inf, math.nan
-    for each in RATES:
+    for each, spp in product(RATES, (16, 64)):
         move(task, start)
         adam = rb.optim.bounded(torch.optim.Adam([
             {"params": [parameter.requires_grad_()], "lr": each * float(parameter.detach().abs().mean().clamp_min(0.1))}
             for parameter in task.parameters.values()]), task.scene)
 
-        def step(number: int, adam: torch.optim.Adam = adam) -> None:
+        def step(number: int, adam: torch.optim.Adam = adam, spp: int = spp) -> None:
             adam.zero_grad()
-            a, b = (residuals(2 * number + k, 16) for k in (0, 1))
+            a, b = (residuals(2 * number + k, spp) for k in (0, 1))
             (a * b).mean().backward()
             adam.step()
 

@@ -7,7 +7,7 @@ import torch
 
 import torch_radbp as rb
 from tests.scenes import cornell
-from tests.uncertainty.test_curvature import COLOUR, wall_under_sun
+from tests.scenes.sunlit import COLOUR, wall_under_sun
 from torch_radbp.optim import GaussNewton
 
 

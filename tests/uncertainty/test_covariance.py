@@ -8,7 +8,7 @@ from torch.nn.utils import parametrize
 
 import torch_radbp as rb
 from tests.scenes import diffuse, load, look_at, overhead, rectangle, rgb
-from tests.uncertainty.test_curvature import COLOUR, SUN, wall_under_sun
+from tests.scenes.sunlit import COLOUR, SUN, wall_under_sun
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.ZeroGradientWarning")
 

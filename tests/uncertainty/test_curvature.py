@@ -7,17 +7,11 @@ import torch
 from torch.nn.utils import parametrize
 
 import torch_radbp as rb
-from tests.scenes import cornell, diffuse, load, overhead, rectangle, rgb, texels
+from tests.scenes import cornell, load, overhead, rectangle, rgb, texels
+from tests.scenes.sunlit import COLOUR, SUN, wall_under_sun
 from torch_radbp.optim.linearisation import Linearisation
 
-COLOUR, SUN = "wall.bsdf.reflectance.value", "sun.irradiance.value"
 NAMES = ["white.reflectance.value", "light.emitter.radiance.value"]
-
-
-def wall_under_sun(size: int = 4, reflectance=(0.3, 0.5, 0.7), sun=(2.0, 3.0, 4.0)) -> rb.Scene:
-    """A wall that fills the view: every sample has radiance reflectance irradiance / pi, without noise."""
-    return load(sensor=overhead(size), wall=rectangle((0, 0, 0), 3, bsdf=diffuse(*reflectance)),
-                sun={"type": "directional", "direction": [0, 0, -1], "irradiance": rgb(*sun)})
 
 
 def room() -> rb.Renderer:

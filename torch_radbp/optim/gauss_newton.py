@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -13,6 +13,7 @@ from torch_radbp.scene.modules.bounds import held_by, range_of
 from torch_radbp.scene.modules.scene import Scene
 
 FULL = 200  # parameters whose Jacobian is computed as a whole; for more, conjugate gradients
+KEPT = 4  # steps with one Jacobian at most, after one that noise limits
 ATTEMPTS = 5  # of a step, each with ten times the damping
 NOISY = 0.3  # the share of noise in a step from which more samples are asked for
 LEAST_DAMPING, FIRST_DAMPING = 1e-9, 1e-3  # of steps that are as good as predicted; after the first that was not
@@ -27,6 +28,12 @@ class Model(NamedTuple):
     noise: Tensor  # (n,) the part of g that is noise: J^T W (r_1 - r_2) / 2
     matrix: Tensor | None  # (n, n) H, if it is known as a whole
     bias: Tensor | None  # (n, n) the part of H that is noise: D^T W D, D = (J_a - J_b) / 2
+
+    def noise_of_j(self, step: Tensor) -> float:
+        """The share of noise in how much J changes residuals along a step, 0 if that is not known."""
+        if self.matrix is None or self.bias is None:
+            return 0.0
+        return float(step @ self.bias @ step) / max(float(step @ self.matrix @ step), 1e-300)
 
 
 class GaussNewton(torch.optim.Optimizer):
@@ -47,12 +54,13 @@ class GaussNewton(torch.optim.Optimizer):
     shortens steps, as damping does, in directions that few samples hardly see. Up to 200 parameters J is computed as a
     whole, for 2 n renderings in forward mode; beyond that, products with it in conjugate gradients, each for two forward and
     two backward ones. A step counts if the squared error r_1^T r_2 falls, at the same seeds before and after, else damping
-    grows. Where more than 0.3 of a step is noise, by what the two halves of r and J say, `spp` is doubled, up to `max_spp`;
-    there steps become 1, 1/2, 1/3, ..., so that the result is the mean of what single steps would find.
+    grows. Where more than 0.3 of a step is noise of r, by what its two halves say, `spp` is doubled, up to `max_spp`, and J
+    kept for some steps, whose error is not looked at; at `max_spp` steps become 1, 1/2, 1/3, ..., so that the result is the
+    mean of what single steps would find. Where 0.3 of what J changes is its noise, the same is done with samples of J.
 
-    Its `search`: `spp` now, `damping`, `gain`, the fall of the error over the predicted one, `noise_share`, the
-    length of the step's noise over that of the step, `averaged`, how many steps were limited by noise, `evaluations`, calls
-    of the closure. One group of parameters, and one learning rate, 1.
+    Its `search`: `spp` now, of r and, `spp_of_j`, of J, `damping`, `gain`, the fall of the error over the predicted one,
+    `noise_share`, the length of the step's noise over that of the step, `noise_of_j`, the share of J's, `averaged`, how many
+    steps were limited by noise, `evaluations`, calls of the closure. One group of parameters, and one learning rate, 1.
 
     Args:
         params: leaves that the closure reads; of parametrised tensors their `original`.
@@ -73,7 +81,7 @@ class GaussNewton(torch.optim.Optimizer):
     1977, "Robust regression using iteratively reweighted least-squares".
     """
 
-    def __init__(self, params, scene: Scene | None = None, *, spp: int = 16, max_spp: int | None = None,
+    def __init__(self, params: Iterable[Tensor], scene: Scene | None = None, *, spp: int = 16, max_spp: int | None = None,
                  damping: float = 1e-6, robust: float | None = None, iterations: int = 20, seed: int = 0):
         if spp < 1 or max_spp is not None and max_spp < spp:
             raise ValueError(f"spp must be at least 1, and max_spp at least spp, got spp={spp} and max_spp={max_spp}")
@@ -85,8 +93,10 @@ class GaussNewton(torch.optim.Optimizer):
             raise ValueError(f"GaussNewton takes one group of parameters, got {len(self.param_groups)}")
         self.max_spp, self.robust, self.iterations, self.seed = max_spp or 64 * spp, robust, iterations, seed
         self.low, self.high = ranges(self, scene)
-        self.search = {"spp": spp, "damping": damping, "gain": 0.0, "noise_share": 0.0, "averaged": 0,
-                       "evaluations": 0}
+        self.search = {"spp": spp, "spp_of_j": spp, "noise_of_j": 0.0, "damping": damping, "gain": 0.0, "noise_share": 0.0,
+                       "averaged": 0, "evaluations": 0}
+        self.kept: tuple[Tensor, Tensor] | None = None  # J_a and J_b of the last step, for those that noise limits
+        self.kept_for = 0
 
     def step(self, closure: Images) -> float:  # type: ignore[override]
         """Makes one step.
@@ -114,14 +124,18 @@ class GaussNewton(torch.optim.Optimizer):
             raise ValueError("residuals must be finite, got others: mask what is not")
         weights = torch.ones_like(pair[0]) if self.robust is None else \
             1 / (1 + ((pair[0] + pair[1]) / (2 * self.robust)).square())
+        known = self.kept is not None
         model = self.model(linear, pair, weights, seeds[2:])
         start, count = linear.position(), len(pair[0])
         for _ in range(ATTEMPTS):
             step, share = self.proposed(model, start)
             linear.move_to(start + step)
+            state["noise_share"] = share
+            if known:
+                break  # a step as short as noise; whether the error falls cannot be told
             predicted = -float(model.gradient @ step + 0.5 * step @ model.curvature(step))
             fall, doubt = fall_of_error(pair, [linear.values(seed, state["spp"]) for seed in seeds[:2]], weights)
-            state["gain"], state["noise_share"] = fall / predicted if predicted > 0 else 0.0, share
+            state["gain"] = fall / predicted if predicted > 0 else 0.0
             if predicted > 0 and fall + doubt > 0.1 * predicted:
                 break
             state["damping"] = max(10 * state["damping"], FIRST_DAMPING)
@@ -134,14 +148,20 @@ class GaussNewton(torch.optim.Optimizer):
             state["spp"] *= 2
         elif share > NOISY:
             state["averaged"] += 1
+        if model.noise_of_j(step) > NOISY and 2 * state["spp_of_j"] <= self.max_spp:
+            state["spp_of_j"] *= 2
+        state["noise_of_j"] = model.noise_of_j(step)
+        self.kept_for = self.kept_for + 1 if share > NOISY else KEPT
+        if self.kept_for >= KEPT:
+            self.kept, self.kept_for = None, 0
         return float((weights * pair[0] * pair[1]).sum()) / count
 
     def model(self, linear: Linearisation, pair: list[Tensor], weights: Tensor, seeds: list[int]) -> Model:
         """The quadratic model around where parameters stand, from residuals, (M,) each, and seeds of the derivatives."""
-        spp = self.search["spp"]
+        spp = self.search["spp_of_j"]
         mean, half = weights * (pair[0] + pair[1]) / 2, weights * (pair[0] - pair[1]) / 2
         if linear.size <= FULL:
-            a, b = (linear.jacobian(seed, spp) for seed in seeds)
+            a, b = self.kept = self.kept or (linear.jacobian(seeds[0], spp), linear.jacobian(seeds[1], spp))
             both, apart = (a + b) / 2, (a - b) / 2
             matrix, bias = (part.T @ (weights[:, None] * part) for part in (both, apart))
             scale = matrix.diag()
@@ -181,7 +201,6 @@ class GaussNewton(torch.optim.Optimizer):
                            for part in (model.gradient, model.noise))
             step = -step / root
             share = float(noise.norm() / (root * step).norm().clamp_min(1e-300))
-            share = max(share, float(step @ model.bias @ step) / max(float(step @ model.matrix @ step), 1e-300))
         step = step / (1 + state["averaged"])
         return torch.minimum(torch.maximum(start + step, self.low), self.high) - start, share
 

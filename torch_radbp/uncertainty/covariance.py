@@ -110,10 +110,10 @@ def covariance(images: Renderer | Images, targets: Tensor | Sequence[Tensor], pa
     problem = Problem(images, parameters, noise_of(images, targets, parameters, noise, spp, seed), spp)
     precision = prior_precision(problem, prior)
     bends = Curvature(problem, seed + 2).dense(repeats)
-    return inverted(problem, bends, precision)
+    return covariance_of(problem, bends, precision)
 
 
-def inverted(problem: Problem, bends: DenseCurvature, prior: Tensor) -> CovarianceOfParameters:
+def covariance_of(problem: Problem, bends: DenseCurvature, prior: Tensor) -> CovarianceOfParameters:
     """The covariance of a curvature, (n, n), and the precision of a prior, (n,)."""
     values, names = problem.linear.position().cpu(), problem.entries
     own, error = bends.bend(torch.eye(len(values), dtype=torch.float64))

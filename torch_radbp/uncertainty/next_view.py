@@ -15,7 +15,7 @@ from torch_radbp.uncertainty.curvature import Curvature
 from torch_radbp.uncertainty.problem import Parameters, Problem
 
 
-class View(NamedTuple):
+class Outlook(NamedTuple):
     """What a candidate would leave unknown."""
 
     name: str
@@ -23,11 +23,11 @@ class View(NamedTuple):
     standard_deviations: dict[str, Tensor]  # after it, by parameter, in its shape and units, float64
 
 
-class Views(NamedTuple):
+class RankedViews(NamedTuple):
     """Candidates, the one that tells most first."""
 
-    ranking: list[View]
-    before: View  # without any of them
+    ranking: list[Outlook]
+    before: Outlook  # without any of them
 
     @property
     def best(self) -> str:
@@ -42,7 +42,7 @@ class Views(NamedTuple):
 
 def next_view(images: Renderer | Images, candidates: Sequence[str | int] | Mapping[str, Renderer | Images],
               parameters: Parameters, *, noise: float, prior: Mapping[str, float | Tensor], taken: Sequence[str | int] = (),
-              spp: int | None = None, repeats: int = 3, seed: int = 0) -> Views:
+              spp: int | None = None, repeats: int = 3, seed: int = 0) -> RankedViews:
     """Which candidate shrinks the covariance of parameters most, by derivatives at where these stand.
 
         views = rb.next_view(renderer, ["left", "above", "close"], names, noise=0.02, prior={name: 0.3 for name in names})
@@ -62,7 +62,7 @@ def next_view(images: Renderer | Images, candidates: Sequence[str | int] | Mappi
         spp, repeats, seed: as for `covariance`; all candidates have the same seeds.
 
     Returns:
-        `Views`.
+        `RankedViews`.
 
     Raises:
         ValueError: without candidates, for a parameter without a prior, or as `curvature`.
@@ -89,12 +89,12 @@ def next_view(images: Renderer | Images, candidates: Sequence[str | int] | Mappi
     elif isinstance(candidates, Mapping) and not isinstance(images, Renderer):
         known = matrix_of(images)
 
-    def left_by(name: str, matrix: Tensor) -> View:
+    def left_by(name: str, matrix: Tensor) -> Outlook:
         variance = _variances(matrix, precision)
-        return View(name, float((variance * precision).mean()), first.by_name(variance.sqrt()))
+        return Outlook(name, float((variance * precision).mean()), first.by_name(variance.sqrt()))
 
     found = [left_by(name, known + matrix_of(view)) for name, view in views.items()]
-    return Views(sorted(found, key=lambda view: view.left), left_by("none of them", known))
+    return RankedViews(sorted(found, key=lambda view: view.left), left_by("none of them", known))
 
 
 def sensitivity(images: Renderer | Images, parameters: Parameters, *, spp: int | None = None, seed: int = 0
