@@ -40,8 +40,11 @@ GROUPS = {
     "photographs": Group("Photographs", "Images with cameras and masks, and how a camera makes pictures of radiance.", (
         "Photographs", "Photographs.from_nerf", "Photographs.from_colmap", "Photographs.at_scale", "Photographs.batches",
         "Photographs.batch", "Photograph", "Exposure", "LensFalloff", "ToneCurve")),
-    "optim": Group("Optimising", "Parametrisations, an optimiser, losses of meshes; see "
+    "optim": Group("Optimising", "Parametrisations, optimisers, losses of meshes; see "
                    "[the tutorial](../tutorials/06_shape.md).", tuple(f"optim.{name}" for name in rb.optim.__all__)),
+    "uncertainty": Group("Uncertainty", "How far what was found can be trusted; see "
+                         "[what images cannot tell](../what_images_cannot_tell.md).", (
+        "covariance", "diagonal_covariance", "curvature", "next_view", "sensitivity")),
     "priors": Group("Priors", "What is likely of maps and colours.", tuple(f"priors.{name}" for name in rb.priors.__all__)),
     "bake": Group("Baking", "What was found in a form that other programs read.",
                   tuple(f"bake.{name}" for name in rb.bake.__all__)),

@@ -74,5 +74,5 @@ def test_what_is_stable_is_listed_with_every_public_name():
     listed = set(re.findall(r"\b\w+\b", text.split("CHANGELOG.md.")[1].split("So are")[0]))
     known = {name for home in (rb, rb.bake, rb.losses, rb.priors, rb.optim) for name in home.__all__}
     words = {"scenes", "poses", "and", "cameras", "images", "derivatives", "errors", "warnings", "torch_radbp", "losses",
-             "optim", "photographs", "priors", "bake", "plugins"}
+             "optim", "photographs", "priors", "bake", "plugins", "uncertainty"}
     assert listed - words <= known, "names that do not exist"

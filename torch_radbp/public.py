@@ -9,6 +9,7 @@ number; what another minor number changes is in CHANGELOG.md.
     photographs            Photographs, Photograph, Exposure, LensFalloff, ToneCurve
     images                 Renderer, render, contact_sheet
     derivatives            MemoizedAdjoint, ReplayAdjoint, QuadraticAdjoint, TapeAdjoint, jvp, check_gradient, GradientCheck
+    uncertainty            covariance, diagonal_covariance, curvature, next_view, sensitivity
     plugins                check_bsdf, check_emitter, check_texture, PluginCheck
     errors and warnings    SceneError, NonFiniteError, SceneWarning, GltfWarning, SilhouetteWarning, JumpWarning,
                            RepeatedNoiseWarning, ZeroGradientWarning
@@ -16,8 +17,8 @@ number; what another minor number changes is in CHANGELOG.md.
     torch_radbp.losses     two_buffer_l2, two_buffer_relative_l2, two_buffer_log_l2, ssim, lpips, exchange_derivatives,
                            exchanged, masked_mean
     torch_radbp.priors     total_variation, smoothness, white_balance
-    torch_radbp.optim      LargeSteps, CoarseToFine, refine, Log, Sigmoid, AdamUniform, bounded, laplacian_loss,
-                           normal_consistency_loss, remesh
+    torch_radbp.optim      LargeSteps, CoarseToFine, refine, Log, Sigmoid, AdamUniform, GaussNewton, bounded,
+                           laplacian_loss, normal_consistency_loss, remesh
 
 So are the names of a scene's parameters, which are Mitsuba's.
 
@@ -52,12 +53,14 @@ from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.rendering.zero_gradients import ZeroGradientWarning
 from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.texture.neural import NeuralTexture
+from torch_radbp.uncertainty import covariance, curvature, diagonal_covariance, next_view, sensitivity
 from torch_radbp.volume.neural import NeuralVolume
 
 __all__ = ["AdjointStrategy", "Exposure", "GltfWarning", "GradientCheck", "JumpWarning", "LensFalloff", "MemoizedAdjoint",
-           "NeuralTexture", "NeuralVolume", "NonFiniteError", "Photograph", "Photographs", "PluginCheck", "QuadraticAdjoint",
-           "Renderer", "RepeatedNoiseWarning", "ReplayAdjoint", "Scene", "SceneError", "SceneWarning", "SilhouetteWarning",
-           "TapeAdjoint", "ToneCurve", "ZeroGradientWarning", "asset", "camera_from_opencv", "cameras_from_colmap",
-           "cameras_from_kornia", "cameras_from_nerf", "check_bsdf", "check_emitter", "check_gradient", "check_texture",
-           "contact_sheet", "jvp", "load", "load_dict", "look_at", "render", "save", "save_image", "scene_from_trimesh",
-           "se3"]
+           "NeuralTexture", "NeuralVolume", "NonFiniteError", "Photograph", "Photographs", "PluginCheck",
+           "QuadraticAdjoint", "Renderer", "RepeatedNoiseWarning", "ReplayAdjoint", "Scene", "SceneError", "SceneWarning",
+           "SilhouetteWarning", "TapeAdjoint", "ToneCurve", "ZeroGradientWarning", "asset", "camera_from_opencv",
+           "cameras_from_colmap", "cameras_from_kornia", "cameras_from_nerf", "check_bsdf", "check_emitter",
+           "check_gradient", "check_texture", "contact_sheet", "covariance", "curvature", "diagonal_covariance", "jvp",
+           "load", "load_dict", "look_at", "next_view", "render", "save", "save_image", "scene_from_trimesh", "se3",
+           "sensitivity"]

@@ -8,7 +8,7 @@ A scene that only one test has stands in that test; what two of them need is her
   of ranges), `quiet` (with little noise), `pairs` (which parameter is examined where), `one_of_each`, `aovs`;
 * what moves: `moving`, `shadows`, `mirrors`, `cut_outs`, `inner_jumps`, `crossings`, `contacts`, `projected`, `rough`,
   `projective_setups`;
-* small rooms: `cases`; media: `media`, `phase_functions`;
+* small rooms: `cases`; without noise: `sunlit`; media: `media`, `phase_functions`;
 * what is compared with Mitsuba, as XML: `xml`.
 """
 

@@ -92,6 +92,17 @@ optimizer.step()
 rb.optim.remesh(scene.bunny, lambda v, f: (v, f), optimizer)
 rb.optim.remesh(scene.bunny, scene.bunny.to_trimesh().subdivide(), optimizer)
 
+# How far it can be trusted.
+found = rb.covariance(renderer, image, ["green.reflectance.value"], noise=0.02, prior={"green.reflectance.value": 0.3})
+assert_type(found.standard_deviations, dict[str, Tensor])
+assert_type(found.propagated(lambda: parameter.square()), Tensor)
+assert_type(rb.curvature(lambda seed, spp: renderer(seed=seed, spp=spp), {"green": parameter}).dense().matrix, Tensor)
+assert_type(rb.curvature(renderer, "green.reflectance.value").product(torch.ones(3)).error, Tensor)
+assert_type(rb.diagonal_covariance(renderer, ["sky.data"], noise=0.1, prior={"sky.data": 1.0}).error, dict[str, Tensor])
+assert_type(rb.next_view(renderer, ["left", 1], ["sky.data"], noise=0.1, prior={"sky.data": 1.0}).best, str)
+assert_type(rb.sensitivity(renderer, "green.reflectance.value"), dict[str, Tensor])
+assert_type(rb.optim.GaussNewton([parameter], scene, spp=16).step(lambda seed, spp: renderer(seed=seed, spp=spp)), float)
+
 # What may be caught, or silenced.
 errors: tuple[type[Exception], ...] = (rb.SceneError, rb.NonFiniteError)
 warned: tuple[type[Warning], ...] = (rb.GltfWarning, rb.JumpWarning, rb.RepeatedNoiseWarning, rb.SceneWarning,

@@ -1,0 +1,105 @@
+"""Gauss-Newton: one step for linear problems, few for others, ranges, reweighting, and what noise asks for."""
+
+import math
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.scenes import cornell
+from tests.scenes.sunlit import COLOUR, wall_under_sun
+from torch_radbp.optim import GaussNewton
+
+
+def test_a_linear_problem_takes_one_step():
+    """Damping of 1e-6 leaves 1e-6 of the way."""
+    scene = wall_under_sun()
+    renderer = rb.Renderer(scene, spp=2, max_depth=2)
+    target, colour = renderer(seed=0).detach(), scene.get_parameter(COLOUR)
+    truth = colour.detach().clone()
+    with torch.no_grad():
+        colour.mul_(0.2)
+    optimizer = GaussNewton([colour], scene, spp=2)
+    first = optimizer.step(lambda seed, spp: renderer(seed=seed, spp=spp) - target)
+    assert first == pytest.approx(float((0.8 * target).square().mean()), rel=1e-6)
+    assert (colour - truth).abs().max() <= 2e-6
+    assert optimizer.search["gain"] == pytest.approx(1, abs=1e-4) and optimizer.search["spp"] == 2
+
+
+def test_conjugate_gradients_solve_what_has_many_parameters():
+    generator = torch.Generator().manual_seed(0)
+    matrix = torch.randn(300, 250, generator=generator, dtype=torch.float64)
+    truth = torch.randn(250, generator=generator, dtype=torch.float64)
+    found = torch.zeros(250, dtype=torch.float64, requires_grad=True)
+    optimizer = GaussNewton([found], damping=0, iterations=600)
+    optimizer.step(lambda seed, spp: matrix @ (found - truth))
+    assert (found - truth).norm() <= 1e-4 * truth.norm()
+    assert found.requires_grad
+
+
+def test_a_product_is_found_within_few_steps():
+    """Rosenbrock's function as residuals: 10 (y - x^2) and 1 - x."""
+    x, y = (torch.tensor(value, dtype=torch.float64, requires_grad=True) for value in (-1.2, 1.0))
+    optimizer = GaussNewton([x, y])
+    for _ in range(40):
+        optimizer.step(lambda seed, spp: [10 * (y - x * x), 1 - x])
+    assert (x.detach() - 1).abs() < 1e-6 and (y.detach() - 1).abs() < 1e-6
+
+
+def test_values_stay_in_their_ranges():
+    """A target that is brighter than a white wall: the reflectance ends at 1, the others where they should."""
+    scene = wall_under_sun()
+    renderer = rb.Renderer(scene, spp=2, max_depth=2)
+    colour = scene.get_parameter(COLOUR)
+    target = renderer(seed=0).detach() * torch.tensor([5.0, 1.5, 1.0], dtype=torch.float64)[:, None, None]
+    optimizer = GaussNewton([colour], scene, spp=2)
+    for _ in range(3):
+        optimizer.step(lambda seed, spp: renderer(seed=seed, spp=spp) - target)
+        assert colour.max() <= 1
+    assert torch.allclose(colour.detach(), torch.tensor([1.0, 0.75, 0.7], dtype=torch.float64), atol=1e-4)
+
+
+def test_outliers_count_less():
+    scene = wall_under_sun(8)
+    renderer = rb.Renderer(scene, spp=2, max_depth=2)
+    colour, target = scene.get_parameter(COLOUR), renderer(seed=0).detach()
+    truth = colour.detach().clone()
+    target[..., 0, :3] += 50.0
+    errors = {}
+    for robust in (None, 0.05):
+        with torch.no_grad():
+            colour.copy_(truth + 0.05)
+        optimizer = GaussNewton([colour], spp=2, robust=robust)
+        for _ in range(8):
+            optimizer.step(lambda seed, spp: renderer(seed=seed, spp=spp) - target)
+        errors[robust] = float((colour - truth).abs().max())
+    assert errors[None] > 1 and errors[0.05] < 1e-3
+
+
+def test_the_room_is_found_and_noise_asks_for_samples():
+    """Reflectances of the Cornell box from a target of many samples, by relative residuals that the lamp does not rule."""
+    scene = cornell(torch.float64, 8)
+    renderer = rb.Renderer(scene, spp=16, max_depth=3)
+    held = [scene.get_parameter(name) for name in ("green.reflectance.value", "red.reflectance.value")]
+    truth = torch.cat(held).detach().clone()
+    target = renderer(seed=999, spp=1024).detach()
+    with torch.no_grad():
+        for parameter in held:
+            parameter.fill_(0.3)
+    optimizer = GaussNewton(held, scene, spp=16, max_spp=128)
+    for _ in range(8):
+        optimizer.step(lambda seed, spp: (renderer(seed=seed, spp=spp) - target) / (target + 0.1))
+    assert (torch.cat(held) - truth).abs().max() < 0.05
+    assert optimizer.search["spp"] > 16 and math.isfinite(optimizer.search["gain"])
+
+
+def test_what_makes_no_sense_is_said():
+    parameter = torch.ones(2, dtype=torch.float64)
+    with pytest.raises(ValueError, match="no parameter changes the residuals"):
+        GaussNewton([parameter]).step(lambda seed, spp: torch.ones(3))
+    with pytest.raises(ValueError, match="residuals must be finite"):
+        GaussNewton([parameter]).step(lambda seed, spp: parameter * math.nan)
+    with pytest.raises(ValueError, match="spp must be at least 1"):
+        GaussNewton([parameter], spp=0)
+    with pytest.raises(ValueError, match="holds no parameter of this scene"):
+        GaussNewton([parameter], wall_under_sun())

@@ -1,0 +1,250 @@
+"""`GaussNewton`: least squares by the Jacobian of residuals, in few steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.optim.linearisation import Images, Linearisation
+from torch_radbp.scene.modules.bounds import held_by, range_of
+from torch_radbp.scene.modules.scene import Scene
+
+FULL = 200  # parameters whose Jacobian is computed as a whole; for more, conjugate gradients
+KEPT = 4  # steps with one Jacobian at most, after one that noise limits
+ATTEMPTS = 5  # of a step, each with ten times the damping
+NOISY = 0.3  # the share of noise in a step from which more samples are asked for
+LEAST_DAMPING, FIRST_DAMPING = 1e-9, 1e-3  # of steps that are as good as predicted; after the first that was not
+
+
+class Model(NamedTuple):
+    """The quadratic model of half the squared residuals around a position: g^T d + d^T H d / 2."""
+
+    gradient: Tensor  # (n,) g = J^T W r
+    curvature: Callable[[Tensor], Tensor]  # H d = J^T W J d, J = (J_a + J_b) / 2; (n,) to (n,)
+    scale: Tensor  # (n,) what damping is in units of, > 0
+    noise: Tensor  # (n,) the part of g that is noise: J^T W (r_1 - r_2) / 2
+    matrix: Tensor | None  # (n, n) H, if it is known as a whole
+    bias: Tensor | None  # (n, n) the part of H that is noise: D^T W D, D = (J_a - J_b) / 2
+
+    def noise_of_j(self, step: Tensor) -> float:
+        """The share of noise in how much J changes residuals along a step, 0 if that is not known."""
+        if self.matrix is None or self.bias is None:
+            return 0.0
+        return float(step @ self.bias @ step) / max(float(step @ self.matrix @ step), 1e-300)
+
+
+class GaussNewton(torch.optim.Optimizer):
+    """Minimises a sum of squared residuals by Gauss-Newton steps, with the damping of Levenberg and Marquardt.
+
+        green = scene.get_parameter("green.reflectance.value")
+        optimizer = rb.optim.GaussNewton([green], scene=scene, spp=16)
+        for _ in range(5):
+            optimizer.step(lambda seed, spp: renderer(seed=seed, spp=spp) - target)
+
+    The closure takes a seed and a number of samples per pixel, renders by these, and returns residuals, a tensor or several
+    of any shapes; the optimizer differentiates it, in forward mode and backwards. Other losses are other residuals:
+    `(image - target) / (target + 0.01)` is the relative error, `(image + 0.01).log() - (target + 0.01).log()` that of
+    logarithms, where noise of the image biases the result. Masks multiply residuals.
+
+    Residuals and J have samples of their own: two renderings of residuals, r_1 and r_2, and two Jacobians, J_a and J_b,
+    whose means are r and J. So the gradient J^T r has no bias from noise, and steps end where it is 0. J^T J has one, which
+    shortens steps, as damping does, in directions that few samples hardly see. Up to 200 parameters J is computed as a
+    whole, for 2 n renderings in forward mode; beyond that, products with it in conjugate gradients, each for two forward and
+    two backward ones. A step counts if the squared error r_1^T r_2 falls, at the same seeds before and after, else damping
+    grows. Where more than 0.3 of a step is noise of r, by what its two halves say, `spp` is doubled, up to `max_spp`, and J
+    kept for some steps, whose error is not looked at; at `max_spp` steps become 1, 1/2, 1/3, ..., so that the result is the
+    mean of what single steps would find. Where 0.3 of what J changes is its noise, the same is done with samples of J.
+
+    Its `search`: `spp` now, of r and, `spp_of_j`, of J, `damping`, `gain`, the fall of the error over the predicted one,
+    `noise_share`, the length of the step's noise over that of the step, `noise_of_j`, the share of J's, `averaged`, how many
+    steps were limited by noise, `evaluations`, calls of the closure. One group of parameters, and one learning rate, 1.
+
+    Args:
+        params: leaves that the closure reads; of parametrised tensors their `original`.
+        scene: whose ranges parameters are kept in, by projection; None: there are none.
+        spp: samples per pixel of each rendering at first.
+        max_spp: at the most; None: 64 times `spp`.
+        damping: at first, relative to the curvature of each parameter.
+        robust: the scale of residuals beyond which they count less, by weights 1 / (1 + (r / robust)^2) that are found anew
+            in each step; in units of residuals. None: all count the same.
+        iterations: of conjugate gradients at most, of a step.
+        seed: of the first step.
+
+    Raises:
+        ValueError: if a setting is out of its range, or there are several groups.
+        TypeError: as `Linearisation`.
+
+    Reference: Nocedal and Wright 2006, "Numerical Optimization", sections 10.3 and 7.1; Cauchy weights: Holland and Welsch
+    1977, "Robust regression using iteratively reweighted least-squares".
+    """
+
+    def __init__(self, params: Iterable[Tensor], scene: Scene | None = None, *, spp: int = 16, max_spp: int | None = None,
+                 damping: float = 1e-6, robust: float | None = None, iterations: int = 20, seed: int = 0):
+        if spp < 1 or max_spp is not None and max_spp < spp:
+            raise ValueError(f"spp must be at least 1, and max_spp at least spp, got spp={spp} and max_spp={max_spp}")
+        if not damping >= 0 or robust is not None and not robust > 0 or iterations < 1:
+            raise ValueError("damping must be at least 0, robust positive or None, iterations at least 1, got "
+                             f"damping={damping}, robust={robust}, iterations={iterations}")
+        super().__init__(params, {"lr": 1.0})
+        if len(self.param_groups) > 1:
+            raise ValueError(f"GaussNewton takes one group of parameters, got {len(self.param_groups)}")
+        self.max_spp, self.robust, self.iterations, self.seed = max_spp or 64 * spp, robust, iterations, seed
+        self.low, self.high = ranges(self, scene)
+        self.search = {"spp": spp, "spp_of_j": spp, "noise_of_j": 0.0, "damping": damping, "gain": 0.0, "noise_share": 0.0,
+                       "averaged": 0, "evaluations": 0}
+        self.kept: tuple[Tensor, Tensor] | None = None  # J_a and J_b of the last step, for those that noise limits
+        self.kept_for = 0
+
+    def step(self, closure: Images) -> float:  # type: ignore[override]
+        """Makes one step.
+
+        Args:
+            closure: a function of seed and spp that returns residuals.
+
+        Returns:
+            The mean squared residual before the step, less the noise of the renderings; it may be negative.
+
+        Raises:
+            ValueError: if residuals are not finite, or no parameter changes them.
+        """
+        state = self.search
+
+        def counted(seed: int, spp: int | None) -> Tensor | Sequence[Tensor]:
+            state["evaluations"] += 1
+            return closure(seed, spp)
+
+        linear = Linearisation(counted, self.param_groups[0]["params"])
+        seeds = [4 * self.seed + number for number in range(4)]
+        self.seed += 1
+        pair = [linear.values(seed, state["spp"]) for seed in seeds[:2]]
+        if not all(bool(residual.isfinite().all()) for residual in pair):
+            raise ValueError("residuals must be finite, got others: mask what is not")
+        weights = torch.ones_like(pair[0]) if self.robust is None else \
+            1 / (1 + ((pair[0] + pair[1]) / (2 * self.robust)).square())
+        known = self.kept is not None
+        model = self.model(linear, pair, weights, seeds[2:])
+        start, count = linear.position(), len(pair[0])
+        for _ in range(ATTEMPTS):
+            step, share = self.proposed(model, start)
+            linear.move_to(start + step)
+            state["noise_share"] = share
+            if known:
+                break  # a step as short as noise; whether the error falls cannot be told
+            predicted = -float(model.gradient @ step + 0.5 * step @ model.curvature(step))
+            fall, doubt = fall_of_error(pair, [linear.values(seed, state["spp"]) for seed in seeds[:2]], weights)
+            state["gain"] = fall / predicted if predicted > 0 else 0.0
+            if predicted > 0 and fall + doubt > 0.1 * predicted:
+                break
+            state["damping"] = max(10 * state["damping"], FIRST_DAMPING)
+        else:
+            linear.move_to(start)
+            share = max(share, 1.0)  # a fall that so short a step does not show is one that noise hides
+        if state["gain"] > 0.5:
+            state["damping"] = max(0.1 * state["damping"], LEAST_DAMPING)
+        if share > NOISY and 2 * state["spp"] <= self.max_spp:
+            state["spp"] *= 2
+        elif share > NOISY:
+            state["averaged"] += 1
+        if model.noise_of_j(step) > NOISY and 2 * state["spp_of_j"] <= self.max_spp:
+            state["spp_of_j"] *= 2
+        state["noise_of_j"] = model.noise_of_j(step)
+        self.kept_for = self.kept_for + 1 if share > NOISY else KEPT
+        if self.kept_for >= KEPT:
+            self.kept, self.kept_for = None, 0
+        return float((weights * pair[0] * pair[1]).sum()) / count
+
+    def model(self, linear: Linearisation, pair: list[Tensor], weights: Tensor, seeds: list[int]) -> Model:
+        """The quadratic model around where parameters stand, from residuals, (M,) each, and seeds of the derivatives."""
+        spp = self.search["spp_of_j"]
+        mean, half = weights * (pair[0] + pair[1]) / 2, weights * (pair[0] - pair[1]) / 2
+        if linear.size <= FULL:
+            a, b = self.kept = self.kept or (linear.jacobian(seeds[0], spp), linear.jacobian(seeds[1], spp))
+            both, apart = (a + b) / 2, (a - b) / 2
+            matrix, bias = (part.T @ (weights[:, None] * part) for part in (both, apart))
+            scale = matrix.diag()
+            if not bool(scale.any()):
+                raise ValueError("no parameter changes the residuals: does the closure read the optimizer's parameters?")
+            return Model(both.T @ mean, lambda step: matrix @ step, scale.clamp_min(1e-12 * float(scale.max())),
+                         both.T @ half, matrix, bias)
+
+        def product(step: Tensor) -> Tensor:
+            """Symmetric and never negative, since forward and backward at one seed are transposes."""
+            changes = weights * sum(linear.forward(step, seed, spp) for seed in seeds) / 2
+            return sum(linear.backward(changes, seed, spp) for seed in seeds) / 2
+
+        gradient = sum(linear.backward(mean, seed, spp) for seed in seeds) / 2
+        noise = sum(linear.backward(half, seed, spp) for seed in seeds) / 2
+        if not bool(gradient.any()):
+            raise ValueError("no parameter changes the residuals: does the closure read the optimizer's parameters?")
+        typical = float(gradient @ product(gradient)) / float(gradient @ gradient)
+        return Model(gradient, product, torch.full_like(gradient, abs(typical)), noise, None, None)
+
+    def proposed(self, model: Model, start: Tensor) -> tuple[Tensor, float]:
+        """The step of the damped model within the ranges, (n,), and the length of its noise over its own."""
+        state = self.search
+        blocked = (start <= self.low) & (model.gradient > 0) | (start >= self.high) & (model.gradient < 0)
+        free = (~blocked).double()
+        if model.matrix is None:
+            step = conjugate_gradients(model, state["damping"], free, self.iterations)
+            share = float(model.noise.norm() / model.gradient.norm())
+        else:
+            root = model.scale.sqrt()
+            matrix = free * (model.matrix / root / root[:, None]) * free[:, None]
+            values, vectors = torch.linalg.eigh(matrix)
+            # Directions that nothing bends would make steps of any length.
+            known = values > 1e-10 * float(values.abs().max())
+            inverse = torch.where(known, 1 / (values.clamp_min(1e-300) + state["damping"]), 0.0)
+            step, noise = (vectors @ (inverse * (vectors.T @ (free * part / root)))
+                           for part in (model.gradient, model.noise))
+            step = -step / root
+            share = float(noise.norm() / (root * step).norm().clamp_min(1e-300))
+        step = step / (1 + state["averaged"])
+        return torch.minimum(torch.maximum(start + step, self.low), self.high) - start, share
+
+
+def conjugate_gradients(model: Model, damping: float, free: Tensor, iterations: int) -> Tensor:
+    """Solves (H + damping) d = -g for the entries that are free.
+
+    Reference: Nocedal and Wright 2006, "Numerical Optimization", algorithm 5.2.
+    """
+    step, left = torch.zeros_like(model.gradient), -free * model.gradient
+    direction, square = left.clone(), float(left @ left)
+    first = square
+    for _ in range(iterations):
+        bent = free * (model.curvature(direction) + damping * model.scale * direction)
+        curvature = float(direction @ bent)
+        if curvature <= 0 or square <= 1e-12 * first:
+            break
+        length = square / curvature
+        step, left = step + length * direction, left - length * bent
+        square, last = float(left @ left), square
+        direction = left + square / last * direction
+    return step
+
+
+def fall_of_error(before: list[Tensor], after: list[Tensor], weights: Tensor) -> tuple[float, float]:
+    """By how much a step lowers r_1^T W r_2 / 2, without bias from noise, and how far two estimates of that are apart."""
+    a, b = (-0.5 * float((weights * (before[one] + after[one])) @ (after[two] - before[two]))
+            for one, two in ((0, 1), (1, 0)))
+    return (a + b) / 2, abs(a - b)
+
+
+def ranges(optimizer: torch.optim.Optimizer, scene: Scene | None) -> tuple[Tensor, Tensor]:
+    """The least and greatest values of an optimizer's parameters, (n,) float64 each, by the ranges of a scene.
+
+    Raises:
+        ValueError: if the optimizer holds no parameter of the scene.
+    """
+    held = {} if scene is None else held_by(scene, optimizer)
+    if scene is not None and not held:
+        raise ValueError("the optimizer holds no parameter of this scene, so that nothing would be kept in its range")
+    ends = {id(each.value): range_of(each.domains, reflectances=True) for each in held.values()}
+    low, high = [], []
+    for parameter in optimizer.param_groups[0]["params"]:
+        least, greatest = ends.get(id(parameter), (-torch.inf, torch.inf))
+        low.append(torch.full((parameter.numel(),), least, dtype=torch.float64, device=parameter.device))
+        high.append(torch.full((parameter.numel(),), greatest, dtype=torch.float64, device=parameter.device))
+    return torch.cat(low), torch.cat(high)

@@ -1,0 +1,118 @@
+"""Products with the Jacobian of images, by forward mode, and with its transpose, by the backward pass."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+import torch
+from torch import Tensor
+from torch.autograd import forward_ad
+
+Images = Callable[[int, int | None], Tensor | Sequence[Tensor]]  # of a seed and a number of samples per pixel
+
+
+class Linearisation:
+    """Images as a function of n parameters, with products of its Jacobian J, (M, n), at where these stand.
+
+    The function may be any composition of torch and of renderers that reads the parameters where they are: modules with
+    parametrisations, networks, exposures. While J v is computed the parameters are dual tensors in place, of unchanged
+    value. At the same seed products with J and with its transpose are exact transposes of each other; at several,
+    independent.
+
+    Args:
+        images: a function of seed and samples per pixel that returns a tensor, or several, of any shapes; M numbers in all.
+        parameters: leaves that it reads, floating-point, n numbers in all.
+
+    Raises:
+        TypeError: if they are no leaves of a floating dtype, or `images` cannot be called.
+        ValueError: if there is none, or one occurs twice.
+
+    Reference: Griewank and Walther 2008, "Evaluating Derivatives", chapter 3.
+    """
+
+    def __init__(self, images: Images, parameters: Iterable[Tensor]):
+        self.images, self.parameters = images, list(parameters)
+        if not callable(images):
+            raise TypeError(f"images must be a function of seed and spp, got {type(images).__name__}")
+        if not self.parameters:
+            raise ValueError("there must be at least one parameter, got none")
+        for parameter in self.parameters:
+            if not isinstance(parameter, Tensor) or not parameter.is_floating_point() or not parameter.is_leaf:
+                raise TypeError("parameters must be leaves of a floating dtype, such as scene.get_parameter(NAME), of a "
+                                f"parametrised one its `original`; got {_described(parameter)}")
+        if len({id(parameter) for parameter in self.parameters}) < len(self.parameters):
+            raise ValueError("each parameter may be given once only")
+        self.size = sum(parameter.numel() for parameter in self.parameters)
+
+    def position(self) -> Tensor:
+        """The values of all parameters, (n,) float64, detached."""
+        return _flat(self.parameters)
+
+    def move_to(self, position: Tensor) -> None:
+        """Assigns values to the parameters, (n,)."""
+        with torch.no_grad():
+            for parameter, values in zip(self.parameters, self.shaped(position), strict=True):
+                parameter.copy_(values)
+
+    def shaped(self, flat: Tensor) -> list[Tensor]:
+        """The parts of (n,) numbers in the shapes and dtypes of the parameters."""
+        parts = flat.split([parameter.numel() for parameter in self.parameters])
+        return [part.view(parameter.shape).to(parameter) for part, parameter in zip(parts, self.parameters, strict=True)]
+
+    def values(self, seed: int, spp: int | None) -> Tensor:
+        """The images, (M,) float64, detached."""
+        with torch.no_grad():
+            return _flat(_several(self.images(seed, spp)))
+
+    def forward(self, tangent: Tensor, seed: int, spp: int | None) -> Tensor:
+        """J v for a direction v, (n,): (M,) float64."""
+        with torch.no_grad(), forward_ad.dual_level():
+            for parameter, part in zip(self.parameters, self.shaped(tangent), strict=True):
+                if bool(part.any()):
+                    parameter.copy_(forward_ad.make_dual(parameter.detach().clone(), part.contiguous()))
+            images = [forward_ad.unpack_dual(image) for image in _several(self.images(seed, spp))]
+            return _flat([torch.zeros_like(image.primal) if image.tangent is None else image.tangent for image in images])
+
+    def backward(self, cotangent: Tensor, seed: int, spp: int | None) -> Tensor:
+        """J^T w for w, (M,): (n,) float64; 0 for parameters that the images do not depend on."""
+        required = [parameter.requires_grad for parameter in self.parameters]
+        try:
+            for parameter in self.parameters:
+                parameter.requires_grad_()
+            with torch.enable_grad():
+                images = _several(self.images(seed, spp))
+            attached = [image for image in images if image.requires_grad]
+            parts = cotangent.split([image.numel() for image in images])
+            weights = [part.view(image.shape).to(image) for part, image in zip(parts, images, strict=True)
+                       if image.requires_grad]
+            found = torch.autograd.grad(attached, self.parameters, weights, allow_unused=True) if attached else \
+                [None] * len(self.parameters)
+        finally:
+            for parameter, was in zip(self.parameters, required, strict=True):
+                parameter.requires_grad_(was)
+        return _flat([torch.zeros_like(parameter) if gradient is None else gradient
+                      for parameter, gradient in zip(self.parameters, found, strict=True)])
+
+    def jacobian(self, seed: int, spp: int | None) -> Tensor:
+        """J, (M, n) float64, a column for each parameter by forward mode."""
+        identity = torch.eye(self.size, dtype=torch.float64, device=self.parameters[0].device)
+        return torch.stack([self.forward(direction, seed, spp) for direction in identity], dim=1)
+
+
+def _several(images: Tensor | Sequence[Tensor]) -> list[Tensor]:
+    """The images that a function returns, as a list."""
+    found = [images] if isinstance(images, Tensor) else list(images)
+    if not found or not all(isinstance(image, Tensor) for image in found):
+        raise TypeError("images must return a tensor or a sequence of tensors, got "
+                        f"{type(images).__name__} of {[type(image).__name__ for image in found]}")
+    return found
+
+
+def _flat(tensors: Sequence[Tensor]) -> Tensor:
+    """All numbers of some tensors, (N,) float64, detached."""
+    return torch.cat([tensor.detach().reshape(-1).double() for tensor in tensors])
+
+
+def _described(value: object) -> str:
+    """What a value that was given as a parameter is, for a message."""
+    return f"a tensor of {value.dtype} that is computed from others" if isinstance(value, Tensor) else type(value).__name__

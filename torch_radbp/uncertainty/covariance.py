@@ -1,0 +1,245 @@
+"""`covariance`: how far parameters that were found from images are known, and which only together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_radbp.optim.linearisation import Images, Linearisation
+from torch_radbp.rendering.renderer import Renderer
+from torch_radbp.uncertainty.curvature import Curvature, DenseCurvature, signs_of
+from torch_radbp.uncertainty.directions import Direction, in_words, sparse_basis
+from torch_radbp.uncertainty.problem import Noise, Parameters, Problem, images_of, named
+
+FLAT = 1e-8  # of a bend relative to that of the parameters by themselves: below is rounding
+ERRORS = 3.0  # standard errors that a bend must be above 0 to be one
+STRONG = 0.95  # correlations that are put into words
+
+
+class CovarianceOfParameters(NamedTuple):
+    """The posterior covariance (J^T Sigma^-1 J + P)^-1 of n parameters, but for what is flat; see `covariance`."""
+
+    names: list[str]  # of the n entries
+    values: Tensor  # (n,) float64, where the parameters stand
+    matrix: Tensor  # (n, n) float64, infinite variances on the diagonal of what is flat, and zeros beside these
+    flat: list[Direction]  # along which images and prior say nothing, or no more than the noise of the derivatives
+    weak: list[str]  # strongly correlated pairs, in words
+    noise: float  # standard deviation of the pixels, the root of the mean of squares where they differ
+    problem: Problem
+    basis: Tensor  # (n, k) directions in which it is finite; matrix = basis basis^T where nothing is flat
+
+    @property
+    def standard_deviations(self) -> dict[str, Tensor]:
+        """By parameter, in its shape and units, float64; infinite for what takes part in a flat direction."""
+        return self.problem.by_name(self.matrix.diag().sqrt())
+
+    @property
+    def correlations(self) -> Tensor:
+        """(n, n) float64; NaN for what is flat."""
+        deviation = self.matrix.diag().sqrt()
+        deviation = torch.where(deviation.isfinite(), deviation, torch.nan)
+        return self.matrix / deviation / deviation[:, None]
+
+    def propagated(self, function: Callable[[], Tensor]) -> Tensor:
+        """Standard deviations of a function of the parameters to first order, in its shape, float64.
+
+            covariance.propagated(lambda: scene.white.reflectance.value)  # of a value with a parametrisation
+
+        They are infinite where the function changes along a flat direction: a product may be known whose factors are not.
+        """
+        linear = Linearisation(lambda seed, spp: function(), self.problem.linear.parameters)
+        jacobian = linear.jacobian(0, None).cpu()
+        variance = (jacobian @ self.basis).square().sum(1)
+        for direction in self.flat:
+            change = (jacobian @ direction.change).abs()
+            alone = (jacobian * direction.change).abs().amax(1)
+            variance = torch.where(change > 1e-3 * alone, torch.inf, variance)
+        return variance.sqrt().view(function().shape)
+
+    def __str__(self) -> str:
+        """A table of values and deviations, then what is flat, and what is correlated."""
+        deviation, width = self.matrix.diag().sqrt().tolist(), max(map(len, self.names))
+        lines = [f"{name:{width}}  {value:12.6g} +- {spread:.2g}" for name, value, spread in
+                 zip(self.names, self.values.tolist(), deviation, strict=True)]
+        return "\n".join(lines + [f"not told: {direction.words}" for direction in self.flat] + self.weak)
+
+
+class Diagonal(NamedTuple):
+    """Standard deviations of many parameters, found by probing."""
+
+    standard_deviations: dict[str, Tensor]  # by parameter, in its shape and units, float64
+    error: dict[str, Tensor]  # their standard errors, by the scatter of the probes
+
+
+def covariance(images: Renderer | Images, targets: Tensor | Sequence[Tensor], parameters: Parameters, *,
+               noise: Noise | str = "residuals", prior: Mapping[str, float | Tensor] | None = None, spp: int | None = None,
+               repeats: int = 4, seed: int = 0) -> CovarianceOfParameters:
+    """The covariance of parameters that were fitted to images by least squares, weighted by the noise of these.
+
+        found = rb.covariance(renderer, target, ["white.reflectance.value", "lamp.emitter.radiance.value"])
+        print(found)  # values +- deviations, and what the images cannot tell
+
+    It is that of a linear model around where the parameters stand, which must be what the images fit best; it does not know
+    of other places that fit as well, of ranges, and of what renderer and world do not share. What changes images by no more
+    than three standard errors of the derivatives' own noise is said to be flat: more `spp` or `repeats` tell.
+
+    Args:
+        images, parameters, spp, seed: as for `curvature`; up to 200 numbers in all, `diagonal_covariance` takes more.
+        targets: of the shapes of the images.
+        noise: standard deviation of a pixel of targets and renderings together, as for `curvature`; "residuals": one number
+            for all, from the difference of images and targets, which holds the noise of both, and what does not fit.
+        prior: standard deviations of what is known beforehand about parameters, by name, numbers or in the parameter's
+            shape, around where they stand; infinity is none.
+        repeats: Jacobians, of seeds of their own, at least 3.
+
+    Returns:
+        A `CovarianceOfParameters`.
+
+    Raises:
+        ValueError: for a prior that is not positive or of no parameter, targets of another size, too many parameters, or
+            fewer than 3 repeats.
+        TypeError: as `curvature`.
+
+    Reference: Tarantola 2005, "Inverse Problem Theory", section 3.2.
+    """
+    if repeats < 3:
+        raise ValueError(f"repeats must be at least 3, or derivatives have no errors, got {repeats}")
+    problem = Problem(images, parameters, noise_of(images, targets, parameters, noise, spp, seed), spp)
+    precision = prior_precision(problem, prior)
+    bends = Curvature(problem, seed + 2).dense(repeats)
+    return covariance_of(problem, bends, precision)
+
+
+def covariance_of(problem: Problem, bends: DenseCurvature, prior: Tensor) -> CovarianceOfParameters:
+    """The covariance of a curvature, (n, n), and the precision of a prior, (n,)."""
+    values, names = problem.linear.position().cpu(), problem.entries
+    own, error = bends.bend(torch.eye(len(values), dtype=torch.float64))
+    seen = (own > ERRORS * error) & (own > 0) | (prior > 0)
+    sizes = torch.where(seen, (own.clamp_min(0) + prior), 1.0).rsqrt()  # the deviation of each if all others were known
+    scaled = seen * (sizes * (bends.matrix + prior.diag()) * sizes[:, None]) * seen[:, None]
+    bend, vectors = torch.linalg.eigh(scaled)
+    changes = sizes[:, None] * vectors
+    _, error = bends.bend(changes)
+    told = (bend > ERRORS * error) & (bend > FLAT)
+    basis = changes[:, told] / bend[told].sqrt()
+    matrix = basis @ basis.T
+    flat = [Direction(change, in_words(change, values, names, sizes))
+            for change in (sizes[:, None] * sparse_basis(vectors[:, ~told])).T]
+    for direction in flat:
+        share = (direction.change / sizes).abs()
+        lost = share > 1e-3
+        matrix[lost], matrix[:, lost] = 0.0, 0.0
+        matrix[lost, lost] = torch.inf
+    sigma = problem.precision[problem.precision > 0].reciprocal().mean().sqrt()
+    weak = correlated(matrix, values, names)
+    return CovarianceOfParameters(names, values, matrix, flat, weak, float(sigma), problem, basis)
+
+
+def correlated(matrix: Tensor, values: Tensor, names: list[str]) -> list[str]:
+    """Strongly correlated pairs in words: what is known well of two that are not; strongest first."""
+    deviation = matrix.diag().sqrt()
+    deviation = torch.where(deviation.isfinite(), deviation, torch.nan)
+    correlation = matrix / deviation / deviation[:, None]
+    found = []
+    for first, second in (correlation.abs() > STRONG).triu(1).nonzero().tolist():
+        change = torch.zeros_like(values)
+        strength = float(correlation[first, second])
+        change[first], change[second] = deviation[first], deviation[second] * (1 if strength > 0 else -1)
+        found.append((-abs(strength), f"{in_words(change, values, names, deviation)}: {strength:.3f}"))
+    return [words for _, words in sorted(found)]
+
+
+def diagonal_covariance(images: Renderer | Images, parameters: Parameters, *, noise: Noise,
+                        prior: Mapping[str, float | Tensor], spp: int | None = None, probes: int = 16,
+                        seed: int = 0) -> Diagonal:
+    """Standard deviations of any number of parameters, such as the texels of a bitmap, by probing.
+
+    The diagonal of (J^T Sigma^-1 J + P)^-1 is the mean of z (J^T Sigma^-1 J + P)^-1 z over random signs z, each solved for
+    by conjugate gradients; without what lies beside the diagonal one probe would do. J^T J is of one seed, so that it is
+    never negative: its noise makes deviations too small where samples are few.
+
+    Args:
+        images, parameters, noise, spp, seed: as for `curvature`.
+        prior: as for `covariance`; every parameter must have one, so that what nothing sees has a deviation.
+        probes: at least 2.
+
+    Raises:
+        ValueError: for a parameter without a prior, or fewer than 2 probes.
+        TypeError: as `curvature`.
+
+    Reference: Bekas, Kokiopoulou and Saad 2007, "An estimator for the diagonal of a matrix".
+    """
+    import numpy
+    from scipy.sparse.linalg import LinearOperator, cg
+
+    problem = Problem(images, parameters, noise, spp)
+    precision = prior_precision(problem, prior)
+    if probes < 2 or not bool((precision > 0).all()):
+        raise ValueError("probing needs at least 2 probes and a finite prior of every parameter, got "
+                         f"{probes} and priors of {sorted(prior)} for {problem.names}")
+    bends, generator = Curvature(problem, seed), torch.Generator().manual_seed(seed)
+    spread = precision.rsqrt().numpy()
+
+    def product(direction):
+        """P^-1/2 (J^T Sigma^-1 J) P^-1/2 + 1, whose eigenvalues are at least 1."""
+        vector = torch.from_numpy(spread * direction.reshape(-1))
+        return spread * bends.product(vector, 1, independent=False).value.cpu().numpy() + direction.reshape(-1)
+
+    operator = LinearOperator((bends.size, bends.size), matvec=product, dtype="float64")
+    found = []
+    for _ in range(probes):
+        signs = signs_of(bends.size, generator).numpy()
+        solved, left = cg(operator, spread * signs, rtol=1e-4, maxiter=10 * bends.size)
+        if left:
+            raise RuntimeError(f"conjugate gradients did not converge in {left} iterations: take a narrower prior")
+        found.append(torch.from_numpy(numpy.ascontiguousarray(signs * spread * solved)))
+    variance = torch.stack(found).mean(0)
+    error = torch.stack(found).std(0) / probes ** 0.5
+    deviation = variance.clamp_min(0).sqrt()
+    return Diagonal(problem.by_name(deviation), problem.by_name(error / (2 * deviation.clamp_min(1e-300))))
+
+
+def noise_of(images: Renderer | Images, targets: Tensor | Sequence[Tensor], parameters: Parameters, noise: Noise | str,
+             spp: int | None, seed: int) -> Noise:
+    """The noise as standard deviations: as given, or that of residuals, with the freedom of the parameters taken off.
+
+    Raises:
+        ValueError: if targets have not the shapes of images, or the noise is an unknown word, or residuals are all 0.
+    """
+    if isinstance(noise, str) and noise != "residuals":
+        raise ValueError(f"noise must be a number, tensors, or \"residuals\", got {noise!r}")
+    found, wanted = images_of(images), [targets] if isinstance(targets, Tensor) else list(targets)
+    with torch.no_grad():
+        rendered = found(seed, spp)
+    rendered = [rendered] if isinstance(rendered, Tensor) else list(rendered)
+    if [image.shape for image in rendered] != [target.shape for target in wanted]:
+        raise ValueError(f"targets must have the shapes of the images, {[tuple(image.shape) for image in rendered]}, got "
+                         f"{[tuple(target.shape) for target in wanted]}")
+    if not isinstance(noise, str):
+        return noise
+    left = torch.cat([(image - target).double().reshape(-1) for image, target in zip(rendered, wanted, strict=True)])
+    free = len(left) - sum(parameter.numel() for parameter in named(images, parameters).values())
+    sigma = float(left.square().sum() / max(free, 1)) ** 0.5
+    if not sigma > 0:
+        raise ValueError("images and targets are equal, bit by bit: say what the noise of a pixel is")
+    return sigma
+
+
+def prior_precision(problem: Problem, prior: Mapping[str, float | Tensor] | None) -> Tensor:
+    """One over the variances of a prior, (n,) float64, 0 where there is none.
+
+    Raises:
+        ValueError: if a deviation is not positive, or of no parameter.
+    """
+    for name, deviation in (prior or {}).items():
+        if name not in problem.held:
+            raise ValueError(f"the prior names {name!r}, which is none of the parameters: {problem.names}")
+        if not bool((torch.as_tensor(deviation) > 0).all()):
+            raise ValueError(f"the prior of {name!r} is a standard deviation and must be positive, got {deviation}: what is "
+                             "known exactly is no parameter, so leave it out")
+    parts = [torch.as_tensor((prior or {}).get(name, torch.inf), dtype=torch.float64).expand(parameter.shape).reshape(-1)
+             for name, parameter in problem.held.items()]
+    return torch.cat(parts).cpu().square().reciprocal()
