@@ -13,8 +13,7 @@ Russian roulette. The third image is that of paths from the camera, ours, where 
 At orthographic cameras Mitsuba's paths cannot end (its issue 198). At a principal point off the axis its image lacks what is
 beyond the film around the axis: its own path tracer shows what we do, so that there paths from the camera judge alone. A
 thin lens has its focus at 1, as Mitsuba puts points in a wrong place at any other distance (its issue 1508). Images that
-differ are rendered once more, by 8 times the paths. A normal map that turns its normal by the direction of view
-(`flip_invalid_normals`) is sampled from lamps without the directions that turn it: light that it loses.
+differ are rendered once more, by 8 times the paths.
 
     python -m benchmarks.light_paths --only "area,glass;bumps"
 """
