@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.optim.linearisation import Images
+from torch_radbp.rendering.cost import bytes_text, memory_of
 from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.uncertainty.problem import Noise, Parameters, Problem
 
@@ -100,6 +101,10 @@ class Curvature:
         if repeats < 2:
             raise ValueError(f"repeats must be at least 2, since a Jacobian times itself is biased by noise, got {repeats}")
         spp, linear = self.problem.spp, self.problem.linear
+        device, count = linear.parameters[0].device, len(linear.values(self.seed, 1))
+        if (bytes_needed := 8 * repeats * self.size * count) > memory_of(device) / 2:
+            raise MemoryError(f"{repeats} Jacobians of {count} by {self.size} numbers take {bytes_text(bytes_needed)}, and "
+                              f"there are {bytes_text(memory_of(device))}: take fewer repeats, smaller images, or `diagonal`")
         jacobians = [linear.jacobian(self.seed + number, spp) for number in range(repeats)]
         grams = torch.zeros(repeats, repeats, self.size, self.size, dtype=torch.float64)
         for a, b in combinations(range(repeats), 2):
