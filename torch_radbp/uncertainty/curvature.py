@@ -104,7 +104,8 @@ class Curvature:
         device, count = linear.parameters[0].device, len(linear.values(self.seed, 1))
         if (bytes_needed := 8 * repeats * self.size * count) > memory_of(device) / 2:
             raise MemoryError(f"{repeats} Jacobians of {count} by {self.size} numbers take {bytes_text(bytes_needed)}, and "
-                              f"there are {bytes_text(memory_of(device))}: take fewer repeats, smaller images, or `diagonal`")
+                              f"there are {bytes_text(memory_of(device))}: take fewer repeats, smaller images, or "
+                              "`diagonal`")
         jacobians = [linear.jacobian(self.seed + number, spp) for number in range(repeats)]
         grams = torch.zeros(repeats, repeats, self.size, self.size, dtype=torch.float64)
         for a, b in combinations(range(repeats), 2):
