@@ -138,7 +138,7 @@ class Curvature:
     def _half(self, direction: Tensor, forward: int, backward: int) -> Tensor:
         """J_b^T Sigma^-1 J_a v of two seeds."""
         linear, spp = self.problem.linear, self.problem.spp
-        return linear.backward(self.problem.weighted(linear.forward(direction, forward, spp)), backward, spp)
+        return linear.backward(self.problem.weighted(linear.forward(direction, forward, spp)), backward, spp).cpu()
 
 
 def signs_of(size: int, generator: torch.Generator) -> Tensor:
@@ -171,7 +171,8 @@ def curvature(images: Renderer | Images, parameters: Parameters, *, noise: Noise
         seed: of the first rendering; the next ones follow.
 
     Returns:
-        A `Curvature`.
+        A `Curvature`: `product(v)`, with its standard error; `linear_operator()` for scipy; `dense()`, the matrix of up to 200
+        parameters with its standard errors; `diagonal()`, by probing.
 
     Raises:
         TypeError, ValueError: for parameters that are none, and noise that is not positive.
