@@ -53,7 +53,9 @@ from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.rendering.zero_gradients import ZeroGradientWarning
 from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.texture.neural import NeuralTexture
-from torch_radbp.uncertainty import covariance, curvature, diagonal_covariance, next_view, sensitivity
+from torch_radbp.uncertainty.covariance import covariance, diagonal_covariance
+from torch_radbp.uncertainty.curvature import curvature
+from torch_radbp.uncertainty.next_view import next_view, sensitivity
 from torch_radbp.volume.neural import NeuralVolume
 
 __all__ = ["AdjointStrategy", "Exposure", "GltfWarning", "GradientCheck", "JumpWarning", "LensFalloff", "MemoizedAdjoint",

@@ -130,3 +130,9 @@ def test_sensitivity_is_where_a_parameter_is_seen():
     assert list(images) == [f"{COLOUR}[{channel}]" for channel in range(3)]
     assert torch.allclose(images[f"{COLOUR}[1]"][0, 1], torch.full((4, 4), 3 / math.pi, dtype=torch.float64), rtol=1e-6)
     assert images[f"{COLOUR}[1]"][0, [0, 2]].abs().max() == 0
+
+
+def test_jacobians_that_memory_does_not_hold_are_refused(monkeypatch):
+    monkeypatch.setattr("torch_radbp.uncertainty.curvature.memory_of", lambda device: 1000.0)
+    with pytest.raises(MemoryError, match="2 Jacobians of 48 by 3 numbers take .* take fewer repeats"):
+        rb.curvature(rb.Renderer(wall_under_sun(), spp=2, max_depth=2), COLOUR).dense(2)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.optim.linearisation import Images
+from torch_radbp.rendering.cost import bytes_text, memory_of
 from torch_radbp.rendering.renderer import Renderer
 from torch_radbp.uncertainty.problem import Noise, Parameters, Problem
 
@@ -100,6 +101,11 @@ class Curvature:
         if repeats < 2:
             raise ValueError(f"repeats must be at least 2, since a Jacobian times itself is biased by noise, got {repeats}")
         spp, linear = self.problem.spp, self.problem.linear
+        device, count = linear.parameters[0].device, len(linear.values(self.seed, 1))
+        if (bytes_needed := 8 * repeats * self.size * count) > memory_of(device) / 2:
+            raise MemoryError(f"{repeats} Jacobians of {count} by {self.size} numbers take {bytes_text(bytes_needed)}, and "
+                              f"there are {bytes_text(memory_of(device))}: take fewer repeats, smaller images, or "
+                              "`diagonal`")
         jacobians = [linear.jacobian(self.seed + number, spp) for number in range(repeats)]
         grams = torch.zeros(repeats, repeats, self.size, self.size, dtype=torch.float64)
         for a, b in combinations(range(repeats), 2):
@@ -132,7 +138,7 @@ class Curvature:
     def _half(self, direction: Tensor, forward: int, backward: int) -> Tensor:
         """J_b^T Sigma^-1 J_a v of two seeds."""
         linear, spp = self.problem.linear, self.problem.spp
-        return linear.backward(self.problem.weighted(linear.forward(direction, forward, spp)), backward, spp)
+        return linear.backward(self.problem.weighted(linear.forward(direction, forward, spp)), backward, spp).cpu()
 
 
 def signs_of(size: int, generator: torch.Generator) -> Tensor:
@@ -165,7 +171,8 @@ def curvature(images: Renderer | Images, parameters: Parameters, *, noise: Noise
         seed: of the first rendering; the next ones follow.
 
     Returns:
-        A `Curvature`.
+        A `Curvature`: `product(v)`, with its standard error; `linear_operator()` for scipy; `dense()`, the matrix of up to 200
+        parameters with its standard errors; `diagonal()`, by probing.
 
     Raises:
         TypeError, ValueError: for parameters that are none, and noise that is not positive.

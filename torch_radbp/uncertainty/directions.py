@@ -62,4 +62,7 @@ def pair_in_words(first: int, second: int, change: Tensor, values: Tensor, names
                           (("sum", "difference"), change[[first, second]].tolist())):
         if 0 < max(abs(a), abs(b)) < float("inf") and abs(abs(a) - abs(b)) <= ALIKE * max(abs(a), abs(b)):
             return f"{both} only as a {kinds[0] if a * b < 0 else kinds[1]}"
-    return f"{both} only by what {float(change[first]):+.3g} and {float(change[second]):+.3g} of them leave"
+    power = -float(relative[first] / relative[second])
+    if 0 < abs(power) < float("inf"):
+        return f"{both} only as the first times the second to the power {power:.2g}"
+    return f"{both} only but for {float(change[first]):+.3g} of the first and {float(change[second]):+.3g} of the second"

@@ -62,7 +62,8 @@ def next_view(images: Renderer | Images, candidates: Sequence[str | int] | Mappi
         spp, repeats, seed: as for `covariance`; all candidates have the same seeds.
 
     Returns:
-        `RankedViews`.
+        `RankedViews`, which print as a table: `best`, a name; `ranking`, for each candidate its `name`, the share of the
+        prior's variance that is `left`, and `standard_deviations`; `before`, the same without any.
 
     Raises:
         ValueError: without candidates, for a parameter without a prior, or as `curvature`.
