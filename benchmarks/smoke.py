@@ -32,6 +32,7 @@ import argparse
 import sys
 import tempfile
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,7 @@ from benchmarks.peers import mitsuba_for
 from benchmarks.smoke_loops import (
     COARSE,
     FINE,
+    Loop,
     MitsubaImages,
     MitsubaLoop,
     OurLoop,
@@ -151,8 +153,9 @@ def main() -> None:
         scene = scene_file(Path(folder), options.views, options.size, options.scale)
         samples, fine = (16, COARSE) if options.small else (512, FINE)  # of a target
         setup = Setup(scene, targets_of(mi, scene, options.views, samples), options.spp, options.rounds, fine)
-        loops = {"Mitsuba": lambda setup: MitsubaLoop(setup, mi), "ours": OurLoop, "ours, its loop": SameLoop,
-                 "Mitsuba, our loop": lambda setup: OurLoop(setup, MitsubaImages(setup, mi))}
+        loops: dict[str, Callable[[Setup], Loop]] = {
+            "Mitsuba": lambda setup: MitsubaLoop(setup, mi), "ours": OurLoop, "ours, its loop": SameLoop,
+            "Mitsuba, our loop": lambda setup: OurLoop(setup, MitsubaImages(setup, mi))}
         runs, seconds = {}, options.seconds
         for name, loop in loops.items():
             run(loop(setup._replace(rounds=1)), 1)  # compiles
