@@ -97,9 +97,9 @@ def covariance(images: Renderer | Images, targets: Tensor | Sequence[Tensor], pa
 
     Returns:
         A `CovarianceOfParameters`, which prints as a table: `standard_deviations` by parameter; `matrix` and `correlations`,
-        (n, n) float64, of the numbers called `names`; `flat`, directions that are not told, each with its `change`, (n,), and
-        `words`; `weak`, strongly correlated pairs in words; `noise`; `propagated(function)`, deviations of a function of the
-        parameters, such as the value of a parametrised one.
+        (n, n) float64, of the numbers called `names`; `flat`, directions that are not told, each with its `change`, (n,),
+        and `words`; `weak`, strongly correlated pairs in words; `noise`; `propagated(function)`, deviations of a function of
+        the parameters, such as the value of a parametrised one.
 
     Raises:
         ValueError: for a prior that is not positive or of no parameter, targets of another size, too many parameters, or

@@ -171,8 +171,8 @@ def curvature(images: Renderer | Images, parameters: Parameters, *, noise: Noise
         seed: of the first rendering; the next ones follow.
 
     Returns:
-        A `Curvature`: `product(v)`, with its standard error; `linear_operator()` for scipy; `dense()`, the matrix of up to 200
-        parameters with its standard errors; `diagonal()`, by probing.
+        A `Curvature`: `product(v)`, with its standard error; `linear_operator()` for scipy; `dense()`, the matrix of up to
+        200 parameters with its standard errors; `diagonal()`, by probing.
 
     Raises:
         TypeError, ValueError: for parameters that are none, and noise that is not positive.
