@@ -194,7 +194,7 @@ class GaussNewton(torch.optim.Optimizer):
             root = model.scale.sqrt()
             matrix = free * (model.matrix / root / root[:, None]) * free[:, None]
             values, vectors = torch.linalg.eigh(matrix)
-            # Directions that nothing bends would make steps of any length.
+            # Directions without curvature would make steps of any length.
             known = values > 1e-10 * float(values.abs().max())
             inverse = torch.where(known, 1 / (values.clamp_min(1e-300) + state["damping"]), 0.0)
             step, noise = (vectors @ (inverse * (vectors.T @ (free * part / root)))

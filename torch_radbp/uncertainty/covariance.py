@@ -14,8 +14,8 @@ from torch_radbp.uncertainty.curvature import Curvature, DenseCurvature, signs_o
 from torch_radbp.uncertainty.directions import Direction, in_words, sparse_basis
 from torch_radbp.uncertainty.problem import Noise, Parameters, Problem, images_of, named
 
-FLAT = 1e-8  # of a bend relative to that of the parameters by themselves: below is rounding
-ERRORS = 3.0  # standard errors that a bend must be above 0 to be one
+FLAT = 1e-8  # of a curvature relative to that of single parameters: below is rounding
+ERRORS = 3.0  # standard errors that a curvature must be above 0 to be one
 STRONG = 0.95  # correlations that are put into words
 
 
@@ -112,22 +112,22 @@ def covariance(images: Renderer | Images, targets: Tensor | Sequence[Tensor], pa
         raise ValueError(f"repeats must be at least 3, or derivatives have no errors, got {repeats}")
     problem = Problem(images, parameters, noise_of(images, targets, parameters, noise, spp, seed), spp)
     precision = prior_precision(problem, prior)
-    bends = Curvature(problem, seed + 2).dense(repeats)
-    return covariance_of(problem, bends, precision)
+    hessian = Curvature(problem, seed + 2).dense(repeats)
+    return covariance_of(problem, hessian, precision)
 
 
-def covariance_of(problem: Problem, bends: DenseCurvature, prior: Tensor) -> CovarianceOfParameters:
+def covariance_of(problem: Problem, hessian: DenseCurvature, prior: Tensor) -> CovarianceOfParameters:
     """The covariance of a curvature, (n, n), and the precision of a prior, (n,)."""
     values, names = problem.linear.position().cpu(), problem.entries
-    own, error = bends.bend(torch.eye(len(values), dtype=torch.float64))
+    own, error = hessian.along(torch.eye(len(values), dtype=torch.float64))
     seen = (own > ERRORS * error) & (own > 0) | (prior > 0)
     sizes = torch.where(seen, (own.clamp_min(0) + prior), 1.0).rsqrt()  # the deviation of each if all others were known
-    scaled = seen * (sizes * (bends.matrix + prior.diag()) * sizes[:, None]) * seen[:, None]
-    bend, vectors = torch.linalg.eigh(scaled)
+    scaled = seen * (sizes * (hessian.matrix + prior.diag()) * sizes[:, None]) * seen[:, None]
+    curvatures, vectors = torch.linalg.eigh(scaled)
     changes = sizes[:, None] * vectors
-    _, error = bends.bend(changes)
-    told = (bend > ERRORS * error) & (bend > FLAT)
-    basis = changes[:, told] / bend[told].sqrt()
+    _, error = hessian.along(changes)
+    told = (curvatures > ERRORS * error) & (curvatures > FLAT)
+    basis = changes[:, told] / curvatures[told].sqrt()
     matrix = basis @ basis.T
     flat = [Direction(change, in_words(change, values, names, sizes))
             for change in (sizes[:, None] * sparse_basis(vectors[:, ~told])).T]
@@ -183,19 +183,19 @@ def diagonal_covariance(images: Renderer | Images, parameters: Parameters, *, no
     if probes < 2 or not bool((precision > 0).all()):
         raise ValueError("probing needs at least 2 probes and a finite prior of every parameter, got "
                          f"{probes} and priors of {sorted(prior)} for {problem.names}")
-    bends, generator = Curvature(problem, seed), torch.Generator().manual_seed(seed)
+    hessian, generator = Curvature(problem, seed), torch.Generator().manual_seed(seed)
     spread = precision.rsqrt().numpy()
 
     def product(direction):
         """P^-1/2 (J^T Sigma^-1 J) P^-1/2 + 1, whose eigenvalues are at least 1."""
         vector = torch.from_numpy(spread * direction.reshape(-1))
-        return spread * bends.product(vector, 1, independent=False).value.cpu().numpy() + direction.reshape(-1)
+        return spread * hessian.product(vector, 1, independent=False).value.cpu().numpy() + direction.reshape(-1)
 
-    operator = LinearOperator((bends.size, bends.size), matvec=product, dtype="float64")
+    operator = LinearOperator((hessian.size, hessian.size), matvec=product, dtype="float64")
     found = []
     for _ in range(probes):
-        signs = signs_of(bends.size, generator).numpy()
-        solved, left = cg(operator, spread * signs, rtol=1e-4, maxiter=10 * bends.size)
+        signs = signs_of(hessian.size, generator).numpy()
+        solved, left = cg(operator, spread * signs, rtol=1e-4, maxiter=10 * hessian.size)
         if left:
             raise RuntimeError(f"conjugate gradients did not converge in {left} iterations: take a narrower prior")
         found.append(torch.from_numpy(numpy.ascontiguousarray(signs * spread * solved)))

@@ -33,10 +33,10 @@ class DenseCurvature(NamedTuple):
     error: Tensor  # (n, n) standard errors, by the jackknife
     without: Tensor  # (K, n, n) the matrices without the samples of one of the K seeds
 
-    def bend(self, directions: Tensor) -> tuple[Tensor, Tensor]:
+    def along(self, directions: Tensor) -> tuple[Tensor, Tensor]:
         """v^T H v of the columns of (n, k), and their standard errors, (k,) each."""
-        bends = torch.einsum("ik,sij,jk->sk", directions, self.without, directions)
-        return torch.einsum("ik,ij,jk->k", directions, self.matrix, directions), _jackknife(bends)
+        others = torch.einsum("ik,sij,jk->sk", directions, self.without, directions)
+        return torch.einsum("ik,ij,jk->k", directions, self.matrix, directions), _jackknife(others)
 
 
 class Curvature:
@@ -155,8 +155,8 @@ def curvature(images: Renderer | Images, parameters: Parameters, *, noise: Noise
               seed: int = 0) -> Curvature:
     """J^T Sigma^-1 J of images by parameters: half the second derivative of the squared error where images meet targets.
 
-        bends = rb.curvature(renderer, ["green.reflectance.value", "light.emitter.radiance.value"], noise=0.02)
-        matrix, error, _ = bends.dense()
+        hessian = rb.curvature(renderer, ["green.reflectance.value", "light.emitter.radiance.value"], noise=0.02)
+        matrix, error, _ = hessian.dense()
 
     J comes by forward mode, J^T by the backward pass, without second derivatives of anything; the two of a product have
     seeds of their own, so that noise does not bias it.

@@ -133,5 +133,5 @@ def _sensors_of(renderer: Renderer | Images, sensors: list) -> Images:
 def _variances(matrix: Tensor, precision: Tensor) -> Tensor:
     """The diagonal of (H + P)^-1, (n,); what noise makes of H below 0 counts as 0."""
     root = precision.sqrt()
-    bend, vectors = torch.linalg.eigh(matrix / root / root[:, None])
-    return (vectors.square() / (1 + bend.clamp_min(0))).sum(1) / precision
+    curvatures, vectors = torch.linalg.eigh(matrix / root / root[:, None])
+    return (vectors.square() / (1 + curvatures.clamp_min(0))).sum(1) / precision
