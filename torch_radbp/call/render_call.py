@@ -67,6 +67,16 @@ class RenderCall(NamedTuple):
         """Those whose cameras paths begin at."""
         return self.source.views
 
+    @property
+    def can_begin_at_lamps(self) -> bool:
+        """True if all cameras can end paths, and all lamps begin them."""
+        return not self.scene.layout.lit and all(view.camera.kind.sees_points for view in self.views)
+
+    @property
+    def can_follow_to_the_film(self) -> bool:
+        """True if such paths have derivatives by where they end on the films, which box filters do not see."""
+        return self.can_begin_at_lamps and not any(view.camera.film.kernel.flat for view in self.views)
+
     def with_views(self, views: list[View]) -> RenderCall:
         """The call of other views."""
         return self._replace(source=Cameras(views))

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torch_radbp.adjoint.rendered import rendered
 from torch_radbp.boundary.terms.jump_watch import SilhouetteWarning
+from torch_radbp.boundary.terms.of_call import EdgesOfCall
 from torch_radbp.bsdf.roughness import smallest_alpha
 from torch_radbp.call.chunks import LaneRange
 from torch_radbp.call.lamps import lamps_as_source
@@ -32,28 +33,29 @@ NARROW = 0.25  # roughness below which a material scatters narrowly
 OF_LAMPS = 0x2545F491  # tells the random numbers of paths from lamps from those of camera paths
 
 
-def light_paths_of(renderer: Renderer, call: RenderCall) -> str:
+def light_paths_of(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> str:
     """Which light is that of paths that begin at lamps, as of `Settings`; says so where the user has not."""
     caustic, chosen = renderer.jump_watch.caustic, renderer.light_paths
-    if caustic is None:
-        return "camera" if chosen == "auto" else chosen
     if chosen == "auto":
-        chosen = "caustics" if paths_can_begin_at_lamps(call) else "camera"
-        renderer.jump_watch.say(caustic.traced() if chosen == "caustics" else caustic.lacking())
-    elif chosen == "camera":
+        wanted = call.can_begin_at_lamps if caustic is not None else edges.lamps_in_mirrors and call.can_follow_to_the_film
+        chosen = "caustics" if wanted else "camera"
+        if caustic is not None and wanted:
+            renderer.jump_watch.say(caustic.traced())
+    if caustic is not None and chosen == "camera":
         renderer.jump_watch.say(caustic.lacking())
     return chosen
 
 
-def shared_image(renderer: Renderer, call: RenderCall) -> tuple[Tensor, RenderCall]:
+def shared_image(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> tuple[Tensor, RenderCall]:
     """The images of a call, (B, 3 + C, H, W), by paths that begin at the camera and at lamps, attached, in either mode; and
     the call as boundary terms take it.
 
     Args:
         renderer: has the settings.
         call: of the images.
+        edges: that move.
     """
-    light_paths = light_paths_of(renderer, call)
+    light_paths = light_paths_of(renderer, call, edges)
     lit = lights_of_paths(call.scene, light_paths)
     if light_paths == "camera" or not lit:
         return rendered(call), call
@@ -71,11 +73,6 @@ def shared_image(renderer: Renderer, call: RenderCall) -> tuple[Tensor, RenderCa
         return found, whole  # the camera sees none of the lights, and nothing that scatters narrowly
     images = rendered(share)
     return images + found if images.shape[1] == 3 else torch.cat([images[:, :3] + found, images[:, 3:]], 1), whole
-
-
-def paths_can_begin_at_lamps(call: RenderCall) -> bool:
-    """True if all cameras of a call can end paths, and all lamps begin them."""
-    return not call.scene.layout.lit and all(view.camera.kind.sees_points for view in call.views)
 
 
 def narrow_materials(call: RenderCall) -> Tensor | None:

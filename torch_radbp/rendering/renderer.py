@@ -100,15 +100,15 @@ class Renderer(nn.Module):
             seen directly or by way of ideal mirrors and glass; and "shadow", of the borders of shadows, direct and indirect,
             sharp and soft.
         share_samples: differentiate the very samples of the image, which saves a pass over the scene. By default the
-            derivative has samples of its own, since the noise that image and derivative share biases the gradient of every
-            loss that is not linear in the image. It does not where two independent images take each other's part:
-            `rb.losses`. Few samples of both are traced together, in the forward pass: an image whose derivative nobody
-            will ask for is cheaper under `torch.no_grad()`. Of what the shared paths need, as much is kept until the
-            backward pass as takes an eighth of the machine's memory; the rest is traced again.
-
+            derivative has samples of its own, since noise that image and derivative share biases the gradient of every loss
+            that is not linear in the image; not where two independent images take each other's part: `rb.losses`. Few
+            samples of both are traced together, in the forward pass: an image whose derivative nobody will ask for is
+            cheaper under `torch.no_grad()`. Of what the shared paths need, as much is kept until the backward pass as takes
+            an eighth of the machine's memory; the rest is traced again.
         light_paths: which light comes by paths that begin at lamps, as many as from the camera, as far as these see it other
             than in mirrors and through glass. "camera": none; "caustics": what comes by way of a mirror or glass beside a
-            lamp; "all"; "auto": "caustics" where a light without extent has some. None: as the integrator element says.
+            lamp; "all"; "auto": "caustics" where a light without extent has some, and for derivatives that turn mirrors or
+            glass in which surfaces see lamps, whose edges they lack otherwise. None: as the integrator element says.
 
     Derivatives, backward and forward (`jvp`), reach every parameter of the scene. Those of shapes, poses and cameras lack,
     so far, edges that surfaces, not the camera, see by reflection; a `SilhouetteWarning` says so, once, if edges may be slid
@@ -217,7 +217,7 @@ class Renderer(nn.Module):
         edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1], aovs is not None)
         if outputs is not None:
             call = call._replace(quantities=beside_image(tuple(dict.fromkeys(outputs.values()))))
-        (images, shared), channels = shared_image(self, call), None
+        (images, shared), channels = shared_image(self, call, edges), None
         if outputs is not None:
             channels, images = images[:, 3:].detach(), images[:, :3].clone(memory_format=torch.contiguous_format)
         images = self.gradient_watch.watched(self.with_terms(images, edges, shared), call)
@@ -263,7 +263,7 @@ class Renderer(nn.Module):
                              seed_grad, beside={"origins": origins, "directions": directions})
         self.noise_watch.look(seed, call.parameters)
         edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1])
-        image = self.with_terms(shared_image(self, call)[0], edges, call)[0, :, :, 0].t()
+        image = self.with_terms(shared_image(self, call, edges)[0], edges, call)[0, :, :, 0].t()
         return self.gradient_watch.watched(image.clone(memory_format=torch.contiguous_format), call)
 
     @public_call
@@ -322,7 +322,7 @@ class Renderer(nn.Module):
     def look(self, call: RenderCall, seed: int, aovs: bool = False) -> EdgesOfCall:
         """Finds the edges at which a call's images are discontinuous, and warns of what derivatives or image lack."""
         rendering = rendering_of(call, self.scene, self.sampling, self.cache_for_aovs if aovs else self.cache,
-                                 PRIMARY in self.terms, SHADOW in self.terms, self.depth_limit, self.light_paths == "all")
+                                 PRIMARY in self.terms, SHADOW in self.terms, self.depth_limit, self.light_paths)
         edges = edges_of_call(rendering, seed)
         self.jump_watch.look(rendering)  # casts rays, for which the tree of a large mesh may still be built
         return edges

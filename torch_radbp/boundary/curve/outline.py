@@ -132,7 +132,8 @@ class Outlines:
         turning, sliding = (own._replace(shapes=tuple(moves or bool(names) for moves, names in zip(own.shapes, more)))
                             for more in (rendering.turners, names_sliding(rendering)))
         everything = Moving(*((True,) * len(part) for part in own))
-        wanted = [(everything,) * 3 if moving or rendering.from_lamps and any(map(any, own)) else (own, turning, sliding)
+        follows_lamps = rendering.light_paths == "all" and any(map(any, own))
+        wanted = [(everything,) * 3 if moving or follows_lamps else (own, turning, sliding)
                   for moving in rendering.camera_movers]
         sizes = rendering.sizes
         lines, edges_of_shape = lines_on_shapes(rendering), self.edges_of_shape(scene, sizes)

@@ -46,7 +46,7 @@ class Rendering:
     primary: bool  # boundary terms of edges in view are computed
     shadows: bool  # boundary terms of shadows are computed
     max_depth: int  # of paths, as the renderer has it
-    from_lamps: bool = False  # all light comes by paths that begin at lamps
+    light_paths: str = "camera"  # which light comes by paths that begin at lamps, as the renderer has it
 
     @property
     def has_area(self) -> bool:
@@ -197,7 +197,7 @@ class Rendering:
 
 
 def rendering_of(call: RenderCall, scene: Scene, sampling: str, cache: PackCache, primary: bool, shadows: bool,
-                 max_depth: int, from_lamps: bool) -> Rendering:
+                 max_depth: int, light_paths: str) -> Rendering:
     """The rendering of a call; boundary terms of edges in view are off if pixels have no area. Args as of `Rendering`.
 
     In view counts what is in any window of a film: what is said once is to hold for all.
@@ -206,7 +206,7 @@ def rendering_of(call: RenderCall, scene: Scene, sampling: str, cache: PackCache
     primary = primary and all(view.camera.kind.has_area for view in call.views)
     blind = call.scene.layout.traces_segments  # boundary terms do not see edges behind boundaries of media
     return Rendering(scene, call, looks, sampling, cache, primary and not blind, shadows and not blind, max_depth,
-                     from_lamps)
+                     light_paths)
 
 
 def whole_sight(view: View, lens: Lens) -> CameraSight:

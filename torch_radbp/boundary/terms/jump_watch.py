@@ -23,11 +23,11 @@ from torch_radbp.boundary.warning.caustics import Caustic, caustic_of
 from torch_radbp.boundary.warning.inward import inward_faces
 from torch_radbp.boundary.warning.left_out import lines_left_out, silhouettes_left_out
 from torch_radbp.boundary.warning.panes_met import panes_met
+from torch_radbp.boundary.warning.slid_over import slid_over
 from torch_radbp.boundary.warning.unmapped import unmapped_textures
 from torch_radbp.boundary.warning.without_rays import views_without_rays
 from torch_radbp.plugin.errors import level_of_the_caller
-from torch_radbp.scene.packing.material_tables import one_sided
-from torch_radbp.vertex.material import followed, sampling_at
+from torch_radbp.vertex.material import sampling_at
 
 FLAT = 1e-6  # ratio of thickness to extent below which a scene is a plane
 # How many times as far from the origin as it is large a shape may lie: its own vertices are rounded, or those of rays.
@@ -210,42 +210,22 @@ class JumpWatch:
         return JumpWarning(f"{lacking}transmission by GGX facets ends with a jump, at which samples are lost. {instead}")
 
     def edges_slid_over(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """The warning about scattered directions that depend on a parameter, and so slide over edges; or None.
-
-        Attached directions follow the roughness, the index of refraction or the normals of a surface; those of ideal
-        mirrors and of all glass follow the surface itself and the camera, too. That attached directions at other materials
-        do so as well is not examined. Edges that cameras see by way of ideal mirrors and ideal glass alone are computed
-        (`reflections`), and those that are met by chance (`followed_light.py`), but not others seen in mirrors.
-        """
-        sampling = rendering.sampling
-        turning: dict[str, bool] = {}  # names of parameters; True: hybrid sampling follows at all these surfaces, too
-        materials = [(bsdf, kind) for bsdf, kind in rendering.materials()
-                     if followed(kind, sampling) and not (rendering.shadows and kind.smooth and not kind.delta)]
-        computed = {id(bsdf) for bsdf, kind in materials if rendering.primary and kind.delta and not kind.follows
-                    and (rendering.shadows or not (sampling == "attached" and kind.smooth))}
-        seen_by_others = rendering.max_depth > 2 and any(kind.smooth for _, kind in rendering.materials())
-        if not seen_by_others:
-            materials = [(bsdf, kind) for bsdf, kind in materials if id(bsdf) not in computed]
-        for bsdf, kind in materials:
-            turning |= {name: kind.follows or not kind.smooth for name in rendering.turning(bsdf, kind)}
-        hybrid = {id(bsdf): followed(kind, "hybrid") for bsdf, kind in materials}
-        for shape, names in zip(rendering.shapes, rendering.movers):
-            delta = [hybrid[id(bsdf)] for bsdf in one_sided([shape.bsdf]) if id(bsdf) in hybrid]
-            turning |= {name: all(delta) for name in rendering.moving(shape, ("vertex_normals",)) if delta}
-            turning |= {name: True for name in names if any(delta)}
-        if sampling != "detached" and any(hybrid.values()):
-            turning |= {name: True for names in rendering.camera_movers for name in names}
-        named = missing_silhouettes(rendering) if turning else {}
-        turning = {name: ideal for name, ideal in turning.items() if name not in named}
-        if not turning or flat(rendering.seen.vertices):
+        """The warning about scattered directions that depend on a parameter, and so slide over edges; or None."""
+        slid = slid_over(rendering)
+        named = missing_silhouettes(rendering) if slid.names else {}
+        names = {name: ideal for name, ideal in slid.names.items() if name not in named}
+        if not names or flat(rendering.seen.vertices):
             return None
-        instead = "" if all(turning.values()) else (" With sampling='hybrid' those of surfaces that are neither ideal nor "
-                                                    "of glass do not.")
-        by = " by surfaces, not by the camera," if all(id(bsdf) in computed for bsdf, _ in materials) else ""
-        if any(not (kind.delta or kind.surround) for kind in (emitter.kind() for emitter in rendering.emitters)):
-            instead += (" If most of it are edges of lamps, take light_paths=\"caustics\", whose paths begin at these and "
-                        "pass no such edge.")
-        return SilhouetteWarning(f"derivatives with respect to {listed(turning)} lack the contribution of edges seen{by} by "
+        instead = "" if all(names.values()) else (" With sampling='hybrid' those of surfaces that are neither ideal nor of "
+                                                  "glass do not.")
+        if slid.lamps and traces_from_lamps(rendering):
+            instead += (f" Edges of lamps are not among them: paths that begin at these bring their light by way of ideal "
+                        f"mirrors and glass (light_paths=\"{rendering.light_paths}\").")
+        elif slid.lamps:
+            instead += (" If most of it are edges of lamps, take light_paths=\"caustics\" and a smooth filter of the film, "
+                        "such as gaussian: paths then begin at these and pass no such edge.")
+        by = " by surfaces, not by the camera," if slid.seen_by_surfaces else ""
+        return SilhouetteWarning(f"derivatives with respect to {listed(names)} lack the contribution of edges seen{by} by "
                                  f"reflection or refraction: scattered directions follow the parameter and slide over the "
                                  f"edges of shapes, where radiance is discontinuous.{instead} check_gradient measures how "
                                  f"much that matters")
@@ -277,6 +257,12 @@ class JumpWatch:
                                  f"float32, in which rays are cast whatever the scene's dtype, rounds positions so much "
                                  f"there that what edges contribute is inaccurate or missing. Move the scene to the origin, "
                                  f"cameras and lights included")
+
+
+def traces_from_lamps(rendering: Rendering) -> bool:
+    """True if paths begin at lamps, where some light by way of mirrors and glass asks for it."""
+    return rendering.light_paths in ("caustics", "all") or (
+        rendering.light_paths == "auto" and rendering.call.can_follow_to_the_film)
 
 
 def moving_names(rendering: Rendering) -> set[str]:

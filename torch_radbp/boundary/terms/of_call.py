@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from torch_radbp.boundary.curve.outline import Jumps, Outline, Outlines, outlines_of
@@ -21,6 +23,7 @@ from torch_radbp.boundary.terms.reflections import (
     sharp_lights,
 )
 from torch_radbp.boundary.terms.shadows import bytes_of_shadows, shadow_jumps, shadows_move, slides_over_edges
+from torch_radbp.boundary.warning.slid_over import slid_over
 from torch_radbp.call.render_call import RenderCall
 
 
@@ -32,6 +35,7 @@ class EdgesOfCall(NamedTuple):
     crossing: Segments | None  # where surfaces pass through each other, and lines that slide, as surfaces see them
     reflected: Reflected | None  # what is seen by way of mirrors and glass
     lines: LineNumbers | None = None  # of those among `crossing`
+    lamps_in_mirrors: bool = False  # edges of lamps that surfaces see there move, which no term has
 
     def added_to(self, images: Tensor, call: RenderCall) -> Tensor:
         """The images, (B, 3, H, W), with the boundary terms of their derivatives."""
@@ -72,7 +76,16 @@ def edges_of_call(rendering: Rendering, seed: int) -> EdgesOfCall:
     if rendering.shadows and rendering.max_depth > 1 and lines_slide(call):
         sliding, lines = outlines.sliding(rendering, seed)
         crossing = joined_segments([part for part in (crossing, sliding) if part is not None])
-    return EdgesOfCall(in_view, casting, crossing, reflected_of(rendering, outlines), lines)
+    return EdgesOfCall(in_view, casting, crossing, reflected_of(rendering, outlines), lines, lamps_are_slid_over(rendering))
+
+
+def lamps_are_slid_over(rendering: Rendering) -> bool:
+    """True if surfaces see lamps in ideal mirrors or glass that parameters turn; alike under `torch.no_grad()`, so that
+    images have the samples that they have where they are differentiated.
+    """
+    with torch.enable_grad():
+        slid = slid_over(replace(rendering))
+    return bool(slid.names) and slid.lamps
 
 
 def reflected_of(rendering: Rendering, outlines: Outlines) -> Reflected | None:
