@@ -189,6 +189,32 @@ def test_derivatives_are_those_of_differences(name, sampling):
 
 
 
+@pytest.mark.parametrize("place", [(0, 3), (2, 0), (2, 3)])
+def test_a_mirror_that_moves_beside_a_lamp_is_right_by_default(place):
+    """Paths from the camera alone slide over the lamp's edge in the mirror: of the last derivative they get the sign wrong."""
+    lamp = rectangle((-0.9, 0, 1.0), 0.1, (0, 1, 0), 98, emitter={"type": "area", "radiance": rgb(60, 54, 48)})
+    mirror = rectangle((0.9, 0, 0.8), 0.3, (0, 1, 0), -112, bsdf={"type": "conductor", "material": "none"})
+    scene = over_a_floor(lamp, mirror=mirror)
+    renderer, wanted = rb.Renderer(scene, spp=64), scene.get_parameter("mirror.to_world").requires_grad_()
+    ramp = torch.linspace(0.0, 2.0, 16, dtype=torch.float64)
+    w = 0.5 + ramp + ramp[:, None] ** 2
+    found, expected = [], []
+    for seed in range(8):
+        sides = []
+        for sign in (1, -1):
+            with torch.no_grad():
+                wanted[place] += sign * 0.03
+                sides.append(renderer(seed=seed))
+                wanted[place] -= sign * 0.03
+        expected.append(float(((sides[0] - sides[1]) * w).sum()) / 0.06)
+        gradient, = torch.autograd.grad((renderer(seed=seed + 100) * w).sum(), [wanted])
+        found.append(float(gradient[place]))
+    found, expected = torch.tensor(found), torch.tensor(expected)
+    error = math.sqrt(float(found.var() + expected.var()) / len(found))
+    assert error < 0.15 * abs(float(expected.mean()))  # enough to tell a wrong one
+    assert abs(float(found.mean() - expected.mean())) < max(3.5 * error, 0.03 * abs(float(expected.mean())))
+
+
 @pytest.mark.parametrize("name, moves", [("glass.to_world", True), ("glass.bsdf.eta", False)])
 def test_edges_that_light_from_lamps_passes_are_said_to_be_missing_where_anything_moves(name, moves):
     scene = plate(SPOT)
