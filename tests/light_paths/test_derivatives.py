@@ -191,7 +191,7 @@ def test_derivatives_are_those_of_differences(name, sampling):
 
 @pytest.mark.parametrize("place", [(0, 3), (2, 0), (2, 3)])
 def test_a_mirror_that_moves_beside_a_lamp_is_right_by_default(place):
-    """Paths from the camera alone slide over the lamp's edge in the mirror: of the last derivative they get the sign wrong."""
+    """Paths from the camera alone slide over the lamp's edge in the mirror: the last derivative has the wrong sign then."""
     lamp = rectangle((-0.9, 0, 1.0), 0.1, (0, 1, 0), 98, emitter={"type": "area", "radiance": rgb(60, 54, 48)})
     mirror = rectangle((0.9, 0, 0.8), 0.3, (0, 1, 0), -112, bsdf={"type": "conductor", "material": "none"})
     scene = over_a_floor(lamp, mirror=mirror)
