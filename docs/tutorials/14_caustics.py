@@ -8,7 +8,8 @@
 # * `"camera"`: none;
 # * `"caustics"`: light that comes to a rough surface by way of glass, mirrors or other smooth surfaces;
 # * `"all"`: all of it, as Mitsuba's integrator `ptracer`, whose name in a scene means the same;
-# * `"auto"`, where nothing is said: caustics, where a scene has some that the camera's paths cannot find.
+# * `"auto"`, where nothing is said: caustics, where a scene has some that the camera's paths cannot find, and where
+#   mirrors or glass turn by a derivative, beside lamps whose edges in them the camera's paths would pass unseen.
 #
 # Nothing counts twice. Derivatives are those of the same recursion, from the camera to the lamp.
 
