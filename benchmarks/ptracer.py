@@ -1,11 +1,11 @@
 """Time and memory of paths from lamps, beside Mitsuba's `ptracer`: ``python -m benchmarks.ptracer`` (needs mitsuba==3.9.1).
 
-Three scenes, 128 x 128 pixels, 32 paths a pixel, depth 4: a box under a point light, by the box's colour; the plate of glass
-of `benchmarks.caustic`, by its heights (a bump map in both renderers); a square lamp before rough metal, by its roughness.
-Both renderers trace as many paths in images and in derivatives. Mitsuba differentiates its `ptracer` by a tape. Each side
-runs in a process of its own: a pass that compiles, then the peak of resident memory during a pass, over what was resident
-before, then ``--rounds`` passes. Processes of the two take turns; times are medians of all passes. The last columns are ours
-over Mitsuba's. Run it on an idle machine.
+Three scenes, 128 x 128 pixels, depth 4: a box under a point light, by the box's colour; the plate of glass of
+`benchmarks.caustic`, by its heights (a bump map in both renderers); a square lamp before rough metal, by its roughness. Both
+renderers trace ``--spp`` paths a pixel in images, and in derivatives. Mitsuba differentiates its `ptracer` by a tape, which
+grows with the number of paths; our memory does not. Each side runs in a process of its own: a pass that compiles, then the
+peak of resident memory during a pass, over what was resident before, then ``--rounds`` passes. Processes of the two take
+turns; times are medians of all passes. The last columns are ours over Mitsuba's. Run it on an idle machine.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from benchmarks.peers import mitsuba_for, translated
 from benchmarks.resident import MIB, peak_of
 from benchmarks.scenes.caustic import GLASS, PIXELS, grey, plate_scene, rectangle
 
-SPP, PLATE, TURNS = 32, 512, 5
+PLATE, TURNS = 512, 5
 KEYS = {"box": "box.bsdf.reflectance.value", "plate": "top.bsdf.nested_texture.data", "metal": "metal.bsdf.alpha.value"}
 
 
@@ -51,10 +51,10 @@ def description(name: str, heights: Any) -> dict[str, Any]:
                     "lamp": rectangle(3, False, 0.5, emitter={"type": "area", "radiance": grey(10.0)})}
 
 
-def our_passes(name: str) -> tuple[Callable[[int], object], ...]:
+def our_passes(name: str, spp: int) -> tuple[Callable[[int], object], ...]:
     """An image; an image and its derivative; what gives memory back before it is measured."""
     scene = rb.load_dict(description(name, torch.zeros(PLATE, PLATE, 1)))
-    renderer = rb.Renderer(scene, spp=SPP, share_samples=True)
+    renderer = rb.Renderer(scene, spp=spp, share_samples=True)
     parameter = dict(scene.named_parameters())[KEYS[name]]
 
     def image(seed: int) -> object:
@@ -69,7 +69,7 @@ def our_passes(name: str) -> tuple[Callable[[int], object], ...]:
     return image, both, lambda seed: seed
 
 
-def their_passes(name: str) -> tuple[Callable[[int], object], ...]:
+def their_passes(name: str, spp: int) -> tuple[Callable[[int], object], ...]:
     """The same by Mitsuba."""
     mi = mitsuba_for("cpu")
     import drjit as dr
@@ -80,7 +80,7 @@ def their_passes(name: str) -> tuple[Callable[[int], object], ...]:
     key = KEYS[name]
 
     def image(seed: int) -> object:
-        found = mi.render(scene, spp=SPP, seed=seed)
+        found = mi.render(scene, spp=spp, seed=seed)
         dr.eval(found)
         dr.sync_thread()
         return found
@@ -92,7 +92,7 @@ def their_passes(name: str) -> tuple[Callable[[int], object], ...]:
     def both(seed: int) -> object:
         dr.enable_grad(parameters[key])
         parameters.update()
-        dr.backward(dr.mean(dr.square(mi.render(scene, parameters, spp=SPP, spp_grad=SPP, seed=seed)), axis=None))
+        dr.backward(dr.mean(dr.square(mi.render(scene, parameters, spp=spp, spp_grad=spp, seed=seed)), axis=None))
         gradient = dr.grad(parameters[key])
         dr.eval(gradient)
         dr.sync_thread()
@@ -101,11 +101,11 @@ def their_passes(name: str) -> tuple[Callable[[int], object], ...]:
     return image, both, alone
 
 
-def measured(side: str, name: str, rounds: int) -> dict[str, Any]:
+def measured(side: str, name: str, spp: int, rounds: int) -> dict[str, Any]:
     """Seconds of passes and bytes of one, in this process."""
     warnings.simplefilter("ignore")
     found = {}
-    *passes, free = (our_passes if side == "ours" else their_passes)(name)
+    *passes, free = (our_passes if side == "ours" else their_passes)(name, spp)
     for what, run in zip(("forward", "both"), passes):
         run(0)
         free(0)
@@ -121,20 +121,22 @@ def measured(side: str, name: str, rounds: int) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", nargs="*", default=[*KEYS], choices=KEYS)
+    parser.add_argument("--spp", type=int, default=32, help="paths a pixel")
     parser.add_argument("--rounds", type=int, default=3, help="passes of a process")
     parser.add_argument("--turns", type=int, default=TURNS, help="processes of each side")
     parser.add_argument("--side", choices=("ours", "Mitsuba"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.side:
-        print(json.dumps(measured(options.side, options.scenes[0], options.rounds)))
+        print(json.dumps(measured(options.side, options.scenes[0], options.spp, options.rounds)))
         return
     print("| scene | pass | ours | Mitsuba | ours: MiB | Mitsuba | time | memory |", "|---" * 8 + "|", sep="\n")
     for name in options.scenes:
         runs: dict[str, list[dict]] = {"ours": [], "Mitsuba": []}
         for _ in range(options.turns):
             for side, found in runs.items():
-                done = subprocess.run([sys.executable, "-m", "benchmarks.ptracer", "--scenes", name, "--side", side,
-                                       "--rounds", str(options.rounds)], check=True, stdout=subprocess.PIPE, text=True)
+                command = [sys.executable, "-m", "benchmarks.ptracer", "--scenes", name, "--side", side,
+                           "--spp", str(options.spp), "--rounds", str(options.rounds)]
+                done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
                 found.append(json.loads(done.stdout.splitlines()[-1]))
         for what in ("forward", "both"):
             seconds = [statistics.median(each for run in found for each in run[what]) for found in runs.values()]
