@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.scenes import load, rectangle, rgb, sensor
+from tests.scenes import load, rectangle, sensor
 from tests.scenes.meshes import icosphere
 from torch_radbp.connection.light import FAR
 from torch_radbp.io.values.transform import scale, translate
@@ -20,6 +20,7 @@ from torch_radbp.tensors.vec import Ray, Vec3
 NULL = {"type": "null"}
 FOG = {"type": "homogeneous", "sigma_t": 0.0, "albedo": 0.8}
 AIR = {"type": "ref", "id": "air"}
+SHEET = rectangle((0, 0, 0), 1.0, bsdf=NULL)
 
 
 def ball(radius: float = 0.7, center: float = 0.0, **more) -> dict:
@@ -38,7 +39,8 @@ def test_what_a_ball_emits_has_the_derivative_of_one_at_the_origin_wherever_it_i
         scene = load(torch.float32, **seen_from(center, interior=FOG | {"emission": 1.0}))
         name = "ball.interior.sigma_t.value.value"
         tangent = torch.ones_like(dict(scene.named_parameters())[name])
-        changes = torch.stack([rb.jvp(scene, {name: tangent}, seed=seed, spp=4096, max_depth=4).mean() for seed in range(16)])
+        changes = torch.stack([rb.jvp(scene, {name: tangent}, seed=seed, spp=4096, max_depth=4).mean()
+                               for seed in range(16)])
         found.append((float(changes.mean()), float(changes.std()) / 4))
     (expected, noise), (away, noise_away) = found
     assert expected < -0.1 and 0 < max(noise, noise_away) < 0.02 * abs(expected)
@@ -54,7 +56,7 @@ def test_in_a_furnace_radiance_is_1_where_rounding_is_coarse():
     assert 0 < float(means.std()) / 2 < 1e-4 and abs(float(means.mean()) - 1.0) < 3e-4
 
 
-@pytest.mark.parametrize("shape, far", [(ball(interior=FOG), 0.0), (rectangle((0, 0, 0), 1.0, bsdf=NULL, interior=FOG), FAR)],
+@pytest.mark.parametrize("shape, far", [(ball(interior=FOG), 0.0), (SHEET | {"interior": FOG}, FAR)],
                          ids=["enclosed", "without end"])
 def test_light_from_far_away_comes_to_places_behind_the_boundary(shape, far):
     """A connection that meets nothing, to a sun and to a lamp nearby, which may be in the medium."""
@@ -91,7 +93,8 @@ def test_closed_shapes_enclose_what_is_in_them(shape):
 
 
 @pytest.mark.parametrize("shape", [
-    ball(exterior=AIR), ball(interior=AIR, flip_normals=True), ball(interior=AIR, to_world=scale((-1.0, 2.0, 3.0))), rectangle((0, 0, 0), 1.0, bsdf=NULL, interior=AIR),
+    ball(exterior=AIR), ball(interior=AIR, flip_normals=True), ball(interior=AIR, to_world=scale((-1.0, 2.0, 3.0))),
+    SHEET | {"interior": AIR},
     {"type": "cylinder", "bsdf": NULL, "interior": AIR}, {"type": "disk", "bsdf": NULL, "interior": AIR},
     mesh(79, interior=AIR)], ids=str)
 def test_others_do_not(shape):

@@ -81,7 +81,7 @@ def next_shadow_segment(scene: SceneTensors, shadow: Ray, distance: Tensor, pass
     si, come = surface_interaction(scene, passed.ahead, hit), dot(passed.ahead.o - shadow.o, shadow.d)
     surface, left = dot(si.p - passed.ahead.o, shadow.d), distance - come
     met = (hit.prim >= 0) & (surface < left)
-    length = in_enclosed(scene, passed.medium, torch.where(met, surface, left).clamp_min(0.0))
+    length = in_enclosed(scene, passed.medium, met, torch.where(met, surface, left).clamp_min(0.0))
     ways = with_segment(scene, passed.ways, passed.medium, Segment(passed.ahead, come, length, length, tracking))
     passes, panes = lookup(scene.boundaries.invisible, lookup(scene.triangles.boundary, si.prim)), passed.panes
     seed = next_seed(passed.seed, tracking)
