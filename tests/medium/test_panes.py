@@ -34,6 +34,7 @@ from torch_radbp.io.values.transform import scale
 
 CLAY = diffuse(0.7, 0.5, 0.3)
 AIR = {"type": "ref", "id": "air"}
+GLOW = (0.9, 0.6, 0.3)  # radiance per length
 TINT = (0.9, 0.8, 0.7)
 COLOUR = torch.tensor(TINT, dtype=torch.float64)
 SMOOTH = torch.rand(4, 4, 1, generator=torch.Generator().manual_seed(0)).numpy()  # opacities
@@ -173,14 +174,15 @@ def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, name)
 
 @pytest.mark.parametrize("sampling", deep_but(["hybrid"], ["detached", "hybrid", "attached"]))
 @pytest.mark.parametrize("compile", [deep(False, id="eager"), pytest.param(True, id="compiled")])
-@pytest.mark.parametrize("name", ["thin", "bitmap"])
-def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, name, sampling):
+@pytest.mark.parametrize("name, glow", [("thin", None), ("bitmap", None), deep("thin", GLOW), ("bitmap", GLOW)])
+def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, name, glow, sampling):
     names = [*MOVING, f"ball.bsdf.{PARAMETERS[name][0]}"]
     settings = SETTINGS | {"sampling": sampling}
-    image, expected = image_and_gradients(room(PANES[name]), names, **settings | {"adjoint": rb.TapeAdjoint()})
+    scene = room(PANES[name], glow)
+    image, expected = image_and_gradients(scene, names, **settings | {"adjoint": rb.TapeAdjoint()})
     assert_informative(image, expected)
     for adjoint in (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint("log", keep_hits=False), rb.QuadraticAdjoint(), *REPLAY):
-        found, gradients = image_and_gradients(room(PANES[name]), names, compile=compile, **settings | {"adjoint": adjoint})
+        found, gradients = image_and_gradients(scene, names, compile=compile, **settings | {"adjoint": adjoint})
         assert relative_error(found, image) < 1e-12
         for each, gradient, wanted in zip(names, gradients, expected):
             assert (gradient - wanted).abs().max() <= 1e-10 * wanted.abs().max(), (adjoint, each)
@@ -243,11 +245,13 @@ def test_derivatives_by_what_decides_are_those_of_differences(name, parameter, a
 
 
 def under_a_smooth_mask(air: dict, half: float) -> rb.Scene:
-    """A black mask whose opacity changes smoothly, so that nothing jumps but at its edges; the floor sends light."""
+    """A black mask whose opacity changes smoothly, so that nothing jumps but at its edges; the floor sends light, or else
+    the air on both sides."""
     tiles = scale((half / 3, half / 3, 1))
     smooth = {"type": "bitmap", "bitmap": SMOOTH, "raw": True, "wrap_mode": "mirror", "to_uv": tiles}
     return load(torch.float64, air=air, camera=overhead(2, 4.0, 0.7) | {"medium": AIR},
-                floor=rectangle((0, 0, 0), 30.0, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0}),
+                floor=rectangle((0, 0, 0), 30.0, bsdf=BLACK,
+                                emitter={"type": "area", "radiance": 0.0 if "emission" in air else 1.0}),
                 pane=rectangle((0, 0, 1.0), half, bsdf=mask(smooth, BLACK))).requires_grad_(False)
 
 
@@ -255,7 +259,11 @@ def under_a_smooth_mask(air: dict, half: float) -> rb.Scene:
     (haze((0.3, 0.4, 0.5), (0, 0, 0)), 3.0, "pane.to_world", (0, 3), 0.02),
     (haze((0.3, 0.4, 0.5), (0, 0, 0)), 3.0, "pane.to_world", (0, 0), 0.06),
     (haze((0.3, 0.4, 0.5), (0, 0, 0)), 3.0, "camera.to_world", (0, 3), 0.02),
-    (DULL, 30.0, "pane.to_world", (0, 0), 0.6)], ids=["shift", "size", "camera", "size in fog"])
+    (DULL, 30.0, "pane.to_world", (0, 0), 0.6),
+    (haze((0.3, 0.4, 0.5), (0, 0, 0)) | {"emission": rgb(*GLOW)}, 3.0, "pane.to_world", (2, 3), 0.05),
+    deep(haze((0.3, 0.4, 0.5), (0, 0, 0)) | {"emission": rgb(*GLOW)}, 3.0, "pane.to_world", (0, 3), 0.02),
+    deep(DULL | {"emission": rgb(*GLOW)}, 30.0, "pane.to_world", (2, 3), 0.05)],
+    ids=["shift", "size", "camera", "size in fog", "height in a glow", "shift in a glow", "height in glowing fog"])
 @pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 def test_derivatives_by_a_mask_that_moves_are_those_of_differences(air, half, name, entry, step):
     """Of edges that a medium sees derivatives lack what a warning says (`test_homogeneous.py`): in fog they are far away."""

@@ -41,6 +41,7 @@ SALT = 0x1B873593  # tells the random numbers of flights from those of bounces
 NEXT_SEGMENT = 0x2545F491  # added to seeds after a segment
 FLIGHT_U, FLIGHT_V = range(2)
 ALMOST_ONE = 1.0 - 1e-7
+LONGEST_WAY = 0.1 * FAR  # connections beyond it end at no lamp nearby
 
 
 class PathPassage(NamedTuple):
@@ -122,12 +123,28 @@ def tracking_on(scene: SceneTensors, ahead: Ray, segment: Tensor, v: Tensor, tra
     return scene.layout.media[number].track(scene.media[number], ahead, segment, v, tracking, flies)
 
 
-@stage("scene", "ahead")
-def surface_ahead(scene: SceneTensors, ahead: Ray, hit: Hit, lanes: Tensor) -> Tensor:
+@stage("scene", "ahead", "medium")
+def surface_ahead(scene: SceneTensors, ahead: Ray, medium: Tensor, hit: Hit, lanes: Tensor) -> Tensor:
     """The distance along the next segment to the surface that a ray meets, (M,); 1e10 where there is none. Args as for
-    `next_segment`; `ahead`: that of the passage."""
-    ahead = rows(ahead, lanes)
-    return torch.where(hit.prim >= 0, dot(surface_interaction(scene, ahead, hit).p - ahead.o, ahead.d), FAR).clamp_min(0.0)
+    `next_segment`; `ahead`, `medium`: those of the passage."""
+    ahead, medium = rows((ahead, medium), lanes)
+    met = hit.prim >= 0
+    length = torch.where(met, dot(surface_interaction(scene, ahead, hit).p - ahead.o, ahead.d), FAR).clamp_min(0.0)
+    return in_enclosed(scene, medium, met, length)
+
+
+def in_enclosed(scene: SceneTensors, medium: Tensor, met: Tensor, length: Tensor) -> Tensor:
+    """The lengths of segments, (N,): 0 where rays in media that shapes enclose meet nothing. They are beyond the boundary
+    already, by the rounding of where they begin, or have slipped through.
+
+    Args:
+        medium: (N,) int32, numbers of the media.
+        met: (N,) bool: there is a surface ahead.
+        length: (N,) without that.
+    """
+    for number in scene.layout.enclosed_media:
+        length = torch.where((medium == number) & ~met & (length > LONGEST_WAY), 0.0, length)
+    return length
 
 
 def with_segment(scene: SceneTensors, ways: tuple[MediumWay, ...], medium: Tensor,
@@ -180,7 +197,7 @@ def next_segment(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, trac
     ray, way = rows((ray, way), lanes)
     si, met, d, flight = surface_interaction(scene, way.ahead, hit), hit.prim >= 0, way.ahead.d, way.flight
     come = dot(way.ahead.o - ray.o, d)
-    length = torch.where(met, dot(si.p - way.ahead.o, d), FAR).clamp_min(0.0)
+    length = in_enclosed(scene, flight.medium, met, torch.where(met, dot(si.p - way.ahead.o, d), FAR).clamp_min(0.0))
     # Fly through the medium: the distance to where the path scatters, and the probabilities of all that.
     end, density, beyond = torch.full_like(length, torch.inf), Vec3.full(length, 0.0), Vec3.full(length, 1.0)
     for number in scene.layout.scattering_media if flies else ():

@@ -17,6 +17,7 @@ from torch_radbp.path.passage import (
     NEXT_SEGMENT,
     SALT,
     Segment,
+    in_enclosed,
     medium_beyond,
     next_seed,
     steps_seed,
@@ -80,7 +81,7 @@ def next_shadow_segment(scene: SceneTensors, shadow: Ray, distance: Tensor, pass
     si, come = surface_interaction(scene, passed.ahead, hit), dot(passed.ahead.o - shadow.o, shadow.d)
     surface, left = dot(si.p - passed.ahead.o, shadow.d), distance - come
     met = (hit.prim >= 0) & (surface < left)
-    length = torch.where(met, surface, left).clamp_min(0.0)
+    length = in_enclosed(scene, passed.medium, met, torch.where(met, surface, left).clamp_min(0.0))
     ways = with_segment(scene, passed.ways, passed.medium, Segment(passed.ahead, come, length, length, tracking))
     passes, panes = lookup(scene.boundaries.invisible, lookup(scene.triangles.boundary, si.prim)), passed.panes
     seed = next_seed(passed.seed, tracking)

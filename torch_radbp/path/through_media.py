@@ -58,7 +58,7 @@ def free_flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -
         """Flies through media, to the next surface at most, and passes that if it is but a boundary; see `next_segment`."""
         tracking = None
         if layout.heterogeneous_media:
-            length = part.call(surface_ahead, way.ahead, met, lanes)
+            length = part.call(surface_ahead, way.ahead, way.flight.medium, met, lanes)
             begun = pick((way.ahead, way.flight.medium, way.seed, way.v), lanes)
             tracking = tracking_ended(integrand, *begun, length, flies)
         hit, on, passes = part.call(next_segment, state.ray, way, met, tracking, lanes, flies)

@@ -57,7 +57,7 @@ def emission_begun(scene: SceneTensors, state: PathState) -> EmissionPlace:
 def emission_on_segment(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, tracking: Tracking | None,
                     lanes: Tensor) -> EmissionPlace:
     """The places on rays with one segment more, (M,); args as for `passage.next_segment`."""
-    length, (ray, way) = surface_ahead(scene, way.ahead, hit, lanes), rows((ray, way), lanes)
+    length, (ray, way) = surface_ahead(scene, way.ahead, way.flight.medium, hit, lanes), rows((ray, way), lanes)
     flight, come, before = way.flight, dot(way.ahead.o - ray.o, way.ahead.d), way.flight.emission
     assert before is not None
     seed, u = next_number(way.seed + SALT, length.dtype)

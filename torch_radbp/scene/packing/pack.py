@@ -20,6 +20,7 @@ from torch_radbp.scene.cache.pack_cache import PackCache
 from torch_radbp.scene.modules.parameters import check_extent, check_parameters, check_places, largest_vertex_coordinate
 from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.scene.packing.attributes import any_attribute_differentiated, check_attributes
+from torch_radbp.scene.packing.enclosed import enclosed_media
 from torch_radbp.scene.packing.geometry import (
     Columns,
     PlacedShape,
@@ -127,7 +128,7 @@ def layout_of(cache: PackCache, objects: Objects, materials: Materials, radiance
         readers=materials.readers, radiance=radiances.reader,
         radiance_bitmaps=radiances.has_bitmaps or any(reader.needs_uv for reader in radiances.lit), attributes=attributes,
         lights=kinds_of(objects.emitters), media=tuple(medium.kind() for medium in objects.media),
-        **sides_of(objects, materials), lit=radiances.lit, still=materials.still)
+        **sides_of(cache, objects, materials, placed), lit=radiances.lit, still=materials.still)
 
 
 def _columns_of(cache: PackCache, objects: Objects, layout: Layout, aovs: bool) -> Columns:
@@ -177,7 +178,7 @@ def tables_of_media(cache: PackCache, objects: Objects) -> tuple[Table, ...]:
     return tuple(stacked([cache.twin(number, medium).row()], like) for number, medium in enumerate(objects.media))
 
 
-def sides_of(objects: Objects, materials: Materials) -> dict[str, Any]:
+def sides_of(cache: PackCache, objects: Objects, materials: Materials, placed: tuple[PlacedShape, ...]) -> dict[str, Any]:
     """What `Layout` says of boundaries between media, and of surfaces there that light passes straight.
 
     Those are met as all others whose textures are read outside, or depend on the footprint of a sample.
@@ -188,7 +189,9 @@ def sides_of(objects: Objects, materials: Materials) -> dict[str, Any]:
     panes = tuple((number, materials.table.appearance.tolist().index(number), look)
                   for number, look in enumerate(materials.appearances) if segments and straight[number]
                   and not (look.kind.invisible or look.outside or look.needs_footprint))
-    return {"around": None if around is None else objects.media.index(around), "traces_segments": segments, "panes": panes}
+    enclosed = enclosed_media(cache, objects.shapes, placed, objects.media, around) if segments else ()
+    return {"around": None if around is None else objects.media.index(around), "traces_segments": segments, "panes": panes,
+            "enclosed_media": enclosed}
 
 
 def boundaries_of(objects: Objects) -> tuple[tuple[tuple[int, int, bool], ...], tuple[int, ...]]:

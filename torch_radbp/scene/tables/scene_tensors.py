@@ -42,6 +42,8 @@ class Layout:
     from_lamps: bool = False  # paths begin at lamps, and end at the camera, which stands in the place of the lights
     # Rays are traced through media segment by segment, since they pass surfaces there, or some vary in space or emit.
     traces_segments: bool = False
+    # Then the numbers of media in closed form that shapes enclose, so that a ray in them that meets nothing has left them.
+    enclosed_media: tuple[int, ...] = ()
     # Then the appearances of surfaces that a part of the light passes straight: their number in `appearances`, the row of a
     # material that has it, and it.
     panes: tuple[tuple[int, int, Appearance], ...] = ()
