@@ -8,7 +8,8 @@ import pytest
 import torch
 from PIL import Image
 
-from benchmarks.caustic import EVERY, PLATE, OurLoop, Run, Schedule, as_colours, at_vertices, larger, run
+from benchmarks.caustic import EVERY, Run, run
+from benchmarks.caustic_loops import PLATE, OurLoop, Schedule, as_colours, at_vertices, larger
 from benchmarks.scenes.caustic import PICTURES, PIXELS
 from torch_radbp.shape.normals import angle_weighted_normals
 
