@@ -93,6 +93,8 @@ class Stage(Table):
 class Report(Table):
     spp: Count = 1024  # of the before and after images at most: they end where no noise is seen
     checkpoint_every: Count = 50
+    # Standard deviations of what is recovered: "auto", where they cost less than the run; "all", also of maps within bounds.
+    deviations: Literal["auto", "all", "none"] = "auto"
 
 
 def _check_variables(variables: Any) -> Any:
