@@ -163,7 +163,7 @@ def _cost(recovery: Recovery, folder: RunFolder) -> dict[str, float | None]:
     rows = folder.metrics.rows()
     cost = {"seconds": recovery.seconds, "peak_memory_bytes": peak_memory()}
     for key in ("forward_seconds", "backward_seconds"):
-        if rows:
+        if rows and key in rows[0]:  # a joint step renders forwards and backwards in turns
             cost[f"median_{key}"] = statistics.median(row[key] for row in rows)
     return cost
 

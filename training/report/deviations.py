@@ -15,9 +15,9 @@ LETTER = 6.6  # width of a letter of a name, likewise
 SHOWN = 40  # rows of table and matrix at most
 WHAT_THEY_ARE = (
     "Standard deviations by the derivatives of the images at the recovered values, where a pixel's noise is {noise:.2g}: "
-    "what the two renderings of one step and the targets differ by. They hold for a fit to one such pair, a run that averages "
-    "over many steps is better known, one that has not converged worse; they know nothing of what scene and photographs do "
-    "not share. Computed in {seconds:.1f} s."
+    "what the two renderings of one step and the targets differ by. They hold for a fit to one such pair: a run that "
+    "averages over many steps is better known, one that has not converged worse. They know nothing of what scene and "
+    "photographs do not share. Computed in {seconds:.1f} s."
 )
 
 
