@@ -8,9 +8,11 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from torch_radbp.rendering.memory import parse_budget
 from torch_radbp.training.device import parse_device
 from torch_radbp.training.recipe_loss import AnyLoss, TwoBufferL2
-from torch_radbp.training.recipe_optimizer import Adam, AnyOptimizer, AnySchedule, Constant, Step
+from torch_radbp.training.recipe_optimizer import Adam, AnyOptimizer, AnySchedule, Constant, GaussNewton, Step
 from torch_radbp.training.recipe_parameter import Gains, Group, Parameter
 from torch_radbp.training.recipe_values import LARGEST, Count, Number, Positive, RecipePath, Switch, Table, Whole, Whole64
+
+SQUARES = ("two_buffer_l2", "l2")  # losses that are sums of squares
 
 
 class Target(Table):
@@ -93,6 +95,8 @@ class Stage(Table):
 class Report(Table):
     spp: Count = 1024  # of the before and after images at most: they end where no noise is seen
     checkpoint_every: Count = 50
+    # Standard deviations of what is recovered: "auto", where they cost less than the run; "all", also of maps within bounds.
+    deviations: Literal["auto", "all", "none"] = "auto"
 
 
 def _check_variables(variables: Any) -> Any:
@@ -148,6 +152,29 @@ class Recipe(Table):
                 if largest > math.log10(LARGEST):
                     raise ValueError(f"a schedule.factor of {schedule.factor:g}, {times} times, makes a learning rate of "
                                      f"1e{largest:.0f} by the last step, and the most is {LARGEST:g}; lower the factor")
+        return self
+
+    @model_validator(mode="after")
+    def _check_gauss_newton(self):
+        if any(isinstance(group.optimizer, GaussNewton) for group in self.groups):
+            raise ValueError('"gauss-newton" moves all parameters together: make it the optimizer of the recipe, not of one '
+                             "parameter")
+        if not isinstance(self.optimizer, GaussNewton):
+            return self
+        losses = [loss.name for loss in self.loss if loss.name not in SQUARES]
+        unfit = {
+            f"the loss {', '.join(losses)}: it takes {' and '.join(SQUARES)}": losses,
+            "an optimizer, learning_rate or schedule of a parameter": [
+                group for group in self.groups if group.optimizer or group.learning_rate or group.schedule],
+            "a schedule: it chooses its steps itself": not isinstance(self.schedule, Constant),
+            "stages": self.stages,
+            "views_per_step: each step sees all targets": self.views_per_step,
+            "priors": self.priors,
+            "coarse_to_fine": any(each.coarse_to_fine for each in self.parameters),
+        }
+        for what, is_there in unfit.items():
+            if is_there:
+                raise ValueError(f'optimizer = "gauss-newton" cannot be used with {what}')
         return self
 
     @model_validator(mode="after")

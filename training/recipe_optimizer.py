@@ -1,8 +1,8 @@
 """The tables of a recipe's `[optimizer]` and `[schedule]`, which parameters may have of their own, too."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from torch_radbp.training.recipe_values import Count, Fraction, Number, Positive, Switch, Table
 
@@ -44,7 +44,25 @@ class AdamUniform(Optimizer):
     eps: Positive = 1e-12
 
 
-AnyOptimizer = Annotated[Adam | SGD | RMSprop | AdamUniform, Field(discriminator="name")]
+class GaussNewton(Table):
+    """`rb.optim.GaussNewton`: least squares by derivatives in forward mode, of all parameters together."""
+
+    learning_rate: ClassVar[float] = 1.0  # whole steps; none is chosen
+
+    name: Literal["gauss-newton"]
+    max_spp: Count | None = None  # samples per pixel where noise limits steps; None: 64 times those of `[render]`
+    damping: Number = Field(1e-6, ge=0)
+    robust: Positive | None = None  # size of residuals beyond which they count less; None: all count the same
+    iterations: Count = 20  # of conjugate gradients, of more than 200 numbers
+
+
+def _named(given: Any) -> Any:
+    """An optimiser by its name alone has its defaults."""
+    return {"name": given} if isinstance(given, str) else given
+
+
+AnyOptimizer = Annotated[Adam | SGD | RMSprop | AdamUniform | GaussNewton, Field(discriminator="name"),
+                         BeforeValidator(_named)]
 
 
 class Constant(Table):

@@ -100,7 +100,8 @@ def test_bad_command_is_one_message_and_exit_code_2(case, radbp, folder):
     arguments, expected = BAD_COMMANDS[case]
     np.save(folder / "wrong.npy", np.ones((2, 2)))
     before = sorted(folder.rglob("*"))
-    code, _, stderr = radbp(*PAINT, *arguments)
+    command = [PAINT[0], PAINT[1], *PAINT[4:]] if "--param" in arguments else PAINT
+    code, _, stderr = radbp(*command, *arguments)
     assert code == 2
     message = stderr.strip().splitlines()[-1]
     assert message.startswith("error: ") and "Traceback" not in stderr

@@ -168,7 +168,7 @@ def test_interrupted_optimize_exits_with_130_and_resumes(radbp, folder, monkeypa
 
 def test_bundled_recipes_are_listed_and_called_by_name(radbp, monkeypatch):
     code, stdout, _ = radbp("optimize", "--list")
-    assert code == 0 and "metal_plate          Metal plate: the roughness" in stdout
+    assert code == 0 and "metal_plate           Metal plate: the roughness" in stdout
     code, _, stderr = radbp("optimize", "metal_plait")
     assert code == 2 and "no such recipe: metal_plait" in stderr and "metal_plate" in stderr
     code, _, stderr = radbp("optimize", "metal_plate", "-D", "steps=0")

@@ -78,7 +78,7 @@ def test_report_says_what_was_recovered(run_folder):
     assert "4 × 4 × 3" in text
     assert "peak memory" in text and "MiB" in text
     assert "two_buffer_l2" in text, "the recipe is part of the report"
-    assert page.tags.count("svg") == 3  # loss, distance from the truth, the colour's channels
+    assert page.tags.count("svg") == 4  # correlations, loss, distance from the truth, the colour's channels
     assert page.tags.count("polyline") >= 2 + 2 + 6
 
 

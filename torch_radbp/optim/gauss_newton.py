@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -36,6 +36,14 @@ class Model(NamedTuple):
         return float(step @ self.bias @ step) / max(float(step @ self.matrix @ step), 1e-300)
 
 
+class KeptPlace(NamedTuple):
+    """Where and by which samples Jacobians were computed that are kept, so that they can be computed again."""
+
+    position: Tensor  # (n,) float64
+    seeds: list[int]
+    spp: int
+
+
 class GaussNewton(torch.optim.Optimizer):
     """Minimises a sum of squared residuals by Gauss-Newton steps, with the damping of Levenberg and Marquardt.
 
@@ -61,6 +69,9 @@ class GaussNewton(torch.optim.Optimizer):
     Its `search`: `spp` now, of r and, `spp_of_j`, of J, `damping`, `gain`, the fall of the error over the predicted one,
     `noise_share`, the length of the step's noise over that of the step, `noise_of_j`, the share of J's, `averaged`, how many
     steps were limited by noise, `evaluations`, calls of the closure. One group of parameters, and one learning rate, 1.
+
+    `state_dict` has all of that, but for the settings of the constructor: an optimizer made with these that gets it by
+    `load_state_dict` makes the same next step. Kept Jacobians are computed again, at where they were.
 
     Args:
         params: leaves that the closure reads; of parametrised tensors their `original`.
@@ -96,7 +107,34 @@ class GaussNewton(torch.optim.Optimizer):
         self.search = {"spp": spp, "spp_of_j": spp, "noise_of_j": 0.0, "damping": damping, "gain": 0.0, "noise_share": 0.0,
                        "averaged": 0, "evaluations": 0}
         self.kept: tuple[Tensor, Tensor] | None = None  # J_a and J_b of the last step, for those that noise limits
+        self.kept_at: KeptPlace | None = None
         self.kept_for = 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """What the next step depends on beside the parameters and the settings; numbers, lists and tensors."""
+        place = None if self.kept_at is None else self.kept_at._asdict()
+        return super().state_dict() | {"search": dict(self.search), "seed": self.seed, "kept_for": self.kept_for,
+                                       "kept_at": place}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Continues from a state.
+
+        Raises:
+            ValueError: if it is one of another optimizer.
+        """
+        missing = [key for key in ("search", "seed", "kept_for", "kept_at") if key not in state_dict]
+        if missing or state_dict["search"].keys() != self.search.keys():
+            raise ValueError(f"the state is none of GaussNewton: {', '.join(missing) or 'search'} missing or of another "
+                             "kind")
+        super().load_state_dict({key: state_dict[key] for key in ("state", "param_groups")})
+        place = state_dict["kept_at"]
+        size = len(self.low)
+        if place is not None and len(place["position"]) != size:
+            raise ValueError(f"the state is of {len(place['position'])} parameters, and these are {size}")
+        self.search, self.seed, self.kept_for = dict(state_dict["search"]), state_dict["seed"], state_dict["kept_for"]
+        self.kept = None
+        self.kept_at = None if place is None else KeptPlace(
+            torch.as_tensor(place["position"], dtype=torch.float64).to(self.low.device), list(place["seeds"]), place["spp"])
 
     def step(self, closure: Images) -> float:  # type: ignore[override]
         """Makes one step.
@@ -124,7 +162,9 @@ class GaussNewton(torch.optim.Optimizer):
             raise ValueError("residuals must be finite, got others: mask what is not")
         weights = torch.ones_like(pair[0]) if self.robust is None else \
             1 / (1 + ((pair[0] + pair[1]) / (2 * self.robust)).square())
-        known = self.kept is not None
+        known = self.kept_at is not None
+        if self.kept is None and self.kept_at is not None:
+            self.kept = self.computed_again(closure, self.kept_at)
         model = self.model(linear, pair, weights, seeds[2:])
         start, count = linear.position(), len(pair[0])
         for _ in range(ATTEMPTS):
@@ -153,15 +193,28 @@ class GaussNewton(torch.optim.Optimizer):
         state["noise_of_j"] = model.noise_of_j(step)
         self.kept_for = self.kept_for + 1 if share > NOISY else KEPT
         if self.kept_for >= KEPT:
-            self.kept, self.kept_for = None, 0
+            self.kept, self.kept_at, self.kept_for = None, None, 0
         return float((weights * pair[0] * pair[1]).sum()) / count
+
+    def computed_again(self, closure: Images, place: KeptPlace) -> tuple[Tensor, Tensor]:
+        """J_a and J_b, (M, n) each, of a place; parameters stay where they are, and evaluations are not counted."""
+        linear = Linearisation(closure, self.param_groups[0]["params"])
+        now = linear.position()
+        linear.move_to(place.position)
+        try:
+            return linear.jacobian(place.seeds[0], place.spp), linear.jacobian(place.seeds[1], place.spp)
+        finally:
+            linear.move_to(now)
 
     def model(self, linear: Linearisation, pair: list[Tensor], weights: Tensor, seeds: list[int]) -> Model:
         """The quadratic model around where parameters stand, from residuals, (M,) each, and seeds of the derivatives."""
         spp = self.search["spp_of_j"]
         mean, half = weights * (pair[0] + pair[1]) / 2, weights * (pair[0] - pair[1]) / 2
         if linear.size <= FULL:
-            a, b = self.kept = self.kept or (linear.jacobian(seeds[0], spp), linear.jacobian(seeds[1], spp))
+            if self.kept is None:
+                self.kept_at = KeptPlace(linear.position(), seeds, spp)
+                self.kept = linear.jacobian(seeds[0], spp), linear.jacobian(seeds[1], spp)
+            a, b = self.kept
             both, apart = (a + b) / 2, (a - b) / 2
             matrix, bias = (part.T @ (weights[:, None] * part) for part in (both, apart))
             scale = matrix.diag()

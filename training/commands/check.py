@@ -30,13 +30,26 @@ EPILOG = (
     "checked; wrong input is exit code 2. In the folder of --out: "
     "check.png with finite differences, forward mode, their difference and that in standard errors, blue below zero and red "
     "above; and check.json with all figures. With several sensors there is a picture for each.\n\n"
+    "How far do images tell parameters, before any photograph is taken or any run is made?\n\n"
+    "radbp check scene.xml --covariance --param white.reflectance.value --param light.emitter.radiance.value\n\n"
+    "radbp check recipe.toml --covariance  (its parameters at their initial values, by the cameras of its targets)\n\n"
+    "It prints the standard deviation of every number, by derivatives in forward mode; pairs that are correlated by more "
+    "than 0.8, which are known together better than apart; and what is 'not told': what no pixel shows, or what shows only "
+    "as a product, ratio or sum. Then take another view or lamp, hold one of them fixed, or put something known into the "
+    "scene. What images tell by less than 3 standard errors of the derivatives is not told, either: a larger --spp may. A "
+    "matrix is computed for up to 200 numbers.\n\n"
     "radbp info scene.xml lists the names of the parameters."
 )
 
 
 def check(
-    scene: Annotated[Path, typer.Argument(help="Scene: Mitsuba 3 .xml, or glTF .glb or .gltf")],
-    param: Annotated[str, typer.Option(help="Name of the parameter, as radbp info shows it.")],
+    scene: Annotated[
+        Path, typer.Argument(help="Scene: Mitsuba 3 .xml, or glTF .glb or .gltf; with --covariance also a recipe, .toml")
+    ],
+    param: Annotated[
+        list[str] | None,
+        typer.Option(help="Name of the parameter, as radbp info shows it; with --covariance it may be repeated."),
+    ] = None,
     direction: Annotated[
         str | None,
         typer.Option(help="How it moves: ones, random, numbers such as 1,0,0, or an array in a .npy file, of its shape.  "
@@ -45,7 +58,10 @@ def check(
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help=r"Folder of pictures and figures.  \[default: runs/checks/PARAM]")
     ] = None,
-    spp: Annotated[int, typer.Option(help="Samples per pixel of each of the two derivatives.")] = 256,
+    spp: Annotated[
+        int | None,
+        typer.Option(help=r"Samples per pixel of each derivative.  \[default: 256; the recipe's]", show_default=False),
+    ] = None,
     max_depth: Annotated[
         int | None, typer.Option(help=r"1 = emission, 2 = direct light, -1 = unlimited.  \[default: the scene's]")
     ] = None,
@@ -57,13 +73,33 @@ def check(
     ] = None,
     batches: Annotated[int, typer.Option(help="Repetitions that give the standard errors; at least 8.")] = 16,
     sensor: Annotated[list[str] | None, typer.Option(help=r"Name of a sensor; may be repeated.  \[default: all]")] = None,
+    covariance: Annotated[
+        bool, typer.Option("--covariance", help="Say how far images tell the parameters, not whether derivatives are right.")
+    ] = False,
+    noise: Annotated[
+        float | None,
+        typer.Option(help=r"With --covariance: standard deviation of a pixel.  \[default: 1 % of the mean pixel]",
+                     show_default=False),
+    ] = None,
     device: Device = None,
     define: Define = None,
     allow_outside: AllowOutside = False,
     debug: Debug = False,
 ) -> None:
-    """Compare a derivative with finite differences of independent samples."""
+    """Compare a derivative with finite differences of independent samples; or say how far images tell parameters."""
     console = Console()
+    if covariance:
+        with clear_errors(debug):
+            only = {"--direction": direction, "--out": out, "--step": step}
+            given = [name for name, value in only.items() if value is not None]
+            if given:
+                raise ValueError(f"{given[0]} does not go with --covariance, which writes nothing and needs no differences")
+            told = covariance_told(scene, param or [], sensor, noise, spp, seed, (max_depth, rr_depth, device, define,
+                                                                                 allow_outside))
+        from torch_radbp.training.commands.check_covariance import print_told
+
+        print_told(console, told)
+        return
     with clear_errors(debug):
         import torch_radbp as rb
         from torch_radbp.training.device import usable_device
@@ -71,6 +107,10 @@ def check(
 
         loaded = rb.load(scene, allow_outside=allow_outside, **parse_variables(define)).to(usable_device(device))
         indices = chosen_sensors(sensor, list(sensor_films(loaded)))
+        if noise is not None or len(param or []) != 1:
+            raise ValueError("--noise goes with --covariance" if noise is not None else
+                             f"name one parameter by --param, got {len(param or [])}; several go with --covariance")
+        param, spp = param[0], 256 if spp is None else spp
         moves = parse_direction(direction, tuple(loaded.get_parameter(param).shape))
         folder = Path("runs") / "checks" / param if out is None else out
         if folder.exists() and not folder.is_dir():
@@ -86,6 +126,34 @@ def check(
         console.print("written:", str(path), soft_wrap=True)
     if not result.agrees:
         raise typer.Exit(BIASED_CODE if result.verdict.startswith("biased") else NOTHING_FOUND_CODE)
+
+
+def covariance_told(scene: Path, names: list[str], sensor: list[str] | None, noise: float | None, spp: int | None, seed: int,
+                    settings: tuple):
+    """What images tell of parameters, `check_covariance.Told`; `settings`: depths, device, variables, outside files.
+
+    Raises:
+        ValueError: options that a recipe has of its own, no parameter of a scene, noise that is not positive.
+    """
+    import torch_radbp as rb
+    from torch_radbp.training.commands.check_covariance import told_by_recipe, told_by_scene
+    from torch_radbp.training.device import usable_device
+    from torch_radbp.training.recovery.targets import sensor_films
+
+    max_depth, rr_depth, device, define, allow_outside = settings
+    if scene.suffix == ".toml":
+        own = {"--param": names, "--sensor": sensor, "--max-depth": max_depth, "--rr-depth": rr_depth, "--device": device,
+               "--define": define}
+        given = [name for name, value in own.items() if value]
+        if given:
+            raise ValueError(f"{given[0]} is for scenes; a recipe says that itself")
+        return told_by_recipe(scene, noise, spp, seed, allow_outside)
+    if not names:
+        raise ValueError("--covariance of a scene needs a --param, or several; radbp info lists their names")
+    loaded = rb.load(scene, allow_outside=allow_outside, **parse_variables(define)).to(usable_device(device))
+    indices = chosen_sensors(sensor, list(sensor_films(loaded)))
+    renderer = rb.Renderer(loaded, max_depth=max_depth, rr_depth=rr_depth)
+    return told_by_scene(renderer, names, list(indices.values()), noise, 256 if spp is None else spp, seed)
 
 
 def parse_direction(text: str | None, shape: tuple[int, ...]):

@@ -15,6 +15,8 @@ from torch_radbp.training.commands.bundled import bundled_recipes, listing, reci
 from torch_radbp.training.commands.clear_errors import Debug, clear_errors
 from torch_radbp.training.commands.outside import AllowOutside
 
+MOST_WEAK = 4  # correlations that are printed
+
 EPILOG = (
     "Examples:\n\n"
     "radbp optimize cornell_reflectance  (a recipe that comes with the package; --list shows them)\n\n"
@@ -23,6 +25,8 @@ EPILOG = (
     "radbp optimize recipe.toml --out runs/bright --resume  (after Ctrl-C, or with more --steps)\n\n"
     "torchrun --nproc-per-node 2 -m torch_radbp.training.cli optimize recipe.toml  (two processes share the views, or the "
     "samples, of every step)\n\n"
+    "Lines with +- have standard deviations, by derivatives at the end of the run; -D report.deviations=none leaves them "
+    "out, 'all' computes them for maps within bounds, too.\n\n"
     "Ctrl-C or SIGTERM saves the state reached and writes its report; exit code 130 or 143."
 )
 
@@ -85,6 +89,8 @@ def optimize(
     if summary is None:
         return
     console.print(recovered_table(summary))
+    for line in deviations_in_words(summary):
+        console.print(line, soft_wrap=True, highlight=False, markup=False)
     verdict = summary["verdict"]
     console.print(f"[bold]{verdict['word']}[/]: {verdict['explanation']}", soft_wrap=True, highlight=False)
     console.print("report:", str(report), style="bold", soft_wrap=True)
@@ -116,9 +122,11 @@ def choose_folder(recipe: Path, out: Path | None, resume: bool) -> Path:
 
 
 def recovered_table(summary: dict) -> Table:
-    """Returns recovered against true values as a rich table, one row per parameter."""
+    """Returns recovered values with their deviations against true ones as a rich table, one row per parameter."""
     title = f"{summary['title']}: step {summary['step']} of {summary['steps']}"
     table = Table(title=title, title_justify="left", box=None, padding=(0, 2, 0, 0))  # fits 80 columns
+    from torch_radbp.training.report.deviations import deviations_of_parameter
+
     for heading in ("parameter", "recovered", "true", "error"):
         table.add_column(heading, overflow="fold")
     for each in summary["parameters"]:
@@ -135,8 +143,30 @@ def recovered_table(summary: dict) -> Table:
         if "pose_error" in each:
             truth = _motion(each["true_motion"])
             error += "\n{angle:.3f} deg\n{distance:.5f}".format(**each["pose_error"])
-        table.add_row(each["name"], recovered, truth, error)
+        spread = _spread(deviations_of_parameter(summary, each["name"]), "motion" in each)
+        table.add_row(each["name"], recovered + spread, truth, error)
     return table
+
+
+def _spread(deviations: list[float | None], is_motion: bool) -> str:
+    """Returns standard deviations on lines of their own, none if there are none."""
+    if not deviations:
+        return ""
+    words = ["not told" if each is None else f"{each:.2g}" for each in deviations]
+    return f"\n+- {' '.join(words[:3])} deg\n+- {' '.join(words[3:])}" if is_motion else f"\n+- {' '.join(words)}"
+
+
+def deviations_in_words(summary: dict) -> list[str]:
+    """Returns what images did not tell of the recovered values, or why that is not known."""
+    found = summary["deviations"]
+    if not found["computed"]:
+        return [f"no standard deviations: {found['why']}"]
+    weak = found["weak"][:MOST_WEAK] + [f"{len(found['weak']) - MOST_WEAK} more"] * (len(found["weak"]) > MOST_WEAK)
+    lines = [f"not told: {each}" for each in found["flat"]] + [f"correlated: {each}" for each in weak]
+    lines += [f"deviations of {each['name']}: median {each['median']:.2g}, largest {each['largest']:.2g}"
+              for each in found["maps"]]
+    noise = f"+-: standard deviations, at a pixel noise of {found['noise']:.2g} (in {found['seconds']:.1f} s)"
+    return [*lines, f"{noise}. {found['why']}" if found["why"] else noise]
 
 
 def _motion(components: dict[str, float]) -> str:

@@ -100,6 +100,9 @@ def check_state(path: Path, state: State, recovery: Recovery) -> None:
         expected = recovery.expected(state["step"])
         _check_parameters(state["parameters"], expected)
         _check_moments(state, expected)
+        _check_joint("joint", state["joint"], fresh["joint"])
+        if recovery.joint and state["joint"]["kept_at"] is not None:
+            _check_place(state["joint"]["kept_at"], sum(leaf.numel() for leaf in recovery.joint.leaves.values()))
     except CheckpointError as error:
         raise CheckpointError(f"{path}: {error}") from None
 
@@ -185,6 +188,35 @@ def _check_moments(state: State, expected: dict[str, Expected]) -> None:
             if moment == STEPS_TAKEN and not least[name] <= value.item() <= most[name]:
                 count = f"{most[name]}" if least[name] == most[name] else f"{least[name]} to {most[name]}"
                 raise _refuse(f"{place} is {value.item():g} after {count} steps that were not skipped")
+
+
+def _check_joint(place: str, found: Any, fresh: Any) -> None:
+    """Of Gauss-Newton: numbers of the kinds that a new one has, at least 0 but for what is gained by a step."""
+    if isinstance(fresh, dict):
+        if not isinstance(found, dict):
+            raise _refuse(f"{place} is no table")
+        _check_names(place, found, list(fresh))
+        for key, value in fresh.items():
+            if key != "kept_at":
+                _check_joint(f"{place}.{key}", found[key], value)
+    elif fresh is None:
+        if found is not None:
+            raise _refuse(f"{place} is {_shown({place: found}, place)}, and the recipe's optimizer is not gauss-newton")
+    elif type(found) is not type(fresh) or not math.isfinite(found) or found < 0 and not place.endswith(".gain"):
+        raise _refuse(f"{place} is {_shown({place: found}, place)} instead of a number such as {fresh!r}")
+
+
+def _check_place(found: Any, size: int) -> None:
+    """Of Gauss-Newton: where its Jacobians were computed."""
+    is_one = isinstance(found, dict) and found.keys() == {"position", "seeds", "spp"}
+    if not is_one or type(found["spp"]) is not int or found["spp"] < 1:
+        raise _refuse("joint.kept_at is no table of position, seeds and spp")
+    seeds, position = found["seeds"], found["position"]
+    if not isinstance(seeds, list) or len(seeds) != 2 or any(type(seed) is not int or seed < 0 for seed in seeds):
+        raise _refuse(f"joint.kept_at.seeds is {_shown(found, 'seeds')} instead of two seeds")
+    if not isinstance(position, list) or len(position) != size or any(
+            type(each) is not float or not math.isfinite(each) for each in position):
+        raise _refuse(f"joint.kept_at.position is {_shown(found, 'position')} instead of {size} finite numbers")
 
 
 def _check_names(place: str, found: dict[str, Any], expected: list[str]) -> None:

@@ -29,6 +29,7 @@ class RecoveredGains(RecoveredParameter):
     spec_of_grid = None
     bounds_of_leaf = None
     is_picture = False
+    is_plain = False
     is_pose = False
 
     def settle(self, scene: nn.Module) -> None:

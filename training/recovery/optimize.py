@@ -5,6 +5,7 @@ renders and moves (`plan`). With parameters and moments saved, a resumed run the
 uninterrupted run would have (on a CPU; on a GPU only under `torch.use_deterministic_algorithms`).
 """
 
+import contextlib
 import time
 import warnings
 from collections.abc import Callable
@@ -94,31 +95,37 @@ def take_steps(
         interrupts.check()
         started = time.perf_counter()
         moving = recovery.begin(step)
-        loss, terms, rendered, trouble = take_gradient(recovery, step)
-        loss, terms, trouble, stopped = together(recovery, step, loss, terms, trouble, interrupts.pending)
-        finished = time.perf_counter()
-
-        usable = trouble is None
-        with interrupts.held():
-            row = {"step": step, "loss": loss.item()} | {f"loss.{name}": term.item() for name, term in terms.items()}
-            row["learning_rate_factor"] = learning_rate_factor(recipe.schedule, step, recipe.steps)
-            if usable:
-                for parameter in moving:
-                    for name in parameter.leaves:
-                        recovery.optimizers[name].step()
-                    parameter.project_()
+        # A joint step moves parameters while it renders: it looks after signals itself.
+        with interrupts.held() if recovery.joint else contextlib.nullcontext():
+            if recovery.joint:
+                loss, terms, trouble = recovery.joint.take(lambda: interrupts.pending)
+                stopped, times = False, recovery.joint.columns()
             else:
-                recovery.skipped += 1
-            recovery.end(step)
-            recovery.seconds += time.perf_counter() - started
-            row |= {"skipped": recovery.skipped, "forward_seconds": rendered - started}
-            row |= {"backward_seconds": finished - rendered, "seconds": recovery.seconds}
-            for parameter in recovery.parameters:
-                row |= parameter.columns(parameter.value)
-            if recovery.ranks.is_first:
-                folder.log(row)
-            if recovery.step % recipe.report.checkpoint_every == 0 and recovery.ranks.is_first:
-                save_checkpoint(folder.checkpoint, recovery.state_dict())
+                loss, terms, rendered, trouble = take_gradient(recovery, step)
+                loss, terms, trouble, stopped = together(recovery, step, loss, terms, trouble, interrupts.pending)
+                times = {"forward_seconds": rendered - started, "backward_seconds": time.perf_counter() - rendered}
+
+            usable = trouble is None
+            with interrupts.held():
+                row = {"step": step, "loss": loss.item()} | {f"loss.{name}": term.item() for name, term in terms.items()}
+                row["learning_rate_factor"] = learning_rate_factor(recipe.schedule, step, recipe.steps)
+                if usable:
+                    for parameter in moving:
+                        for name in parameter.leaves:
+                            if name in recovery.optimizers:
+                                recovery.optimizers[name].step()
+                        parameter.project_()
+                else:
+                    recovery.skipped += 1
+                recovery.end(step)
+                recovery.seconds += time.perf_counter() - started
+                row |= {"skipped": recovery.skipped, **times, "seconds": recovery.seconds}
+                for parameter in recovery.parameters:
+                    row |= parameter.columns(parameter.value)
+                if recovery.ranks.is_first:
+                    folder.log(row)
+                if recovery.step % recipe.report.checkpoint_every == 0 and recovery.ranks.is_first:
+                    save_checkpoint(folder.checkpoint, recovery.state_dict())
         on_step(row)
 
         if stopped:

@@ -13,6 +13,7 @@ from torch import Tensor
 from torch_radbp.formats.image import read_image
 from torch_radbp.losses import masked_mean
 from torch_radbp.training.false_colour import absolute_error, error_scale, false_colour
+from torch_radbp.training.recovery.deviations import deviations_of
 from torch_radbp.training.recovery.optimize import step_seed
 from torch_radbp.training.recovery.passes import Estimate, render_in_passes
 from torch_radbp.training.recovery.problem import Recovery
@@ -69,7 +70,8 @@ def finish(recovery: Recovery, folder: RunFolder, status: str, hurried: Callable
         recovery: the problem at the step reached.
         folder: its run folder, with the before images.
         status: "finished" or "interrupted".
-        hurried: asked while the images are rendered; True ends that with the samples so far.
+        hurried: asked while the images are rendered; True ends that with the samples so far, and
+            leaves out deviations.
     """
     after = render_for_report(recovery, hurried)
     images = [_save_after(recovery, folder, index, image) for index, image in enumerate(after.image)]
@@ -100,6 +102,7 @@ def finish(recovery: Recovery, folder: RunFolder, status: str, hurried: Callable
     for parameter in recovery.parameters:
         parameter.settle(recovery.scene)
     folder.save_scene(recovery.scene)
+    summary["deviations"] = deviations_of(recovery, folder, hurried)
     folder.save_summary(summary)
     return summary
 
@@ -160,7 +163,7 @@ def _cost(recovery: Recovery, folder: RunFolder) -> dict[str, float | None]:
     rows = folder.metrics.rows()
     cost = {"seconds": recovery.seconds, "peak_memory_bytes": peak_memory()}
     for key in ("forward_seconds", "backward_seconds"):
-        if rows:
+        if rows and key in rows[0]:  # a joint step renders forwards and backwards in turns
             cost[f"median_{key}"] = statistics.median(row[key] for row in rows)
     return cost
 

@@ -11,8 +11,10 @@ from torch_radbp.tensors.differentiated import differentiable
 from torch_radbp.training import recipe as schema
 from torch_radbp.training.device import usable_device
 from torch_radbp.training.ranks import ALONE, Ranks
+from torch_radbp.training.recipe_optimizer import GaussNewton
 from torch_radbp.training.recovery.continuation import Expected, recipe_fields
 from torch_radbp.training.recovery.gains import recovered_gains
+from torch_radbp.training.recovery.gauss_newton import JointSteps
 from torch_radbp.training.recovery.levels import Level, Levels
 from torch_radbp.training.recovery.losses import Objective
 from torch_radbp.training.recovery.optimizers import expected_moments, make_optimizers, moments_of, put_moments
@@ -59,7 +61,8 @@ class Recovery:
         self.objective, self.priors = Objective(recipe.loss), Priors(recipe.priors, self.parameters)
         for level in self.levels.levels.values():
             check_losses(self.objective, level)
-        self.optimizers = make_optimizers(self.parameters, recipe)
+        self.joint = JointSteps(self) if isinstance(recipe.optimizer, GaussNewton) else None
+        self.optimizers = {} if self.joint else make_optimizers(self.parameters, recipe)
         self.step = 0
         self.skipped = 0
         self.seconds = 0.0
@@ -75,6 +78,7 @@ class Recovery:
             "sources": self.sources,
             "parameters": {name: value for each in self.parameters for name, value in each.held.items()},
             "moments": {name: moments for name, optimizer in self.optimizers.items() if (moments := moments_of(optimizer))},
+            "joint": self.joint.state() if self.joint else None,
         }
 
     def load_state_dict(self, state: dict) -> None:
@@ -87,6 +91,8 @@ class Recovery:
             each.load(state["parameters"], self.step)
         for name, optimizer in self.optimizers.items():
             put_moments(optimizer, state["moments"].get(name, {}))
+        if self.joint:
+            self.joint.load(state["joint"])
 
     def expected(self, step: int) -> dict[str, Expected]:
         """What the tensors of a checkpoint are after so many steps, by name."""
@@ -105,7 +111,8 @@ class Recovery:
             for name, leaf in each.leaves.items():
                 leaf.grad = None
                 leaf.requires_grad_(each in moving)
-                self.optimizers[name].param_groups[0]["lr"] = self.plan.learning_rate(each, step)
+                if name in self.optimizers:
+                    self.optimizers[name].param_groups[0]["lr"] = self.plan.learning_rate(each, step)
         return moving
 
     def end(self, step: int) -> None:

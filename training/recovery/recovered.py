@@ -107,6 +107,11 @@ class RecoveredParameter:
         return self.spec.bounds if self.spec.parametrisation == "clamp" else None
 
     @property
+    def is_plain(self) -> bool:
+        """True if the leaf is the value itself, a parameter of the scene without a parametrisation."""
+        return not parametrize.is_parametrized(self.module, self.attribute)
+
+    @property
     def is_small(self) -> bool:
         """True for a colour, a number or a matrix, which is shown entry by entry, unlike a picture or a mesh."""
         return self.before.numel() <= 16

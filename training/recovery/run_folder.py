@@ -3,7 +3,7 @@
     recipe.toml              the recipe as used; can be run again from here
     metrics.csv              loss, its terms, learning rate, seconds and parameters of every step
     images/SENSOR_*.png|exr  before, target, after, error; of names see `formats.file_names`
-    textures/NAME_*.png      before, recovered, true, for parameters that are pictures
+    textures/NAME_*.png      before, recovered, true, for parameters that are pictures; deviations
     parameters.safetensors   recovered values by parameter name
     scene/scene.xml          the scene with the recovered values
     tensorboard/             event files
@@ -26,6 +26,7 @@ import torch_radbp as rb
 from torch_radbp.formats.atomic import replacing
 from torch_radbp.formats.file_names import file_name
 from torch_radbp.formats.image import save_image
+from torch_radbp.training.false_colour import false_colour
 from torch_radbp.training.recipe import Recipe
 from torch_radbp.training.recipe_file import read_recipe, write_recipe
 from torch_radbp.training.recovery import checkpoint
@@ -117,6 +118,11 @@ class RunFolder:
     def save_texture(self, name: str, role: str, texture: Tensor) -> None:
         """Writes a texture (H, W, 1 or 3) as a picture."""
         self._write_picture(self.texture_path(name, role), texture.expand(-1, -1, 3).permute(2, 0, 1))
+
+    def save_deviations(self, name: str, deviations: Tensor) -> None:
+        """Writes standard deviations of a texture (H, W, 1 or 3) in false colours, the largest brightest."""
+        texture = deviations.float().expand(-1, -1, 3).permute(2, 0, 1)
+        self._write_picture(self.texture_path(name, "deviations"), false_colour(texture, float(texture.max())))
 
     def _write_picture(self, path: Path, image: Tensor) -> None:
         path.parent.mkdir(exist_ok=True)

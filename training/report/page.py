@@ -10,6 +10,7 @@ from torch_radbp.training.recipe import Recipe
 from torch_radbp.training.recovery.run_folder import RunFolder
 from torch_radbp.training.report.curve_colours import srgb_levels
 from torch_radbp.training.report.curves import curves_section
+from torch_radbp.training.report.deviations import deviations_section
 from torch_radbp.training.report.pictures import pictures_section, textures_section
 from torch_radbp.training.report.style import STYLE
 
@@ -25,6 +26,7 @@ def write_report(folder: RunFolder) -> Path:
             pictures_section(folder, summary),
             _parameters_table(summary),
             textures_section(folder, summary),
+            deviations_section(folder, summary),
             curves_section(summary, rows),
             _cost(summary),
             f"<section><details><summary>Recipe</summary><pre>{html.escape(recipe_text)}</pre></details></section>",

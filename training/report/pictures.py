@@ -53,6 +53,11 @@ def textures_section(folder: RunFolder, summary: dict[str, Any]) -> str:
     return f"<section><h2>Textures and volumes</h2>{''.join(parts)}</section>" if parts else ""
 
 
+def deviation_figure(path: Path, largest: float) -> str:
+    """Returns the picture of a map's standard deviations with the bar of its colours."""
+    return _figure(path, "standard deviation", _colour_bar(largest))
+
+
 def _slider(pictures: list[tuple[str, Path]]) -> str:
     """Returns pictures on top of each other, each wiped over the one before by a slider; the second is shown at first."""
     names = "".join(f"<span>{role}</span>" for role, _ in pictures)
@@ -65,11 +70,15 @@ def _slider(pictures: list[tuple[str, Path]]) -> str:
 
 def _error_bar(scale: float) -> str:
     """Returns the colours of the error map as a bar with numbers."""
+    return _colour_bar(scale) + "<small>|after − target| of the channel that differs most, linear radiance</small>"
+
+
+def _colour_bar(scale: float) -> str:
+    """Returns the false colours from 0 to a number, below a picture."""
     colours = false_colour(torch.linspace(0, 1, BAR_STOPS).expand(3, 1, BAR_STOPS), 1.0)[:, 0].T
     stops = ",".join(f"rgb({','.join(map(str, srgb_levels(colour.tolist())))})" for colour in colours)
     return (f'<div class="bar" style="background:linear-gradient(to right,{stops})"></div><div class="ends"><span>0</span>'
-            f"<span>{scale / 2:.2g}</span><span>{scale:.2g}</span></div>"
-            "<small>|after − target| of the channel that differs most, linear radiance</small>")
+            f"<span>{scale / 2:.2g}</span><span>{scale:.2g}</span></div>")
 
 
 def _figure(path: Path, role: str, below: str = "") -> str:
