@@ -158,6 +158,8 @@ def _spread(deviations: list[float | None], is_motion: bool) -> str:
 
 def deviations_in_words(summary: dict) -> list[str]:
     """Returns what images did not tell of the recovered values, or why that is not known."""
+    from torch_radbp.training.report.deviations import unsettled
+
     found = summary["deviations"]
     if not found["computed"]:
         return [f"no standard deviations: {found['why']}"]
@@ -166,7 +168,7 @@ def deviations_in_words(summary: dict) -> list[str]:
     lines += [f"deviations of {each['name']}: median {each['median']:.2g}, largest {each['largest']:.2g}"
               for each in found["maps"]]
     noise = f"+-: standard deviations, at a pixel noise of {found['noise']:.2g} (in {found['seconds']:.1f} s)"
-    return [*lines, f"{noise}. {found['why']}" if found["why"] else noise]
+    return [*lines, ". ".join([noise, *filter(None, (unsettled(summary), found["why"]))])]
 
 
 def _motion(components: dict[str, float]) -> str:

@@ -7,6 +7,7 @@ import torch
 
 from torch_radbp.training.false_colour import signed_colour
 from torch_radbp.training.recovery.run_folder import RunFolder
+from torch_radbp.training.recovery.verdict import CONVERGED
 from torch_radbp.training.report.curve_colours import srgb_levels
 from torch_radbp.training.report.pictures import deviation_figure
 
@@ -26,6 +27,13 @@ def deviations_of_parameter(summary: dict[str, Any], name: str) -> list[float | 
     found = summary.get("deviations", {"names": []})
     return [deviation for entry, deviation in zip(found["names"], found.get("deviations", []))
             if entry == name or entry.startswith((f"{name}[", f"{name}:"))]
+
+
+def unsettled(summary: dict[str, Any]) -> str:
+    """A sentence that values of a run that has not converged may be off by more than their deviations; else nothing."""
+    word = summary["verdict"]["word"]
+    return "" if word == CONVERGED else (f"The run has not converged ({word}), so that values may be off by far more than "
+                                         f"their deviations")
 
 
 def with_deviation(deviation: float | None) -> str:
@@ -50,7 +58,8 @@ def deviations_section(folder: RunFolder, summary: dict[str, Any]) -> str:
         figure = deviation_figure(folder.texture_path(each["name"], "deviations"), each["largest"])
         parts.append(f"<h3>{html.escape(each['name'])}</h3><div class=\"pictures textures\">{figure}</div>"
                      f"<p class=note>{html.escape(_of_map(each))}</p>")
-    note = WHAT_THEY_ARE.format(**found) + (f" {found['why']}." if found["why"] else "")
+    more = [f" {sentence}." for sentence in (unsettled(summary), found["why"]) if sentence]
+    note = WHAT_THEY_ARE.format(**found) + "".join(more)
     return _section("".join(parts) + f"<p class=note>{html.escape(note)}</p>")
 
 
