@@ -119,6 +119,7 @@ def test_table_and_report_have_deviations_and_correlations(noisy, radbp):
     found = json.loads((noisy / "run" / "summary.json").read_text())["deviations"]
     assert "+- " + " ".join(f"{each:.2g}" for each in found["deviations"]) in stdout
     assert f"pixel noise of {found['noise']:.2g}" in stdout
+    assert "The run has not converged (too short)" in stdout
     report = (noisy / "run" / "report.html").read_text()
     matrix = re.search(r'<svg class="correlations".*?</svg>', report, re.DOTALL)[0]
     assert matrix.count("<rect") == 9 and matrix.count("+1.000") == 3
