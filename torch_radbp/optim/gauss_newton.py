@@ -60,10 +60,10 @@ class GaussNewton(torch.optim.Optimizer):
     in forward mode, and kept for up to 8 steps, as long as it says by how much residuals change: while the square of its
     relative error along a step is below 0.05. Beyond that, steps are found by products with it in conjugate gradients, each
     for a forward and a backward one. A step counts if the squared error r_1^T r_2 falls, at the same seeds before and after,
-    else damping grows. Where more than 0.3 of a step is noise of r, by what its two halves say, `spp` is doubled, or for
-    twice that share fourfold, up to `max_spp`, and with a J that is kept the error is not looked at; at `max_spp` steps become 1, 1/2, 1/3, ..., so that the
-    result is the mean of what single steps would find. Where 0.3 of what a new J changes along a step is its noise, by the
-    same of another seed, the samples of J are doubled.
+    else damping grows. Where more than 0.3 of a step is noise of r, by how far apart its two renderings are, `spp` is
+    doubled, or for twice that share fourfold, up to `max_spp`, and with a J that is kept the error is not looked at; at
+    `max_spp` steps become 1, 1/2, 1/3, ..., so that the result is the mean of what single steps would find. Where 0.3 of
+    what a new J changes along a step is its noise, by the same of another seed, the samples of J are doubled.
 
     Its `search`: `spp` now, of r and, `spp_of_j`, of J, `damping`, `gain`, the fall of the error over the predicted one,
     `noise_share`, the length of the step's noise over that of the step, `noise_of_j`, the share of J's, `error_of_j`, the
@@ -255,8 +255,9 @@ def tried(model: Model, step: Tensor, before: list[Tensor], after: list[Tensor],
     if model.jacobian is not None:
         a, b = (now - then for now, then in zip(after, before, strict=True))
         told = model.jacobian @ step
-        change = float((weights * a) @ b)  # below what is seen of it by chance nothing is said
-        off = float((weights * (a - told)) @ (b - told)) / change if change > 0.5 * float((weights * (a - b)) @ (a - b)) else 0.0
+        change, noise = float((weights * a) @ b), 0.5 * float((weights * (a - b)) @ (a - b))
+        if change > noise:  # or nothing is known
+            off = float((weights * (a - told)) @ (b - told)) / change
     return Trial(sum(falls) / 2, abs(falls[0] - falls[1]), off)
 
 
