@@ -13,7 +13,8 @@ from benchmarks.uncertainty.tasks import Task
 
 FLOOR = 0.1  # of radiance, added to what noise is relative to
 LEVEL = 0.05  # noise of a pixel of the targets, relative
-STEPS, SPP, MAX_SPP = 6, 256, 1024  # of a refit
+STEPS, SPP, MAX_SPP = 5, 256, 1024  # of a refit
+MANY, STEPS_OF_MANY, ITERATIONS = 64, 3, 40  # for more parameters, by conjugate gradients
 DENSE = 200  # parameters up to which the whole covariance is computed
 
 
@@ -36,7 +37,7 @@ def predicted(task: Task, exact: Tensor, noise: Tensor) -> Tensor:
     """The predicted standard deviations of what is compared, (k,) float64."""
     prior = None if task.prior is None else dict.fromkeys(task.parameters, task.prior)
     if task.size > DENSE:
-        found = rb.diagonal_covariance(task.images, task.parameters, noise=noise, prior=prior, spp=256, probes=64,
+        found = rb.diagonal_covariance(task.images, task.parameters, noise=noise, prior=prior, spp=128, probes=32,
                                        seed=10 ** 5)
         return torch.cat([deviation.reshape(-1) for deviation in found.standard_deviations.values()])
     whole = rb.covariance(task.images, exact, task.parameters, noise=noise, prior=prior, spp=256, repeats=4, seed=10 ** 5)
@@ -66,9 +67,9 @@ def calibrated(task: Task, refits: int) -> Calibration:
             return [off, (now - believed.to(now)) / task.prior]
 
         task.move(truth)
-        optimizer = rb.optim.GaussNewton(task.parameters.values(), spp=SPP, max_spp=MAX_SPP, iterations=100,
+        optimizer = rb.optim.GaussNewton(task.parameters.values(), spp=SPP, max_spp=MAX_SPP, iterations=ITERATIONS,
                                          seed=1000 * refit)
-        for _ in range(STEPS):
+        for _ in range(STEPS_OF_MANY if task.size > MANY else STEPS):
             optimizer.step(residuals)
         found.append(task.compared())
     task.move(truth)

@@ -12,7 +12,8 @@ from torch_radbp.optim.linearisation import Images, Linearisation
 from torch_radbp.scene.modules.bounds import held_by, range_of
 from torch_radbp.scene.modules.scene import Scene
 
-FULL = 200  # parameters whose Jacobian is computed as a whole; for more, conjugate gradients
+FULL = 64  # parameters whose Jacobian is computed as a whole; for more, conjugate gradients
+SOLVED = 0.2  # of the noise of the gradient, below which conjugate gradients need not solve for it
 KEPT = 8  # steps with one Jacobian at most
 STALE = 0.05  # the square of the relative error of J along a step above which the next step has a new one
 ATTEMPTS = 5  # of a step, each with ten times the damping
@@ -56,10 +57,10 @@ class GaussNewton(torch.optim.Optimizer):
 
     Residuals and J have samples of their own: two renderings of residuals, r_1 and r_2, whose mean is r, and J of a third
     seed. So the gradient J^T r has no bias from noise, and steps end where it is 0. J^T J has one, which shortens steps, as
-    damping does, in directions that few samples hardly see. Up to 200 parameters J is computed as a whole, for n renderings
+    damping does, in directions that few samples hardly see. Up to 64 parameters J is computed as a whole, for n renderings
     in forward mode, and kept for up to 8 steps, as long as it says by how much residuals change: while the square of its
     relative error along a step is below 0.05. Beyond that, steps are found by products with it in conjugate gradients, each
-    for a forward and a backward one. A step counts if the squared error r_1^T r_2 falls, at the same seeds before and after,
+    for a forward and a backward one, until what is left of the gradient is 0.2 of its noise. A step counts if the squared error r_1^T r_2 falls, at the same seeds before and after,
     else damping grows. Where more than 0.3 of a step is noise of r, by how far apart its two renderings are, `spp` is
     doubled, or for twice that share fourfold, up to `max_spp`, and with a J that is kept the error is not looked at; at
     `max_spp` steps become 1, 1/2, 1/3, ..., so that the result is the mean of what single steps would find. Where 0.3 of
@@ -234,11 +235,11 @@ def conjugate_gradients(model: Model, damping: float, free: Tensor, iterations: 
     """
     step, left = torch.zeros_like(model.gradient), -free * model.gradient
     direction, square = left.clone(), float(left @ left)
-    first = square
+    enough = max(1e-12 * square, SOLVED ** 2 * float((free * model.noise).square().sum()))
     for _ in range(iterations):
         bent = free * (model.curvature(direction) + damping * model.scale * direction)
         curvature = float(direction @ bent)
-        if curvature <= 0 or square <= 1e-12 * first:
+        if curvature <= 0 or square <= enough:
             break
         length = square / curvature
         step, left = step + length * direction, left - length * bent
