@@ -60,11 +60,12 @@ class GaussNewton(torch.optim.Optimizer):
     damping does, in directions that few samples hardly see. Up to 64 parameters J is computed as a whole, for n renderings
     in forward mode, and kept for up to 8 steps, as long as it says by how much residuals change: while the square of its
     relative error along a step is below 0.05. Beyond that, steps are found by products with it in conjugate gradients, each
-    for a forward and a backward one, until what is left of the gradient is 0.2 of its noise. A step counts if the squared error r_1^T r_2 falls, at the same seeds before and after,
-    else damping grows. Where more than 0.3 of a step is noise of r, by how far apart its two renderings are, `spp` is
-    doubled, or for twice that share fourfold, up to `max_spp`, and with a J that is kept the error is not looked at; at
-    `max_spp` steps become 1, 1/2, 1/3, ..., so that the result is the mean of what single steps would find. Where 0.3 of
-    what a new J changes along a step is its noise, by the same of another seed, the samples of J are doubled.
+    for a forward and a backward one, until what is left of the gradient is 0.2 of its noise. A step counts if the squared
+    error r_1^T r_2 falls, at the same seeds before and after, else damping grows. Where more than 0.3 of a step is noise of
+    r, by how far apart its two renderings are, `spp` is doubled, or for twice that share fourfold, up to `max_spp`, and with
+    a J that is kept the error is not looked at; at `max_spp` steps become 1, 1/2, 1/3, ..., so that the result is the mean
+    of what single steps would find. Where 0.3 of what a new J changes along a step is its noise, by the same of another
+    seed, the samples of J are doubled.
 
     Its `search`: `spp` now, of r and, `spp_of_j`, of J, `damping`, `gain`, the fall of the error over the predicted one,
     `noise_share`, the length of the step's noise over that of the step, `noise_of_j`, the share of J's, `error_of_j`, the
