@@ -146,7 +146,7 @@ class GaussNewton(torch.optim.Optimizer):
             if known and share > NOISY:
                 break  # a step as short as noise; whether the error falls cannot be told
             predicted = -float(model.gradient @ step + 0.5 * step @ model.curvature(step))
-            trial = tried(model, step, pair, [linear.values(seed, spp) for seed in seeds[:2]], weights)
+            trial = trial_of(model, step, pair, [linear.values(seed, spp) for seed in seeds[:2]], weights)
             state["gain"] = trial.fall / predicted if predicted > 0 else 0.0
             state["error_of_j"] = trial.error_of_j
             if predicted > 0 and trial.fall + trial.doubt > 0.1 * predicted:
@@ -249,7 +249,7 @@ def conjugate_gradients(model: Model, damping: float, free: Tensor, iterations: 
     return step
 
 
-def tried(model: Model, step: Tensor, before: list[Tensor], after: list[Tensor], weights: Tensor) -> Trial:
+def trial_of(model: Model, step: Tensor, before: list[Tensor], after: list[Tensor], weights: Tensor) -> Trial:
     """What residuals of two seeds before and after a step say, (M,) each."""
     falls = [-0.5 * float((weights * (before[one] + after[one])) @ (after[two] - before[two]))
              for one, two in ((0, 1), (1, 0))]
