@@ -24,20 +24,23 @@ class Calibration(NamedTuple):
     ratios: Tensor
     coverage: float
     untold: int  # numbers that are said not to be known
+    by_images: float  # the share of numbers whose predicted deviation is below half of the prior's, 1 without a prior
     seconds: float
 
     def __str__(self) -> str:
         typical = float(self.ratios.square().mean().sqrt())
         return (f"deviations of refits over predicted {typical:.2f} (median {float(self.ratios.median()):.2f}, "
                 f"{float(self.ratios.min()):.2f} to {float(self.ratios.max()):.2f}), coverage {100 * self.coverage:.1f} %"
-                + (f", {self.untold} not told" if self.untold else "") + f", {self.seconds:.0f} s")
+                + (f", {self.untold} not told" if self.untold else "")
+                + (f", {100 * self.by_images:.0f} % known to less than half of the prior" if self.by_images < 1 else "")
+                + f", {self.seconds:.0f} s")
 
 
 def predicted(task: Task, exact: Tensor, noise: Tensor) -> Tensor:
     """The predicted standard deviations of what is compared, (k,) float64."""
     prior = None if task.prior is None else dict.fromkeys(task.parameters, task.prior)
     if task.size > DENSE:
-        found = rb.diagonal_covariance(task.images, task.parameters, noise=noise, prior=prior, spp=128, probes=32,
+        found = rb.diagonal_covariance(task.images, task.parameters, noise=noise, prior=prior, spp=64, probes=16,
                                        seed=10 ** 5)
         return torch.cat([deviation.reshape(-1) for deviation in found.standard_deviations.values()])
     whole = rb.covariance(task.images, exact, task.parameters, noise=noise, prior=prior, spp=256, repeats=4, seed=10 ** 5)
@@ -76,4 +79,6 @@ def calibrated(task: Task, refits: int) -> Calibration:
     told = deviation.isfinite()
     all_found = torch.stack(found)[:, told]
     inside = ((all_found - wanted[told]).abs() <= 1.96 * deviation[told]).double().mean()
-    return Calibration(all_found.std(0) / deviation[told], float(inside), int((~told).sum()), time.process_time() - began)
+    share = 1.0 if task.prior is None or task.outputs else float((deviation < task.prior / 2).double().mean())
+    return Calibration(all_found.std(0) / deviation[told], float(inside), int((~told).sum()), share,
+                       time.process_time() - began)
