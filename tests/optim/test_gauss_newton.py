@@ -93,6 +93,69 @@ def test_the_room_is_found_and_noise_asks_for_samples():
     assert optimizer.search["spp"] > 16 and math.isfinite(optimizer.search["gain"])
 
 
+def test_the_jacobian_is_kept_while_it_says_how_residuals_change():
+    """A linear problem needs one; of a product of parameters, far from where it is 1, J is another after each step."""
+    scene = wall_under_sun()
+    renderer, colour = rb.Renderer(scene, spp=2, max_depth=2), scene.get_parameter(COLOUR)
+    target = renderer(seed=0).detach()
+    with torch.no_grad():
+        colour.mul_(0.2)
+    optimizer = GaussNewton([colour], scene, spp=2)
+    for _ in range(3):
+        optimizer.step(lambda seed, spp: renderer(seed=seed, spp=spp) - target)
+    assert optimizer.search["jacobians"] == 1 and optimizer.search["error_of_j"] < 1e-6
+    x = torch.tensor([3.0], dtype=torch.float64, requires_grad=True)
+    bent = GaussNewton([x], damping=0)
+    bent.step(lambda seed, spp: x ** 3 - 1)
+    # From 3 to 55 / 27: the change is 55^3 / 27^3 - 27, and that by J is -26.
+    change = (55 / 27) ** 3 - 27
+    assert bent.search["error_of_j"] == pytest.approx((1 + 26 / change) ** 2, rel=1e-9)
+    for _ in range(10):
+        bent.step(lambda seed, spp: x ** 3 - 1)
+    assert abs(x.item() - 1) < 1e-9 and bent.search["jacobians"] > 3
+
+
+def test_noise_of_the_jacobian_asks_for_its_samples():
+    """A slope of 1 +- 1 / sqrt(spp), of one number: its variance over the square of what is used is the noise told."""
+    x = torch.tensor([2.0], dtype=torch.float64, requires_grad=True)
+    slopes = {}
+
+    def residuals(seed, spp):
+        slopes[seed, spp] = 1 + torch.randn(1, generator=torch.Generator().manual_seed(seed), dtype=x.dtype) / spp ** 0.5
+        return slopes[seed, spp] * (x - 1)
+
+    optimizer = GaussNewton([x], spp=1, max_spp=64)
+    optimizer.step(residuals)
+    used, other = float(slopes[2, 1]), float(slopes[3, 1])
+    assert optimizer.search["noise_of_j"] == pytest.approx(0.5 * (used - other) ** 2 / used ** 2, rel=1e-9)
+    assert optimizer.search["spp_of_j"] == (2 if optimizer.search["noise_of_j"] > 0.3 else 1)
+    for _ in range(20):
+        optimizer.step(residuals)
+    assert abs(x.item() - 1) < 1e-3
+
+
+def test_noise_that_pixels_have_by_themselves_asks_for_samples():
+    """Residuals of normal noise only: every step is noise, and samples are two or four times as many after it."""
+    x = torch.zeros(3, dtype=torch.float64, requires_grad=True)
+    matrix = torch.randn(60, 3, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
+
+    def residuals(seed, spp):
+        noise = torch.randn(60, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+        return matrix @ x + noise / spp ** 0.5
+
+    optimizer = GaussNewton([x], spp=4, max_spp=256)
+    while (samples := optimizer.search["spp"]) < 256:
+        optimizer.step(residuals)
+        assert optimizer.search["noise_share"] > 0.3
+        assert optimizer.search["spp"] in (2 * samples, 4 * samples, 256)
+    for _ in range(40):
+        optimizer.step(residuals)
+    averaged = optimizer.search["averaged"]
+    assert averaged > 30
+    # Variances of 1 / 256 of each residual, halved by the pair and divided by the steps, by 60 rows of 3 columns.
+    assert x.detach().norm() < 3 * (3 / 60 / 512 / averaged) ** 0.5
+
+
 def test_what_makes_no_sense_is_said():
     parameter = torch.ones(2, dtype=torch.float64)
     with pytest.raises(ValueError, match="no parameter changes the residuals"):

@@ -191,7 +191,7 @@ FORGED = {
     "no seed": (lambda joint: {key: value for key, value in joint.items() if key != "seed"}, "joint.seed is missing"),
     "words": (lambda joint: joint | {"seed": "one"}, "joint.seed is 'one'"),
     "below zero": (lambda joint: joint | {"search": joint["search"] | {"damping": -1.0}}, "joint.search.damping is -1.0"),
-    "a place of others": (lambda joint: joint | {"kept_at": {"position": [0.1], "seeds": [1, 2], "spp": 4}},
+    "a place of others": (lambda joint: joint | {"kept_at": {"position": [0.1], "seed": 1, "spp": 4}},
                           "instead of 3 finite numbers"),
 }
 

@@ -12,8 +12,10 @@ from torch_radbp.optim.linearisation import Images, Linearisation
 from torch_radbp.scene.modules.bounds import held_by, range_of
 from torch_radbp.scene.modules.scene import Scene
 
-FULL = 200  # parameters whose Jacobian is computed as a whole; for more, conjugate gradients
-KEPT = 4  # steps with one Jacobian at most, after one that noise limits
+FULL = 64  # parameters whose Jacobian is computed as a whole; for more, conjugate gradients
+SOLVED = 0.2  # of the noise of the gradient, below which conjugate gradients need not solve for it
+KEPT = 8  # steps with one Jacobian at most
+STALE = 0.05  # the square of the relative error of J along a step above which the next step has a new one
 ATTEMPTS = 5  # of a step, each with ten times the damping
 NOISY = 0.3  # the share of noise in a step from which more samples are asked for
 LEAST_DAMPING, FIRST_DAMPING = 1e-9, 1e-3  # of steps that are as good as predicted; after the first that was not
@@ -23,24 +25,27 @@ class Model(NamedTuple):
     """The quadratic model of half the squared residuals around a position: g^T d + d^T H d / 2."""
 
     gradient: Tensor  # (n,) g = J^T W r
-    curvature: Callable[[Tensor], Tensor]  # H d = J^T W J d, J = (J_a + J_b) / 2; (n,) to (n,)
+    curvature: Callable[[Tensor], Tensor]  # H d = J^T W J d; (n,) to (n,)
     scale: Tensor  # (n,) what damping is in units of, > 0
     noise: Tensor  # (n,) the part of g that is noise: J^T W (r_1 - r_2) / 2
+    noises: Tensor | None  # (n, M) that of each residual: the columns of J^T W times (r_1 - r_2) / 2
     matrix: Tensor | None  # (n, n) H, if it is known as a whole
-    bias: Tensor | None  # (n, n) the part of H that is noise: D^T W D, D = (J_a - J_b) / 2
+    jacobian: Tensor | None  # (M, n) J, if it is known as a whole
 
-    def noise_of_j(self, step: Tensor) -> float:
-        """The share of noise in how much J changes residuals along a step, 0 if that is not known."""
-        if self.matrix is None or self.bias is None:
-            return 0.0
-        return float(step @ self.bias @ step) / max(float(step @ self.matrix @ step), 1e-300)
+
+class Trial(NamedTuple):
+    """What residuals of two seeds, before and after a step d, say of the step and of J; without bias from their noise."""
+
+    fall: float  # of r_1^T W r_2 / 2
+    doubt: float  # how far two estimates of that are apart
+    error_of_j: float  # (D - J d)^T W (D - J d) over D^T W D, D being their change; 0 if J is not known
 
 
 class KeptPlace(NamedTuple):
-    """Where and by which samples Jacobians were computed that are kept, so that they can be computed again."""
+    """Where and by which samples a Jacobian was computed that is kept, so that it can be computed again."""
 
     position: Tensor  # (n,) float64
-    seeds: list[int]
+    seed: int
     spp: int
 
 
@@ -53,25 +58,30 @@ class GaussNewton(torch.optim.Optimizer):
             optimizer.step(lambda seed, spp: renderer(seed=seed, spp=spp) - target)
 
     The closure takes a seed and a number of samples per pixel, renders by these, and returns residuals, a tensor or several
-    of any shapes; the optimizer differentiates it, in forward mode and backwards. Other losses are other residuals:
-    `(image - target) / (target + 0.01)` is the relative error, `(image + 0.01).log() - (target + 0.01).log()` that of
-    logarithms, where noise of the image biases the result. Masks multiply residuals.
+    of any shapes, in every call of the same pixels in the same order; the optimizer differentiates it, in forward mode and
+    backwards. Other losses are other residuals: `(image - target) / (target + 0.01)` is the relative error,
+    `(image + 0.01).log() - (target + 0.01).log()` that of logarithms, where noise of the image biases the result. Masks
+    multiply residuals.
 
-    Residuals and J have samples of their own: two renderings of residuals, r_1 and r_2, and two Jacobians, J_a and J_b,
-    whose means are r and J. So the gradient J^T r has no bias from noise, and steps end where it is 0. J^T J has one, which
-    shortens steps, as damping does, in directions that few samples hardly see. Up to 200 parameters J is computed as a
-    whole, for 2 n renderings in forward mode; beyond that, products with it in conjugate gradients, each for two forward and
-    two backward ones. A step counts if the squared error r_1^T r_2 falls, at the same seeds before and after, else damping
-    grows. Where more than 0.3 of a step is noise of r, by what its two halves say, `spp` is doubled, up to `max_spp`, and J
-    kept for some steps, whose error is not looked at; at `max_spp` steps become 1, 1/2, 1/3, ..., so that the result is the
-    mean of what single steps would find. Where 0.3 of what J changes is its noise, the same is done with samples of J.
+    Residuals and J have samples of their own: two renderings of residuals, r_1 and r_2, whose mean is r, and J of a third
+    seed. So the gradient J^T r has no bias from noise, and steps end where it is 0. J^T J has one, which shortens steps, as
+    damping does, in directions that few samples hardly see. Up to 64 parameters J is computed as a whole, for n renderings
+    in forward mode, and kept for up to 8 steps, as long as it says by how much residuals change: while the square of its
+    relative error along a step is below 0.05. Beyond that, steps are found by products with it in conjugate gradients, each
+    for a forward and a backward one, until what is left of the gradient is 0.2 of its noise. A step counts if the squared
+    error r_1^T r_2 falls, at the same seeds before and after, else damping grows. Where more than 0.3 of a step is noise of
+    r, by how far apart its two renderings are, `spp` is doubled, or for twice that share fourfold, up to `max_spp`, and with
+    a J that is kept the error is not looked at; at `max_spp` steps become 1, 1/2, 1/3, ..., so that the result is the mean
+    of what single steps would find. Where 0.3 of what a new J changes along a step is its noise, by the same of another
+    seed, the samples of J are doubled.
 
     Its `search`: `spp` now, of r and, `spp_of_j`, of J, `damping`, `gain`, the fall of the error over the predicted one,
-    `noise_share`, the length of the step's noise over that of the step, `noise_of_j`, the share of J's, `averaged`, how many
-    steps were limited by noise, `evaluations`, calls of the closure. One group of parameters, and one learning rate, 1.
+    `noise_share`, the length of the step's noise over that of the step, `noise_of_j`, the share of J's, `error_of_j`, the
+    square of its relative error along the last step that was looked at, `jacobians`, how many were computed, `averaged`, how
+    many steps were limited by noise, `evaluations`, calls of the closure. One group of parameters, one learning rate, 1.
 
     `state_dict` has all of that, but for the settings of the constructor: an optimizer made with these that gets it by
-    `load_state_dict` makes the same next step. Kept Jacobians are computed again, at where they were.
+    `load_state_dict` makes the same next step. A kept Jacobian is computed again, where it was.
 
     Args:
         params: leaves that the closure reads; of parametrised tensors their `original`.
@@ -104,9 +114,9 @@ class GaussNewton(torch.optim.Optimizer):
             raise ValueError(f"GaussNewton takes one group of parameters, got {len(self.param_groups)}")
         self.max_spp, self.robust, self.iterations, self.seed = max_spp or 64 * spp, robust, iterations, seed
         self.low, self.high = ranges(self, scene)
-        self.search = {"spp": spp, "spp_of_j": spp, "noise_of_j": 0.0, "damping": damping, "gain": 0.0, "noise_share": 0.0,
-                       "averaged": 0, "evaluations": 0}
-        self.kept: tuple[Tensor, Tensor] | None = None  # J_a and J_b of the last step, for those that noise limits
+        self.search = {"spp": spp, "spp_of_j": spp, "noise_of_j": 0.0, "error_of_j": 0.0, "damping": damping, "gain": 0.0,
+                       "noise_share": 0.0, "averaged": 0, "jacobians": 0, "evaluations": 0}
+        self.kept: Tensor | None = None  # J of the last step, (M, n)
         self.kept_at: KeptPlace | None = None
         self.kept_for = 0
 
@@ -134,7 +144,7 @@ class GaussNewton(torch.optim.Optimizer):
         self.search, self.seed, self.kept_for = dict(state_dict["search"]), state_dict["seed"], state_dict["kept_for"]
         self.kept = None
         self.kept_at = None if place is None else KeptPlace(
-            torch.as_tensor(place["position"], dtype=torch.float64).to(self.low.device), list(place["seeds"]), place["spp"])
+            torch.as_tensor(place["position"], dtype=torch.float64).to(self.low.device), place["seed"], place["spp"])
 
     def step(self, closure: Images) -> float:  # type: ignore[override]
         """Makes one step.
@@ -162,78 +172,94 @@ class GaussNewton(torch.optim.Optimizer):
             raise ValueError("residuals must be finite, got others: mask what is not")
         weights = torch.ones_like(pair[0]) if self.robust is None else \
             1 / (1 + ((pair[0] + pair[1]) / (2 * self.robust)).square())
-        known = self.kept_at is not None
         if self.kept is None and self.kept_at is not None:
             self.kept = self.computed_again(closure, self.kept_at)
-        model = self.model(linear, pair, weights, seeds[2:])
-        start, count = linear.position(), len(pair[0])
+        known = self.kept is not None
+        model = self.model(linear, pair, weights, seeds[2])
+        start, spp = linear.position(), state["spp"]
         for _ in range(ATTEMPTS):
             step, share = self.proposed(model, start)
+            if model.jacobian is not None and self.kept_for == 0:
+                state["noise_of_j"] = noise_of_j(model, step, linear.forward(step, seeds[3], state["spp_of_j"]), weights)
             linear.move_to(start + step)
             state["noise_share"] = share
-            if known:
+            if known and share > NOISY:
                 break  # a step as short as noise; whether the error falls cannot be told
             predicted = -float(model.gradient @ step + 0.5 * step @ model.curvature(step))
-            fall, doubt = fall_of_error(pair, [linear.values(seed, state["spp"]) for seed in seeds[:2]], weights)
-            state["gain"] = fall / predicted if predicted > 0 else 0.0
-            if predicted > 0 and fall + doubt > 0.1 * predicted:
+            trial = trial_of(model, step, pair, [linear.values(seed, spp) for seed in seeds[:2]], weights)
+            state["gain"] = trial.fall / predicted if predicted > 0 else 0.0
+            state["error_of_j"] = trial.error_of_j
+            if predicted > 0 and trial.fall + trial.doubt > 0.1 * predicted:
                 break
+            if known:  # no shorter step by a Jacobian of another place
+                linear.move_to(start)
+                self.drop_jacobian()
+                model, known = self.model(linear, pair, weights, seeds[2]), False
+                continue
             state["damping"] = max(10 * state["damping"], FIRST_DAMPING)
         else:
             linear.move_to(start)
             share = max(share, 1.0)  # a fall that so short a step does not show is one that noise hides
         if state["gain"] > 0.5:
             state["damping"] = max(0.1 * state["damping"], LEAST_DAMPING)
-        if share > NOISY and 2 * state["spp"] <= self.max_spp:
-            state["spp"] *= 2
-        elif share > NOISY:
+        if share > NOISY and state["spp"] == self.max_spp:
             state["averaged"] += 1
-        if model.noise_of_j(step) > NOISY and 2 * state["spp_of_j"] <= self.max_spp:
-            state["spp_of_j"] *= 2
-        state["noise_of_j"] = model.noise_of_j(step)
-        self.kept_for = self.kept_for + 1 if share > NOISY else KEPT
-        if self.kept_for >= KEPT:
-            self.kept, self.kept_at, self.kept_for = None, None, 0
-        return float((weights * pair[0] * pair[1]).sum()) / count
+        elif share > NOISY:
+            state["spp"] = min(state["spp"] * (4 if share > 2 * NOISY else 2), self.max_spp)
+        self.judge_jacobian()
+        return float((weights * pair[0] * pair[1]).sum()) / len(pair[0])
 
-    def computed_again(self, closure: Images, place: KeptPlace) -> tuple[Tensor, Tensor]:
-        """J_a and J_b, (M, n) each, of a place; parameters stay where they are, and evaluations are not counted."""
+    def judge_jacobian(self) -> None:
+        """Drops J if it was wrong along the last step, or has been kept for long; asks for more samples if it is noisy."""
+        state = self.search
+        noisy = self.kept_for == 0 and state["noise_of_j"] > NOISY and 2 * state["spp_of_j"] <= self.max_spp
+        if noisy:
+            state["spp_of_j"] *= 2
+        self.kept_for += 1
+        if noisy or state["error_of_j"] > STALE or self.kept_for >= KEPT:
+            self.drop_jacobian()
+
+    def drop_jacobian(self) -> None:
+        """Makes the next step compute J anew."""
+        self.kept, self.kept_at = None, None
+
+    def computed_again(self, closure: Images, place: KeptPlace) -> Tensor:
+        """J of a place, (M, n); parameters stay where they are, and evaluations are not counted."""
         linear = Linearisation(closure, self.param_groups[0]["params"])
         now = linear.position()
         linear.move_to(place.position)
         try:
-            return linear.jacobian(place.seeds[0], place.spp), linear.jacobian(place.seeds[1], place.spp)
+            return linear.jacobian(place.seed, place.spp)
         finally:
             linear.move_to(now)
 
-    def model(self, linear: Linearisation, pair: list[Tensor], weights: Tensor, seeds: list[int]) -> Model:
-        """The quadratic model around where parameters stand, from residuals, (M,) each, and seeds of the derivatives."""
+    def model(self, linear: Linearisation, pair: list[Tensor], weights: Tensor, seed: int) -> Model:
+        """The quadratic model around where parameters stand, from residuals, (M,) each, and the derivatives' seed."""
         spp = self.search["spp_of_j"]
         mean, half = weights * (pair[0] + pair[1]) / 2, weights * (pair[0] - pair[1]) / 2
         if linear.size <= FULL:
-            if self.kept is None:
-                self.kept_at = KeptPlace(linear.position(), seeds, spp)
-                self.kept = linear.jacobian(seeds[0], spp), linear.jacobian(seeds[1], spp)
-            a, b = self.kept
-            both, apart = (a + b) / 2, (a - b) / 2
-            matrix, bias = (part.T @ (weights[:, None] * part) for part in (both, apart))
+            if self.kept is None or len(self.kept) != len(mean):
+                self.kept_at, self.kept_for = KeptPlace(linear.position(), seed, spp), 0
+                self.kept = linear.jacobian(seed, spp)
+                self.search["jacobians"] += 1
+                self.search["error_of_j"] = 0.0
+            jacobian = self.kept
+            matrix = jacobian.T @ (weights[:, None] * jacobian)
             scale = matrix.diag()
             if not bool(scale.any()):
                 raise ValueError("no parameter changes the residuals: does the closure read the optimizer's parameters?")
-            return Model(both.T @ mean, lambda step: matrix @ step, scale.clamp_min(1e-12 * float(scale.max())),
-                         both.T @ half, matrix, bias)
+            return Model(jacobian.T @ mean, lambda step: matrix @ step, scale.clamp_min(1e-12 * float(scale.max())),
+                         jacobian.T @ half, jacobian.T * half, matrix, jacobian)
 
         def product(step: Tensor) -> Tensor:
             """Symmetric and never negative, since forward and backward at one seed are transposes."""
-            changes = weights * sum(linear.forward(step, seed, spp) for seed in seeds) / 2
-            return sum(linear.backward(changes, seed, spp) for seed in seeds) / 2
+            return linear.backward(weights * linear.forward(step, seed, spp), seed, spp)
 
-        gradient = sum(linear.backward(mean, seed, spp) for seed in seeds) / 2
-        noise = sum(linear.backward(half, seed, spp) for seed in seeds) / 2
+        gradient, noise = (linear.backward(part, seed, spp) for part in (mean, half))
         if not bool(gradient.any()):
             raise ValueError("no parameter changes the residuals: does the closure read the optimizer's parameters?")
         typical = float(gradient @ product(gradient)) / float(gradient @ gradient)
-        return Model(gradient, product, torch.full_like(gradient, abs(typical)), noise, None, None)
+        return Model(gradient, product, torch.full_like(gradient, abs(typical)), noise, None, None, None)
 
     def proposed(self, model: Model, start: Tensor) -> tuple[Tensor, float]:
         """The step of the damped model within the ranges, (n,), and the length of its noise over its own."""
@@ -250,10 +276,10 @@ class GaussNewton(torch.optim.Optimizer):
             # Directions without curvature would make steps of any length.
             known = values > 1e-10 * float(values.abs().max())
             inverse = torch.where(known, 1 / (values.clamp_min(1e-300) + state["damping"]), 0.0)
-            step, noise = (vectors @ (inverse * (vectors.T @ (free * part / root)))
-                           for part in (model.gradient, model.noise))
-            step = -step / root
-            share = float(noise.norm() / (root * step).norm().clamp_min(1e-300))
+            solve = vectors @ (inverse[:, None] * vectors.T) * free / root  # of a gradient, in units of the root
+            step = -(solve @ model.gradient) / root
+            noise = max(float((solve @ model.noise).norm()), float((solve @ model.noises).norm()))
+            share = noise / max(float((root * step).norm()), 1e-300)
         step = step / (1 + state["averaged"])
         return torch.minimum(torch.maximum(start + step, self.low), self.high) - start, share
 
@@ -265,11 +291,11 @@ def conjugate_gradients(model: Model, damping: float, free: Tensor, iterations: 
     """
     step, left = torch.zeros_like(model.gradient), -free * model.gradient
     direction, square = left.clone(), float(left @ left)
-    first = square
+    enough = max(1e-12 * square, SOLVED ** 2 * float((free * model.noise).square().sum()))
     for _ in range(iterations):
         bent = free * (model.curvature(direction) + damping * model.scale * direction)
         curvature = float(direction @ bent)
-        if curvature <= 0 or square <= 1e-12 * first:
+        if curvature <= 0 or square <= enough:
             break
         length = square / curvature
         step, left = step + length * direction, left - length * bent
@@ -278,11 +304,24 @@ def conjugate_gradients(model: Model, damping: float, free: Tensor, iterations: 
     return step
 
 
-def fall_of_error(before: list[Tensor], after: list[Tensor], weights: Tensor) -> tuple[float, float]:
-    """By how much a step lowers r_1^T W r_2 / 2, without bias from noise, and how far two estimates of that are apart."""
-    a, b = (-0.5 * float((weights * (before[one] + after[one])) @ (after[two] - before[two]))
-            for one, two in ((0, 1), (1, 0)))
-    return (a + b) / 2, abs(a - b)
+def trial_of(model: Model, step: Tensor, before: list[Tensor], after: list[Tensor], weights: Tensor) -> Trial:
+    """What residuals of two seeds before and after a step say, (M,) each."""
+    falls = [-0.5 * float((weights * (before[one] + after[one])) @ (after[two] - before[two]))
+             for one, two in ((0, 1), (1, 0))]
+    off = 0.0
+    if model.jacobian is not None:
+        a, b = (now - then for now, then in zip(after, before, strict=True))
+        told = model.jacobian @ step
+        change, noise = float((weights * a) @ b), 0.5 * float((weights * (a - b)) @ (a - b))
+        if change > noise:  # or nothing is known
+            off = float((weights * (a - told)) @ (b - told)) / change
+    return Trial(sum(falls) / 2, abs(falls[0] - falls[1]), off)
+
+
+def noise_of_j(model: Model, step: Tensor, other: Tensor, weights: Tensor) -> float:
+    """The variance of J d over d^T H d, by a product with J of another seed, (M,)."""
+    apart = model.jacobian @ step - other
+    return 0.5 * float((weights * apart) @ apart) / max(float(step @ model.curvature(step)), 1e-300)
 
 
 def ranges(optimizer: torch.optim.Optimizer, scene: Scene | None) -> tuple[Tensor, Tensor]:

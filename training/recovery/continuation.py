@@ -207,13 +207,13 @@ def _check_joint(place: str, found: Any, fresh: Any) -> None:
 
 
 def _check_place(found: Any, size: int) -> None:
-    """Of Gauss-Newton: where its Jacobians were computed."""
-    is_one = isinstance(found, dict) and found.keys() == {"position", "seeds", "spp"}
+    """Of Gauss-Newton: where its Jacobian was computed."""
+    is_one = isinstance(found, dict) and found.keys() == {"position", "seed", "spp"}
     if not is_one or type(found["spp"]) is not int or found["spp"] < 1:
-        raise _refuse("joint.kept_at is no table of position, seeds and spp")
-    seeds, position = found["seeds"], found["position"]
-    if not isinstance(seeds, list) or len(seeds) != 2 or any(type(seed) is not int or seed < 0 for seed in seeds):
-        raise _refuse(f"joint.kept_at.seeds is {_shown(found, 'seeds')} instead of two seeds")
+        raise _refuse("joint.kept_at is no table of position, seed and spp")
+    seed, position = found["seed"], found["position"]
+    if type(seed) is not int or seed < 0:
+        raise _refuse(f"joint.kept_at.seed is {_shown(found, 'seed')} instead of a seed")
     if not isinstance(position, list) or len(position) != size or any(
             type(each) is not float or not math.isfinite(each) for each in position):
         raise _refuse(f"joint.kept_at.position is {_shown(found, 'position')} instead of {size} finite numbers")

@@ -1,0 +1,1 @@
+"""How well deviations are predicted, how soon Gauss-Newton is there, and what the next view is worth."""
