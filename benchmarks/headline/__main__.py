@@ -12,8 +12,9 @@ Ours and one way of running Mitsuba step by turns within one process, after step
 column "first step"; a process holds one scene of each, since others would cost Mitsuba time. Recorded are the seconds of
 every step and the error of what was found. The common error is 1.5 times that at the end of our best or Mitsuba's,
 whichever is greater; the figure is the ratio of the seconds after which the errors stay below it, medians of the seeds. Who
-takes longer than ``--seconds`` for a run is stopped. Figures of tasks that were measured before are kept in the folder of
-``--out`` and shown again, so that one can measure task by task.
+takes longer than ``--seconds`` for a run is stopped. With ``--gauss-newton`` this renderer also runs by that optimiser, in
+as many steps, each of several renderings, whose samples it chooses itself. Figures of tasks that were measured before are
+kept in the folder of ``--out`` and shown again, so that one can measure task by task.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from benchmarks.headline.chart import panel, write_chart
-from benchmarks.headline.loops import MitsubaLoop, OurLoop
+from benchmarks.headline.loops import MitsubaLoop, OurGaussNewton, OurLoop
 from benchmarks.headline.race import OURS, Curve, Loop, Outcome, common_error, fastest, is_ours, outcome, race
 from benchmarks.headline.task import Task
 from benchmarks.headline.tasks import TASKS
@@ -41,6 +42,7 @@ from benchmarks.scenes import QUICK
 FEWER = (1, 4)  # by how many times fewer samples than the task's a renderer runs
 SAMPLERS = {None: "", "multijitter": ", multijitter"}  # of Mitsuba's sensors; None: its default
 WARM_UP = 2
+MOST_NUMBERS = 2000  # for Gauss-Newton
 HEADER = """\
 | task | renderer | step, ms | first step, s | error, start | at the end | common | seconds to it | ours / Mitsuba's |
 |---|---|---|---|---|---|---|---|---|"""
@@ -51,16 +53,20 @@ def measure(options: argparse.Namespace) -> dict:
     mi = mitsuba_for("cpu")
     with tempfile.TemporaryDirectory() as folder, Progress(console=Console(stderr=True), transient=True) as progress:
         task = TASKS[options.only](Path(folder))
+        integrator, sampler, samples = ways(task)[options.against]
         if options.quick:
             task = task._replace(setting=QUICK._replace(max_depth=task.setting.max_depth), steps=2)
         targets = task.targets(mi, options.target_samples)
-        integrator, sampler, samples = ways(task)[options.against]
         task = task._replace(setting=task.setting._replace(spp=samples))
         ours, theirs = (task.sampled(Path(folder), kind) for kind in (None, sampler))
 
         def loops(seed: int) -> dict[str, Loop]:
-            return {our_name(samples): OurLoop(ours, targets, seed),
-                    options.against: MitsubaLoop(theirs, integrator, mi, targets, seed)}
+            found: dict[str, Loop] = {our_name(samples): OurLoop(ours, targets, seed)}
+            if options.gauss_newton:
+                by_squares = OurGaussNewton(ours, targets, seed)
+                if by_squares.size <= MOST_NUMBERS:
+                    found[f"{OURS}, Gauss-Newton, from {samples} a pixel"] = by_squares
+            return found | {options.against: MitsubaLoop(theirs, integrator, mi, targets, seed)}
 
         first = warm_up(loops(seed=0))
         shown = progress.add_task(f"{task.title}: {options.against}", total=options.seeds * task.steps)
@@ -111,7 +117,7 @@ def in_own_process(name: str, against: str, options: argparse.Namespace) -> dict
     """`measure` in a new process, whose home folder holds no kernels of Mitsuba; None if it has failed and said why."""
     command = [sys.executable, "-m", "benchmarks.headline", "--only", name, "--against", against, "--seeds",
                str(options.seeds), "--seconds", str(options.seconds), "--target-samples", str(options.target_samples),
-               *["--quick"] * options.quick]
+               *["--quick"] * options.quick, *["--gauss-newton"] * options.gauss_newton]
     with tempfile.TemporaryDirectory() as home:
         done = subprocess.run(command, stdout=subprocess.PIPE, text=True,
                               env={**os.environ, "HOME": home, "RADBP_KERNEL_CACHE": "off"})
@@ -160,6 +166,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0, help="that a run may take, of the steps of one renderer")
     parser.add_argument("--target-samples", type=int, default=512, help="a pixel of the targets")
     parser.add_argument("--out", type=Path, default=Path("runs/headline"), help="folder of figures, table and chart")
+    parser.add_argument("--gauss-newton", action="store_true", help="ours also by Gauss-Newton, of 2000 numbers at most")
     parser.add_argument("--quick", action="store_true", help="tiny images and two steps, to see that it works")
     parser.add_argument("--only", choices=TASKS, help=argparse.SUPPRESS)
     parser.add_argument("--against", help=argparse.SUPPRESS)

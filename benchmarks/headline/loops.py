@@ -7,6 +7,7 @@ import time
 import numpy as np
 import torch
 
+import torch_radbp as rb
 from benchmarks.headline.task import Task
 from benchmarks.scenes.description import NO_ROULETTE
 
@@ -46,6 +47,28 @@ class OurLoop:
     def found(self) -> dict[str, np.ndarray]:
         """What has been found so far."""
         return {name: variable.found() for name, variable in self.variables.items()}
+
+
+class OurGaussNewton(OurLoop):
+    """The loop with this renderer by Gauss-Newton, which chooses its samples itself, from those of the task on.
+
+    Args: as for `OurLoop`.
+    """
+
+    def __init__(self, task: Task, targets: np.ndarray, seed: int):
+        super().__init__(task, targets, seed)
+        leaves = [leaf for variable in self.variables.values() for group in variable.optimizer.param_groups
+                  for leaf in group["params"]]
+        self.size = sum(leaf.numel() for leaf in leaves)
+        self.optimizer = rb.optim.GaussNewton(leaves, spp=task.setting.spp, seed=self.seed)
+
+    def step(self, number: int) -> float:
+        """One step; the seconds that it took."""
+        start = time.perf_counter()
+        self.optimizer.step(lambda seed, spp: self.renderer(seed=seed, spp=spp) - self.targets)
+        for variable in self.variables.values():
+            variable.clamp()
+        return time.perf_counter() - start
 
 
 class MitsubaLoop:
