@@ -4,9 +4,9 @@
 of its own, with normal noise of 5 % of each pixel (and of 0.1). Printed are the standard deviations of what is found over
 those that `rb.covariance` predicts, root mean square and median over parameters, the least and greatest of them, and the
 share of the 95 % intervals that hold the truth. Fits begin at the truth: what is asked is the spread, not whether they
-arrive. For more than 200 numbers deviations are those of `rb.diagonal_covariance`. Textures, skies and networks have a prior
-of 0.3 for each number, which fits have, too, around values that chance takes as far from the truth. Weights of a network
-take each other's part: there, the colours that it returns are compared.
+arrive. For more than 200 numbers deviations are those of `rb.diagonal_covariance`. Textures and networks have a prior of
+0.3 for each number, skies of 0.1, which fits have, too, around values that chance takes as far from the truth. Weights of a
+network take each other's part: there, the colours that it returns are compared.
 
 *Speed.* ``--speed``: from a start that is off, seconds until the root mean square of the relative errors of the parameters
 is at most 1.2 times what Gauss-Newton ends with, for it and for Adam with each of five learning rates, of the same
