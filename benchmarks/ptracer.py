@@ -54,7 +54,7 @@ def description(name: str, heights: Any) -> dict[str, Any]:
 def our_passes(name: str, spp: int) -> tuple[Callable[[int], object], ...]:
     """An image; an image and its derivative; what gives memory back before it is measured."""
     scene = rb.load_dict(description(name, torch.zeros(PLATE, PLATE, 1)))
-    renderer = rb.Renderer(scene, spp=spp, share_samples=True)
+    renderer = rb.Renderer(scene, spp=spp)
     parameter = dict(scene.named_parameters())[KEYS[name]]
 
     def image(seed: int) -> object:

@@ -104,7 +104,7 @@ def test_a_recipe_is_found_by_its_name(tmp_path, monkeypatch):
     assert recipe_path(Path("metal_plate")) == bundled_recipes()["metal_plate"]
     Path("metal_plate").write_text("mine")
     assert recipe_path(Path("metal_plate")) == Path("metal_plate"), "a file of that name comes first"
-    assert "\nmetal_plate          Metal plate: the roughness\n" in listing()
+    assert re.search(r"\nmetal_plate +Metal plate: the roughness\n", listing())
 
 
 @pytest.mark.deep
