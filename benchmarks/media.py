@@ -59,7 +59,7 @@ from tests.scenes.xml.files import Case, Folder
 BATCHES, PATHS = 32, 1e6
 FARTHEST = 4.0  # standard errors
 # Why rows differ, by a part of their names.
-REASONS = {"sggx": "under a sky of 1 Mitsuba's radiance is .96 to .99, ours 1 (`tests/medium`); docs/what_there_is.md"}
+REASONS = {"sggx": "Mitsuba's samples other directions than its density says: `benchmarks.media_flakes`"}
 INTEGRATORS_OF = (media.Row("grey", "tabphase", "null", "inside", "sky", 64),
                   media.Row("grey", "isotropic", "tinted", "inside", "lamp", 8))
 HEADER = "| scene | z | bias | inside | time, ours + Mitsuba's | verdict |\n|---|---|---|---|---|---|"
