@@ -6,7 +6,7 @@ of 512 samples. Both renderers load the same file and begin with the same thin f
 
     Mitsuba          the tutorial's loop: a grid of 16^3, 20 rounds by 8 samples, then of 64^3, 20 rounds by 64 samples; Adam
                      with a rate of 0.02 steps after each view; values are cut off at 1e-6 and 1
-    ours             all views at once, 8 samples, a grid that grows from 8^3 to 64^3, a rate that falls, and total variation
+    ours             all views at once, 8 samples, a grid that grows from 8^3 to 64^3, a rate that falls, `rb.priors.bending`
     ours, its loop   ours in the tutorial's loop, step by step the same
     Mitsuba, our loop   our loop with Mitsuba's images and derivatives
 

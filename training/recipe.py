@@ -69,15 +69,15 @@ class Render(Table):
 class Prior(Table):
     """What is likely of a parameter, before any image is seen: `weight` times a function of `rb.priors`."""
 
-    name: Literal["total_variation", "smoothness", "white_balance"]
+    name: Literal["total_variation", "bending", "smoothness", "white_balance"]
     parameter: str  # name or glob, of recovered parameters; or "gains"
     weight: Positive
-    epsilon: Positive | None = None  # of total_variation: differences below count by their squares; None: 0.001
+    epsilon: Positive | None = None  # of total_variation and bending: differences below count by their squares; None: 0.001
 
     @model_validator(mode="after")
     def _check_epsilon(self):
-        if self.epsilon is not None and self.name != "total_variation":
-            raise ValueError(f'epsilon belongs to name = "total_variation", not to "{self.name}"')
+        if self.epsilon is not None and self.name not in ("total_variation", "bending"):
+            raise ValueError(f'epsilon belongs to name = "total_variation" or "bending", not to "{self.name}"')
         return self
 
 

@@ -11,10 +11,11 @@ from array import array
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from torch_radbp.jit.cpu.board import run_loop
-from torch_radbp.jit.cpu.large_pages import block_of_bytes
+from torch_radbp.jit.cpu.large_pages import block_of
 from torch_radbp.jit.cpu.machine import MachineCode, cached_code
 from torch_radbp.jit.cpu.recorded import Recorded
 from torch_radbp.jit.lane.loops import WRITE_JOB
@@ -261,7 +262,7 @@ def run_in_tiles(steps: Sequence[TileStep], lanes: int) -> int:
     kept_at = given_at + 8 * words
     counts_at = kept_at + 8 * max(len(step.handed.offsets) for step in steps)
     size = -(-(counts_at + 8 * max(step.recorded.counts for step in steps)) // 4096) * 4096
-    memory: Tensor = block_of_bytes(threads() * size)
+    memory: Tensor = block_of((threads() * size,), torch.uint8)
     inputs = array("q", [address(described), len(steps), memory.data_ptr(), size, 0, TILE, area, room, given_at, kept_at,
                          counts_at, 0])
     run_lanes(code().address, lanes, inputs, array("q"), TILE)

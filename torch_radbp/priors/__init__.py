@@ -6,7 +6,7 @@
 They read parameters, not renderings: values and derivatives are exact, whatever the number of samples.
 """
 
-from torch_radbp.priors.maps import smoothness, total_variation
+from torch_radbp.priors.maps import bending, smoothness, total_variation
 from torch_radbp.priors.white_balance import white_balance
 
-__all__ = ["smoothness", "total_variation", "white_balance"]
+__all__ = ["bending", "smoothness", "total_variation", "white_balance"]

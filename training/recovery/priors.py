@@ -10,7 +10,7 @@ from torch_radbp.training.recovery.parameters import matching
 from torch_radbp.training.recovery.recovered import RecoveredParameter
 from torch_radbp.training.recovery.variables import wraps
 
-EPSILON = 1e-3  # of total variation, if the recipe does not say
+EPSILON = 1e-3  # of total variation and bending, if the recipe does not say
 
 
 class Priors:
@@ -54,6 +54,8 @@ def function_of(spec: recipe.Prior, parameter: RecoveredParameter) -> Callable[[
     match spec.name:
         case "total_variation":
             return lambda values: priors.total_variation(values, spec.epsilon or EPSILON, rows, columns)
+        case "bending":
+            return lambda values: priors.bending(values, spec.epsilon or EPSILON)
         case "smoothness":
             return lambda values: priors.smoothness(values, rows, columns)
         case "white_balance":

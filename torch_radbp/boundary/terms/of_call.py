@@ -23,7 +23,7 @@ from torch_radbp.boundary.terms.reflections import (
     sharp_lights,
 )
 from torch_radbp.boundary.terms.shadows import bytes_of_shadows, shadow_jumps, shadows_move, slides_over_edges
-from torch_radbp.boundary.warning.slid_over import slid_over
+from torch_radbp.boundary.warning.slid_over import lamps_beside_mirrors, slid_over
 from torch_radbp.call.render_call import RenderCall
 
 
@@ -83,6 +83,8 @@ def lamps_are_slid_over(rendering: Rendering) -> bool:
     """True if surfaces see lamps in ideal mirrors or glass that parameters turn; alike under `torch.no_grad()`, so that
     images have the samples that they have where they are differentiated.
     """
+    if not lamps_beside_mirrors(rendering):
+        return False
     with torch.enable_grad():
         slid = slid_over(replace(rendering))
     return bool(slid.names) and slid.lamps

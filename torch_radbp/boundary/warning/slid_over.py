@@ -43,6 +43,15 @@ def slid_over(rendering: Rendering) -> SlidOver:
         names |= {name: True for name in movers if any(delta)}
     if sampling != "detached" and any(hybrid.values()):
         names |= {name: True for cameras in rendering.camera_movers for name in cameras}
-    lamps = any(not (kind.delta or kind.surround) for kind in (emitter.kind() for emitter in rendering.emitters))
     ideal = any(kind.delta for _, kind in materials)
-    return SlidOver(names, all(id(bsdf) in computed for bsdf, _ in materials), lamps and ideal and seen_by_others)
+    return SlidOver(names, all(id(bsdf) in computed for bsdf, _ in materials),
+                    ideal and seen_by_others and lamps_beside_mirrors(rendering))
+
+
+def lamps_beside_mirrors(rendering: Rendering) -> bool:
+    """True if a scene has lamps of finite extent, and ideal mirrors or glass in which surfaces might see them."""
+    def found() -> bool:
+        lamps = any(not (kind.delta or kind.surround) for kind in (emitter.kind() for emitter in rendering.emitters))
+        return lamps and any(kind.delta for _, kind in rendering.materials())
+
+    return rendering.known("lamps beside mirrors", found)

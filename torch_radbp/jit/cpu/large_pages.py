@@ -32,9 +32,10 @@ def advising() -> Callable[[int, int, int], int] | None:
     return ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)(("madvise", ctypes.CDLL(None)))
 
 
-def block_of_bytes(size: int) -> Tensor:
-    """(size,) uint8, uninitialised, on the CPU; in large pages where possible."""
-    block = torch.empty(size, dtype=torch.uint8, device="cpu")
+def block_of(shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
+    """An uninitialised tensor of some shape, on the CPU; in large pages where possible."""
+    block = torch.empty(shape, dtype=dtype, device="cpu")
+    size = block.nbytes
     if size >= LEAST and (advise := advising()) is not None:
         start = block.data_ptr()
         first, last = -(-start // PAGE) * PAGE, (start + size) // PAGE * PAGE

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.cpu.board import Board
-from torch_radbp.jit.cpu.large_pages import block_of_bytes
+from torch_radbp.jit.cpu.large_pages import block_of
 from torch_radbp.jit.cpu.machine import MachineCode, cached_code
 from torch_radbp.jit.cpu.recorded_text import Writer
 from torch_radbp.jit.recording.lane_operations import MemoryPlace, Outside
@@ -60,7 +60,7 @@ class Recorded(RecordedResults):
         row = -(-lanes // 64) * 64
         addresses = given.addresses + others.addresses + given.lengths + others.lengths
         kept = [self.rows_of(group, row) for group in self.layout.groups]
-        room = block_of_bytes(max(1, self.layout.bytes * row))
+        room = block_of((max(1, self.layout.bytes * row),), torch.uint8)
         places, counts = array("q", [block.data_ptr() for block in kept]), array("q", [0, lanes, *known])
         counts.extend([0] * (self.counts - len(counts)))
         memory = Memory((*given.items, *others.items), kept, places, room, row)
@@ -85,8 +85,7 @@ class Recorded(RecordedResults):
         """A tensor for the results of a group, (tensors, entries); empty for those that are handed over."""
         if group.handed:
             return torch.empty((len(group.tensors), 0), dtype=group.dtype, device="cpu")
-        size = len(group.tensors) * entries * group.dtype.itemsize
-        return block_of_bytes(size).view(group.dtype).view(-1, entries)
+        return block_of((len(group.tensors), entries), group.dtype)
 
     def do(self, outside: Outside, contexts: Sequence[Any], memory: Memory, counts: array) -> None:
         """Runs work outside of machine code, if there are lanes."""
