@@ -42,7 +42,7 @@ def bounced_twice(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | No
     Args as there, but that `L` is always wanted.
     """
     fixed, stages, state = integrand.still(), integrand.stages, onward.packed(integrand)
-    vertex, _, step = take_step(fixed, detached(state), depth, hit=onward.hit, with_light=False)
+    vertex, _, step = take_step(fixed, detached(state), depth, hit=onward.hit, flight=onward.flight, with_light=False)
     alive = surviving(step)
     hit = following = None
     if not integrand.is_last(depth):

@@ -77,6 +77,10 @@ class Integrand(NamedTuple):
         """The integrand on detached tensors."""
         return self._replace(scene=self.proposal, parts={}) if self.attached else self
 
+    def standing(self) -> Integrand:
+        """The integrand of paths whose rays carry no derivatives."""
+        return self._replace(settings=self.settings._replace(moving=False))
+
     def for_derivatives(self, of_image: bool = False) -> Integrand:
         """The integrand for paths whose samples are of the derivative; `of_image`: and of the image, too."""
         kinds = self.proposal.layout.media

@@ -79,6 +79,7 @@ class Onward(NamedTuple):
     alive: Tensor | None  # (M,) int32, the places of those that go on; None: all do
     hit: Hit | None = None  # (M,) of their rays, if it is known
     number: LaneCount | None = None  # M, if only the device knows it; of `alive` the first are meant
+    flight: Flight | None = None  # (M,) if it is known how these rays come to `hit` through media
 
     @property
     def count(self) -> int | LaneCount:

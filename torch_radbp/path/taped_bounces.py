@@ -116,8 +116,8 @@ def blank_lanes(arguments: tuple, reserve: Reserve) -> tuple:
     """Arguments of a bounce with shapes but no contents."""
     onward, L, at = arguments
     paths = without_contents(onward.paths, reserve, ALL if onward.alive is None else ALL + 1)  # of which some end
-    alive, hit, L = without_contents((onward.alive, onward.hit, L), reserve)
-    return Onward(paths, alive, hit), L, at
+    alive, hit, flight, L = without_contents((onward.alive, onward.hit, onward.flight, L), reserve)
+    return Onward(paths, alive, hit, flight=flight), L, at
 
 
 def with_first_hit(integrand: Integrand, onward: Onward) -> Onward:

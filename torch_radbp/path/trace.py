@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from torch_radbp.jit.recording.lane_count import most_of
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.state import PathState
+from torch_radbp.path.state import Flight, PathState
 from torch_radbp.path.step import Onward, Step
 from torch_radbp.path.taped_bounces import Bounce, bounces_taken
 from torch_radbp.path.wavefront import BroughtToFilm, bounced, film_buffer, radiance_buffer
@@ -18,7 +18,7 @@ Visit = Callable[[int, PathState, Step], None]
 
 
 def trace(integrand: Integrand, start: PathState, visit: Visit | None = None, hit: Hit | None = None,
-          depth: int = 0, bounce: Bounce = bounced) -> Vec3:
+          depth: int = 0, bounce: Bounce = bounced, flight: Flight | None = None) -> Vec3:
     """The radiance L_1 along each lane's camera ray: the sum of beta_k E_k over bounces.
 
     Args:
@@ -28,12 +28,13 @@ def trace(integrand: Integrand, start: PathState, visit: Visit | None = None, hi
         hit: of the camera rays, if it is known.
         depth: of the first bounce to take; later ones begin in the middle of a path.
         bounce: takes one bounce.
+        flight: by which rays come to `hit` through media, if it is known.
 
     Returns:
         (N,) linear RGB, in the order of `start`; attached if `integrand.scene` is. If some lanes are of the derivative alone
         (`integrand.differentiated`), it is 0 there: nobody asks what these bring to the image.
     """
-    onward = Onward(start, None, hit)
+    onward = Onward(start, None, hit, flight=flight)
     L = traced_whole(integrand, onward, depth, bounce) if visit is None else None
     if L is None:
         L = radiance_buffer(integrand, start)

@@ -21,7 +21,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.light_picks import picked_lights
 from torch_radbp.path.sorting import first_hit, queued
-from torch_radbp.path.state import PathState
+from torch_radbp.path.state import Flight, PathState
 from torch_radbp.path.step import Onward, Step, cut_to_count, surviving, survivors
 from torch_radbp.path.through_media import free_connections, free_flights, let_through
 from torch_radbp.path.vertices import bounce_queues, with_texture_values
@@ -46,7 +46,7 @@ def bounced(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) ->
         The paths that reached the bounce, what was decided there, and those that go on.
     """
     state = onward.packed(integrand)
-    vertex, light, step = take_step(integrand, state, depth, hit=onward.hit, with_light=L is not None)
+    vertex, light, step = take_step(integrand, state, depth, None, onward.hit, onward.flight, with_light=L is not None)
     # L += beta_k E_k, with E_k = Le + visible Ld where paths scatter, and the light that they meet where they end.
     if L is not None:
         for order, lane, *E in shown(integrand, state, vertex, light, step):
@@ -56,8 +56,9 @@ def bounced(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) ->
 
 
 def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | None = None,
-              hit: Hit | None = None, with_light: bool = True) -> tuple[Vertex, Vec3 | None, Step]:
-    """Takes one bounce of every lane; casts rays only where `step` and `hit` do not hold their answers.
+              hit: Hit | None = None, flight: Flight | None = None,
+              with_light: bool = True) -> tuple[Vertex, Vec3 | None, Step]:
+    """Takes one bounce of every lane; casts rays only where `step`, `hit` and `flight` do not hold their answers.
 
     What lanes bring to the image is computed where it counts there and `with_light` asks for it.
 
@@ -70,7 +71,7 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
         return with_connections(integrand, vertex, step), light, step
     # What does each ray meet, and does its flight end in a medium before? Lanes with the same event form a queue.
     hit = first_hit(integrand, state.ray, depth) if hit is None else hit
-    hit, flight = free_flights(integrand, state, hit, depth)
+    hit, flight = free_flights(integrand, state, hit, depth) if flight is None else (hit, flight)
     queues = queued(integrand, state.ray, hit, integrand.is_last(depth), integrand.image_lanes(state), flight)
     # Which light shall each vertex connect to, where that depends on the place?
     undecided = hit.prim.new_empty(0, dtype=torch.bool)
@@ -183,7 +184,7 @@ def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mappi
         with_light: see `take_step`.
     """
     while depth < integrand.max_depth and len(state.lane):
-        vertex, light, step = take_step(integrand, state, depth, steps.get(depth), hit, with_light)
+        vertex, light, step = take_step(integrand, state, depth, steps.get(depth), hit, with_light=with_light)
         yield Bounce(depth, state, vertex, light, step)
         state, depth, hit = survivors(integrand, vertex.next, step), depth + 1, None
 

@@ -13,8 +13,7 @@ from torch_radbp.boundary.terms.of_call import EdgesOfCall
 from torch_radbp.boundary.terms.primary import SeenByCamera, jumps_of_views
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.state import PathState
-from torch_radbp.raycast.protocol import Hit
+from torch_radbp.path.step import Onward
 from torch_radbp.rendering.settings import INTERIOR
 from torch_radbp.tensors.differentiated import primal
 
@@ -39,8 +38,8 @@ def aov_jumps(call: RenderCall, jumps: list[Jumps], names: tuple[str, ...]) -> d
     """
     names = tuple(name for name in names if plain(name) not in UNDIFFERENTIATED)
 
-    def values(integrand: Integrand, start: PathState, hit: Hit) -> tuple[Tensor, ...]:
-        found = lane_values(integrand, start, tuple(dict.fromkeys(map(plain, group))), hit)
+    def values(integrand: Integrand, start: Onward) -> tuple[Tensor, ...]:
+        found = lane_values(integrand, start.paths, tuple(dict.fromkeys(map(plain, group))), start.hit)
         return tuple(channels_of(group, found))
 
     found: dict[str, Tensor] = {}

@@ -11,6 +11,7 @@ from torch_radbp.boundary.curve.geometry import Between, Geometry, largest_coord
 from torch_radbp.boundary.curve.intersections import TOUCHING
 from torch_radbp.boundary.curve.places import CREASE, FAR, NEAR, RIM, SILHOUETTE, TEXTURE, Glued, Places, apart_at
 from torch_radbp.path.camera_rays import CameraSample
+from torch_radbp.path.state import Flight
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import stage
@@ -30,6 +31,7 @@ class Sent(NamedTuple):
 
     sample: CameraSample
     hit: Hit
+    flight: Flight | None = None  # through media up to there; see `Arrival`
 
     def of(self, way: int, count: Tensor, lane: Tensor) -> tuple[Ray, Hit]:
         """The rays to the samples (0), behind (1) or ahead (2) of the curve; of `count` samples those in `lane`."""
@@ -94,6 +96,7 @@ class PathsBeside(NamedTuple):
 
     sample: CameraSample
     hit: Hit
+    flight: Flight | None  # as of `Sent`
 
 
 @stage("places", "chosen", "sent", "times", "shown")
@@ -102,7 +105,8 @@ def paths_beside(places: Places, chosen: Tensor, sent: Sent, times: Tensor, show
     """The paths that start behind and ahead of visible samples.
 
     A ray beside a curve may meet another curve, or the surface may end there, which is counted there. So where it is known
-    what surface the curve is on, the path begins at the place itself.
+    what surface the curve is on, the path begins at the place itself. Then it has come there through media as the first of
+    the three rays that met that surface.
 
     Args:
         places, chosen, sent: as for `in_sight`; (M,) chosen.
@@ -115,7 +119,8 @@ def paths_beside(places: Places, chosen: Tensor, sent: Sent, times: Tensor, show
     is_ahead = lane >= count
     number = rows(shown, torch.where(is_ahead, lane - count, lane))
     own, times = rows(places, rows(chosen, number)), rows(times, number)
-    sample, hit = rows(sent, number + torch.where(is_ahead, 2 * sent_to, sent_to))
+    beside = number + torch.where(is_ahead, 2 * sent_to, sent_to)
+    sample, hit = rows((sent.sample, sent.hit), beside)
     both, outline = (own.kind == RIM) | _goes_on(own.kind), own.kind == SILHOUETTE
     lies_ahead = ~((own.side > 0) ^ (times > 0))
     glued = Glued(*(torch.where(is_ahead, there, here) for here, there in zip(own.behind, own.ahead)))
@@ -123,8 +128,27 @@ def paths_beside(places: Places, chosen: Tensor, sent: Sent, times: Tensor, show
     distance = dot(own.p - straight.o, straight.d)
     known = (both | (outline & ~(lies_ahead ^ is_ahead))) & (glued.prim >= 0) & (missed(own, distance) <= 1.0)
     place = Hit(glued.prim, glued.u, glued.v, distance, own.instance)
-    return PathsBeside(sample, Hit(*(None if there is None else torch.where(known, here.to(there.dtype), there)
-                                     for here, there in zip(place, hit))))
+    hit = Hit(*(None if there is None else torch.where(known, here.to(there.dtype), there)
+                for here, there in zip(place, hit)))
+    if sent.flight is None:
+        return PathsBeside(sample, hit, None)
+    other = number + torch.where(is_ahead, sent_to, 2 * sent_to)
+    return PathsBeside(sample, hit, rows(sent.flight, came_by(own, sent, known, (beside, number, other))))
+
+
+def came_by(places: Places, sent: Sent, known: Tensor, rays: tuple[Tensor, ...]) -> Tensor:
+    """(N,) int32, the rays by whose flights paths come to places: the first that meets a triangle there, where paths begin
+    at the place itself, else the first of all.
+
+    Args:
+        places: (N,).
+        known: (N,) bool: paths begin there.
+        rays: (N,) int32 each, of those in `sent`.
+    """
+    found = rays[0]
+    for ray in reversed(rays):
+        found = torch.where(known & is_one_of(places, rows(sent.hit, ray)), ray, found)
+    return found
 
 
 def _goes_on(kind: Tensor) -> Tensor:

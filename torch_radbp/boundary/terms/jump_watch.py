@@ -81,7 +81,7 @@ class JumpWatch:
         if not sensors <= self.viewed:
             self.say(views_without_rays(rendering, self.viewed))
             self.viewed |= sensors
-        segments = rendering.call.scene.layout.traces_segments  # through media, where no term has edges
+        segments = rendering.call.scene.layout.traces_segments  # through media, where terms have edges in view alone
         for look in [self.edges_in_a_medium] if segments else self.looks:
             warning = look(rendering)
             if warning is not None:
@@ -126,11 +126,13 @@ class JumpWatch:
                                  f"{' and '.join(dict.fromkeys(found.values()))}: some move in view. {instead}")
 
     def edges_in_a_medium(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """The warning about edges that a medium which scatters sees, where anything moves, or None: no term has them."""
+        """The warning about edges that a medium which scatters sees, where anything moves, or None: no term has them. Where
+        rays pass boundaries, nor has any those that surfaces see, or shadows."""
         names, layout = moving_names(rendering), rendering.call.scene.layout
         if not names or not (layout.traces_segments or (layout.scattering_media and rendering.max_depth > 1)):
             return None
-        lack = ("what edges and shadows contribute, since rays pass surfaces on ways through media, or these vary or emit"
+        edges = "edges that the camera does not see itself, and shadows," if rendering.primary else "edges and shadows"
+        lack = (f"what {edges} contribute, since rays pass surfaces on ways through media, or these vary or emit"
                 if layout.traces_segments else "what edges and shadows contribute to the light that the medium scatters")
         return SilhouetteWarning(f"derivatives with respect to {listed(sorted(names))} lack {lack}: check_gradient measures "
                                  "how much that is. Those by extinction, albedo and phase function, by colours and by "

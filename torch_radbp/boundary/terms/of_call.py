@@ -58,7 +58,7 @@ def bytes_of_edges(call: RenderCall, primary: bool, shadows: bool) -> int:
 
 def asked_by_way_of_others(call: RenderCall, primary: bool, shadows: bool) -> tuple[bool, bool]:
     """Whether jumps and shadow borders by way of mirrors and glass are on; args as for `bytes_of_edges`."""
-    if not follows_mirrors(call):
+    if not follows_mirrors(call) or call.scene.layout.traces_segments:
         return False, False
     moving = reflections_move(call) or lines_slide(call)
     return primary and moving, shadows and sharp_lights(call) and (moving or shadows_move(call))

@@ -9,6 +9,9 @@ along the curve, whose normal n points ahead. Each kind of curve is a term, one 
 that samples places on it. L is estimated on either side by a path through a point close by, and v follows the attached
 vertices and the attached camera. The place on an edge stays where it is on the edge: sliding along it changes nothing.
 
+Both paths have the same random numbers. So where a medium is before the curve they scatter in it at the same place or not at
+all, and L differs by what is seen of the jump through it. Boundaries that rays pass straight hide nothing.
+
 The result is an image of zeros with that derivative, backward and forward.
 
 Reference: Li, Aittala, Durand and Lehtinen 2018, "Differentiable Monte Carlo Ray Tracing through Edge Sampling", section 4.
@@ -48,9 +51,9 @@ from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.jit.order import chosen
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.sorting import first_hit
-from torch_radbp.path.state import PathState
+from torch_radbp.path.step import Onward
+from torch_radbp.path.through_media import free_flights
 from torch_radbp.path.trace import trace
-from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import rows
@@ -60,7 +63,7 @@ BYTES_OF_TRIANGLE = 48  # weights of its edges and their sums
 BYTES_OF_PLACE = 640  # what is known of it, three rays and what they meet, two paths, and how it moves
 LONG = 16  # times as long as the image is wide and high: curves of a cluttered view
 
-Evaluate = Callable[[Integrand, PathState, Hit], tuple[Tensor, ...]]
+Evaluate = Callable[[Integrand, Onward], tuple[Tensor, ...]]
 
 
 class SeenByCamera(NamedTuple):
@@ -91,8 +94,8 @@ def bytes_of_jumps(call: RenderCall) -> int:
 
 def image_jumps(call: RenderCall, jumps: list[Jumps | None]) -> Tensor:
     """(B, 3, H, W) zeros whose derivative is that of the image's discontinuities; `jumps`: of each view."""
-    def radiance(integrand: Integrand, start: PathState, hit: Hit) -> tuple[Tensor, ...]:
-        return tuple(trace(integrand, start, hit=hit))
+    def radiance(integrand: Integrand, start: Onward) -> tuple[Tensor, ...]:
+        return tuple(trace(integrand, start.paths, hit=start.hit, flight=start.flight))
 
     return jumps_of_views(call, jumps, SeenByCamera((True,) * 3, radiance, is_radiance=True))
 
@@ -122,7 +125,7 @@ def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps
         viewed = ExaminedView(stages, *prepared, sight.camera, rims, view.clips)
         places = [] if jumps is None else _places_of(still, number, viewed, jumps)
         if places:
-            integrand = integrand_of(still, still.integrand, number)
+            integrand = integrand_of(still, still.integrand.standing(), number)
             found = strengths(still, integrand, viewed, joined(places), seen)
     deposits = []
     if found is not None:
@@ -147,6 +150,7 @@ class InView(NamedTuple):
     places: Places
     table: Places | Any  # the same, prepared for the stages
     kinds: tuple[int, ...]  # kinds of moving curves inside of triangles among them
+    through_media: bool  # rays pass boundaries on their way there
 
 
 def strengths(call: RenderCall, integrand: Integrand, viewed: ExaminedView, places: Places,
@@ -167,7 +171,8 @@ def strengths(call: RenderCall, integrand: Integrand, viewed: ExaminedView, plac
     most = max(FEWEST, max(wavefront.lanes for wavefront in call.wavefronts) // 2)
     blocks = counted.split(max(FEWEST, -(-len(counted) // -(-len(counted) // most))))
 
-    found = InView(places, *viewed.stages(in_sight).taken(places=places), _kinds_of(places))
+    through_media = seen.is_radiance and call.scene.layout.traces_segments
+    found = InView(places, *viewed.stages(in_sight).taken(places=places), _kinds_of(places), through_media)
 
     def work(share: Iterable[int]) -> list[tuple[Tensor, Tensor]]:
         return [differences(call, integrand, viewed, found, blocks[block], seen) for block in share]
@@ -192,11 +197,13 @@ def sides_in_sight(call: RenderCall, integrand: Integrand, viewed: ExaminedView,
     (M,). Args as for `differences`.
     """
     stages, geometry, sight = viewed[:3]
-    _, table, kinds = found
+    table, kinds = found.table, found.kinds
     sent = torch.full((), len(asked), dtype=torch.int32, device=asked.device)
     lane = lanes(3 * len(asked), asked)
     sample = stages(rays_beside)(sight, table, asked, sent, lane, call.scene.layout.traces_cones)
     rays = Sent(sample, first_hit(integrand, sample.ray, 0))
+    if found.through_media:
+        rays = Sent(sample, *free_flights(integrand, started(call, sample), rays.hit, 0))
     times = stages(in_sight)(geometry, table, asked, rays, sent, lane[:len(asked)], kinds)
     clear = chosen(times != 0)
     counts = sent, torch.full_like(sent, len(clear))
@@ -210,7 +217,7 @@ def lit_sides(call: RenderCall, still: RenderCall, number: int, viewed: Examined
     with torch.no_grad():
         integrand = integrand_of(still, still.integrand, number)
         table = viewed.stages(in_sight).taken(places=found.places)
-        places = InView(found.places, *table, found.kinds)
+        places = InView(found.places, *table, found.kinds, through_media=False)
         start, clear, times = sides_in_sight(still, integrand, viewed, places, found.shown)
         light = light_from_lamps(still, number, start.sample, start.hit) * rows(times, clear).repeat(2)
     places = rows(found.places, rows(found.shown, clear))
@@ -221,7 +228,7 @@ def differences(call: RenderCall, integrand: Integrand, viewed: ExaminedView, fo
                 seen: SeenByCamera) -> tuple[Tensor, Tensor]:
     """Of samples `asked` (M,) int32: the visible ones, (K,) int32, and values behind less values ahead, (C, K) float64."""
     start, clear, times = sides_in_sight(call, integrand, viewed, found, asked)
-    values = seen.evaluate(integrand, started(call, start.sample), start.hit)
+    values = seen.evaluate(integrand, Onward(started(call, start.sample), None, start.hit, flight=start.flight))
     weight = start.sample.weight
     values = torch.stack([value if weight is None else value * weight for value in values]).double()
     behind, ahead = values.view(len(values), 2, -1).unbind(1)
