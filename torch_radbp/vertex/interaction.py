@@ -65,9 +65,12 @@ def is_met(scene: SceneTensors, hit) -> Tensor:
     """(N,) bool: a ray meets a surface to which vertices are glued. Others are invisible boundaries of media, to which a ray
     is on its way when its flight ends: directions stay where they are on them as beside them, so that nothing jumps."""
     met = hit.prim >= 0
-    if scene.boundaries is None:
-        return met
-    return met & ~lookup(scene.boundaries.invisible, lookup(scene.triangles.boundary, hit.prim.clamp_min(0)))
+    return met if scene.boundaries is None else met & ~is_boundary(scene, hit.prim)
+
+
+def is_boundary(scene: SceneTensors, prim: Tensor) -> Tensor:
+    """(N,) bool: triangles of invisible boundaries of media, where there are media with boundaries; -1: no triangle."""
+    return (prim >= 0) & lookup(scene.boundaries.invisible, lookup(scene.triangles.boundary, prim.clamp_min(0)))
 
 
 def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | None = None, here: Corners | None = None,

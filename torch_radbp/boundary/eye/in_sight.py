@@ -13,10 +13,11 @@ from torch_radbp.boundary.curve.places import CREASE, FAR, NEAR, RIM, SILHOUETTE
 from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.path.state import Flight
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot, rows, unit_normal
-from torch_radbp.vertex.interaction import is_in_front
+from torch_radbp.vertex.interaction import is_boundary, is_in_front
 
 NEARER = 1e-3  # share of the distance to an edge from which on what is nearer hides it surely; what is less, by its plane
 SAME = 1e-5  # the same of surfaces that are one at a rim
@@ -89,6 +90,15 @@ def in_sight(geometry: Geometry, places: Places, chosen: Tensor, sent: Sent, cou
         turned = turned | (jumps & (before ^ ahead))
     runs = (places.normal.x != 0) | (places.normal.y != 0)
     return torch.where(runs & seen, 1.0, torch.where(runs & turned, -1.0, torch.zeros_like(places.u)))
+
+
+@stage("scene", "places")
+def on_boundary(scene: SceneTensors, places: Places, chosen: Tensor) -> Tensor:
+    """(K,) bool: samples on invisible boundaries of media, or where a surface meets one: light goes on there without a jump,
+    but by other random numbers. Args as for `in_sight`; `scene`: any part of it, detached.
+    """
+    places = rows(places, chosen)
+    return is_boundary(scene, places.behind.prim) | is_boundary(scene, places.ahead.prim)
 
 
 class PathsBeside(NamedTuple):

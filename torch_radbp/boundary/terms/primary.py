@@ -44,11 +44,12 @@ from torch_radbp.boundary.curve.silhouette import Eye
 from torch_radbp.boundary.curve.term import lines_slide
 from torch_radbp.boundary.curve.terminators import lamps_of
 from torch_radbp.boundary.eye.deposit import Deposit, image_of
-from torch_radbp.boundary.eye.in_sight import PathsBeside, Sent, in_sight, paths_beside
+from torch_radbp.boundary.eye.in_sight import PathsBeside, Sent, in_sight, on_boundary, paths_beside
 from torch_radbp.boundary.eye.lit_sides import deposits_of_sides, light_from_lamps
 from torch_radbp.boundary.eye.motion import JumpPlaces, moved_places
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.jit.order import chosen
+from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.sorting import first_hit
 from torch_radbp.path.step import Onward
@@ -205,6 +206,8 @@ def sides_in_sight(call: RenderCall, integrand: Integrand, viewed: ExaminedView,
     if found.through_media:
         rays = Sent(sample, *free_flights(integrand, started(call, sample), rays.hit, 0))
     times = stages(in_sight)(geometry, table, asked, rays, sent, lane[:len(asked)], kinds)
+    if found.through_media:
+        times = times * ~integrand.part(Ends.SURROUNDINGS).call(on_boundary, table, asked)
     clear = chosen(times != 0)
     counts = sent, torch.full_like(sent, len(clear))
     start = stages(paths_beside)(table, asked, rays, times, clear, counts, lanes(2 * len(clear), asked))
