@@ -50,8 +50,8 @@ COUNTED = ("launches", "waits", "sent", "torch", "Python")
 # Operations of torch that start no kernel: they make tensors, or say where one lies.
 STARTS_NONE = {"empty", "empty_like", "empty_strided", "new_empty", "new_empty_strided", "view", "_unsafe_view", "slice",
                "select", "narrow", "unbind", "split", "split_with_sizes", "as_strided", "expand", "permute", "transpose",
-               "t", "unsqueeze", "squeeze", "detach", "alias", "is_same_size", "_has_same_storage_numel", "unfold", "diagonal",
-               "lift_fresh", "set_", "resize_", "_local_scalar_dense"}
+               "t", "unsqueeze", "squeeze", "detach", "alias", "is_same_size", "_has_same_storage_numel", "unfold",
+               "diagonal", "lift_fresh", "set_", "resize_", "_local_scalar_dense"}
 # What is computed on the host, from its own numbers: the words that kernels are given.
 ON_THE_HOST = {"index_select", "add_", "frombuffer"}
 
