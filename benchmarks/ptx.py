@@ -158,8 +158,8 @@ def main() -> None:
         if found:
             used = [each.usage for each in found]
             print(f"{scene}: {len(found)} kernels, {max(each.registers for each in used)} registers and "
-                  f"{max(each.stores for each in used)} bytes spilled at most; LLVM {sum(each.llvm for each in found):.1f} s, "
-                  f"assembler {sum(each.assembler for each in found):.1f} s", flush=True)
+                  f"{max(each.stores for each in used)} bytes spilled at most; "
+                  f"LLVM {sum(each.llvm for each in found):.1f} s, assembler {sum(each.assembler for each in found):.1f} s", flush=True)
 
 
 if __name__ == "__main__":
