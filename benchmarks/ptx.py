@@ -157,9 +157,10 @@ def main() -> None:
                 seen.add(kernel.text)
         if found:
             used = [each.usage for each in found]
+            llvm, assembler = sum(each.llvm for each in found), sum(each.assembler for each in found)
             print(f"{scene}: {len(found)} kernels, {max(each.registers for each in used)} registers and "
                   f"{max(each.stores for each in used)} bytes spilled at most; "
-                  f"LLVM {sum(each.llvm for each in found):.1f} s, assembler {sum(each.assembler for each in found):.1f} s", flush=True)
+                  f"LLVM {llvm:.1f} s, assembler {assembler:.1f} s", flush=True)
 
 
 if __name__ == "__main__":
