@@ -18,8 +18,8 @@ from tests.jit.interpreter import interpreted, needs_interpreter
 from tests.rendering.host import exchanges
 from tests.rendering.on_gpu import render_on
 from tests.rendering.taped import SCENES, SETTINGS, rendered, singly
-from tests.rendering.test_synchronisations import box as closed_box
 from tests.scenes import CASES, cornell, load
+from tests.scenes.closed_box import closed_box
 from tests.scenes.mirrors import BALL, CUBE, MIRROR, SKY, VIEWED
 from tests.scenes.networks import room
 from torch_radbp.adjoint.function import RenderFunction
