@@ -25,7 +25,8 @@ SHALLOW, DEEP = 3, 5
 SCENES = {  # with the exchanges of a bounce
     "one material": (lambda: closed_box({"type": "twosided", "bsdf": {"type": "diffuse"}}), 2),
     "two materials": (lambda: closed_box({"type": "roughconductor"}), 2),
-    "other backs": (lambda: closed_box({"type": "twosided", "front": {"type": "diffuse"}, "back": {"type": "roughconductor"}}), 3),
+    "other backs": (lambda: closed_box({"type": "twosided", "front": {"type": "diffuse"},
+                                        "back": {"type": "roughconductor"}}), 3),
     "many lights": (lambda: closed_box({"type": "roughconductor"}, lamps=8), 3),
     "networks": (room, 7),
 }

@@ -79,7 +79,7 @@ FOUR = """
 
 
 @wp.func_native(FOUR)
-def four_of(rows: wp.array(dtype=wp.vec4), place: int) -> wp.vec4:
+def four_of(rows: wp.array(dtype=wp.vec4), place: int) -> wp.vec4:  # type: ignore[empty-body]
     """A row of a table that begins at a multiple of 16 bytes."""
     ...
 
