@@ -32,8 +32,8 @@ def again_in_pieces(call: RenderCall, work: Callable[[RenderCall], Result]) -> R
     if call.scene.device.type == "cuda":
         torch.cuda.empty_cache()
     before, after = (max(wavefront.lanes for wavefront in wavefronts) for wavefronts in (call.wavefronts, smaller))
-    warnings.warn(f"there is not enough memory on {call.scene.device} for {before:,} paths at a time: they are traced again, "
-                  f"by {after:,}. Renderer(chunk={after}) does so from the beginning", UserWarning, stacklevel=2)
+    warnings.warn(f"there is not enough memory on {call.scene.device} for {before:,} paths at a time: they are traced "
+                  f"again, by {after:,}. Renderer(chunk={after}) does so from the beginning", UserWarning, stacklevel=2)
     return work(call._replace(wavefronts=smaller))
 
 
