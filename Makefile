@@ -51,11 +51,11 @@ test-torch:
 	$(VENV)-torch-$(VERSION)/bin/python -m pip install --quiet -e ".[test]"
 	OMP_NUM_THREADS=1 $(VENV)-torch-$(VERSION)/bin/python -m pytest -n auto --dist worksteal
 
-# On a machine with a CUDA GPU: the tests that need one, and times beside Mitsuba's; saves a report in runs/gpu-check.
-# Without a GPU it says so, runs nothing and fails.
+# On a machine with a CUDA GPU: times beside Mitsuba's, and the tests that need one; saves a report in runs/gpu-check.
+# `make gpu-check PART=1` and `PART=2` take a quarter of an hour together. Without a GPU it says so, runs nothing and fails.
 gpu-check: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[test,peer,cuda]"
-	$(BIN)/python -m benchmarks.gpu_check
+	$(BIN)/python -m benchmarks.gpu_check $(if $(PART),--part $(PART))
 
 # Wheel and source archive, into dist/, each tried in empty environments: every Python here, torch 2.6 and the newest.
 release: $(VENV)/.installed

@@ -2,11 +2,14 @@
 
 It runs, each in processes of its own and for so many seconds at most:
 
-- `kernels`: the tests marked `gpu` but for the longest: single kernels, the Cornell box, all jumps, forward mode, a loop;
-- `figures`: forward and backward passes by themselves: first call, samples a second, over our own CPU, peak of memory
-  beside the prediction (`benchmarks.device_figures --device cuda`);
-- `times`: the same beside Mitsuba's `cuda_ad_rgb` (`benchmarks.versus_mitsuba --device cuda`); left out without Mitsuba;
-- `plugins`: the other tests: every plugin and parameter in double precision.
+1. `table`: times, first calls, noise, the share of kernels and memory beside Mitsuba's `cuda_ad_rgb`
+   (`benchmarks.gpu_table`);
+2. `kernels`: the tests marked `gpu` but for the longest: single kernels, the Cornell box, all jumps, forward mode, a loop;
+3. `figures`: passes by themselves, over our own CPU (`benchmarks.device_figures --device cuda`), and `plugins`: the other
+   tests: every plugin and parameter in double precision.
+
+Where a card is lent for ten minutes at a time, `--part 1`, `--part 2` and `--part 3` are three calls; the first two take a
+quarter of an hour together, and tell most.
 
 What they print is saved in a folder as it comes, and after each of them all figures, with the names of the card and of the
 versions, in `report.json`. A step that fails or takes too long does not keep the next from running. Without a GPU it says
@@ -41,6 +44,7 @@ PACKAGES = ("torch", "llvmlite", "cuda-bindings", "warp-lang", "mitsuba")
 
 LONGEST = "every_plugin"  # tests by name; each compiles kernels of its own
 WORKERS = 16  # processes of these, at most
+TABLE = 520  # seconds after which the table is as it is
 PATIENCE = 10  # seconds that a step has to end by itself, once its time is over
 
 
@@ -50,6 +54,7 @@ class Step(NamedTuple):
     name: str
     command: tuple[str, ...]
     limit: float  # seconds
+    part: int
     needs: str | None = None  # a module, without which it is left out
     side_by_side: bool = False  # in processes of their own, each of one thread on the CPU
 
@@ -59,15 +64,14 @@ def steps(folder: Path, quick: bool) -> list[Step]:
     several = bool(util.find_spec("xdist"))
     workers = ("-n", str(min(WORKERS, os.cpu_count() or 1))) if several else ()
     tests = (sys.executable, "-m", "pytest", "-m", "gpu", "tests/gpu", "-rf", "--tb=short", "--durations=5", *workers)
-    size = ("--quick", "--rounds", "2") if quick else ("--resolution", "512", "--spp", "64", "--rounds", "3")
-
-    def measured(name: str, module: str, limit: float, needs: str | None = None) -> Step:
-        return Step(name, (sys.executable, "-m", f"benchmarks.{module}", "--device", "cuda", *size, "--json",
-                           str(folder / f"{name}.json")), limit, needs)
-
-    return [Step("kernels", (*tests, "-k", f"not {LONGEST}"), 200, side_by_side=several),
-            measured("figures", "device_figures", 250), measured("times", "versus_mitsuba", 300, "mitsuba"),
-            Step("plugins", (*tests, "-k", LONGEST), 400, side_by_side=several)]
+    table, figures = (sys.executable, "-m", "benchmarks.gpu_table"), (sys.executable, "-m", "benchmarks.device_figures")
+    size = ("--quick", "--rounds", "2") if quick else ()
+    large = size or ("--resolution", "512", "--spp", "64", "--rounds", "3")
+    return [Step("table", (*table, "--device", "cuda", "--seconds", f"{TABLE}", *size, "--json", str(folder / "table.json")),
+                 TABLE + 30, 1),
+            Step("kernels", (*tests, "-k", f"not {LONGEST}"), 200, 2, side_by_side=several),
+            Step("figures", (*figures, "--device", "cuda", *large, "--json", str(folder / "figures.json")), 250, 3),
+            Step("plugins", (*tests, "-k", LONGEST), 400, 3, side_by_side=several)]
 
 
 def saved(folder: Path) -> dict[str, list]:
@@ -128,6 +132,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="tiny images, to see that it works")
     parser.add_argument("--only", nargs="+", metavar="STEP", choices=[step.name for step in steps(Path(), False)],
                         help="these steps: %(choices)s")
+    parser.add_argument("--part", type=int, choices=sorted({step.part for step in steps(Path(), False)}),
+                        help="the steps of this number")
     parser.add_argument("--patience", type=float, default=1.0, help="times the seconds that each step may take")
     options = parser.parse_args(arguments)
     if not torch.cuda.is_available():
@@ -139,7 +145,7 @@ def main(arguments: list[str] | None = None) -> int:
     about, status = machine(), {}
     print("\n".join(f"{key}: {value}" for key, value in about.items()), flush=True)
     for step in steps(folder, options.quick):
-        if not options.only or step.name in options.only:
+        if (not options.only or step.name in options.only) and options.part in (None, step.part):
             status[step.name] = run(step._replace(limit=step.limit * options.patience), folder)
             print(f"== {step.name} {status[step.name]}", flush=True)
             report = json.dumps({"machine": about, "status": status, **saved(folder)}, indent=1)

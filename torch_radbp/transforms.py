@@ -41,9 +41,14 @@ def transform_points(matrix: Tensor, points: Tensor) -> Tensor:
     return torch.stack([a * x + b * y + c * z + d for a, b, c, d in rows], 1)
 
 
+def matrix_inverse(matrix: Tensor) -> Tensor:
+    """The inverse of matrices (..., N, N) that are known to be invertible, attached; no device is asked whether they are."""
+    return torch.linalg.inv_ex(matrix).inverse
+
+
 def transform_normals(matrix: Tensor, normals: Tensor) -> Tensor:
     """Transforms (V, 3) normals by an affine (4, 4) matrix, and normalises them."""
-    inverse = torch.linalg.inv(matrix[:3, :3].double()).to(matrix.dtype)  # in float64, which autocast leaves alone
+    inverse = matrix_inverse(matrix[:3, :3].double()).to(matrix.dtype)  # in float64, which autocast leaves alone
     x, y, z = normals.unbind(1)
     columns = (column.unbind() for column in inverse.unbind(1))
     return torch.nn.functional.normalize(torch.stack([a * x + b * y + c * z for a, b, c in columns], 1), dim=1)

@@ -23,7 +23,7 @@ def check(monkeypatch, tmp_path, scripts: dict[str, str], *arguments: str, needs
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda: "a card")
     monkeypatch.setattr(gpu_check, "steps", lambda folder, quick: [
         gpu_check.Step(name, (sys.executable, "-c", script.replace("{0}", str(folder))),
-                       2 if "sleep" in script else 600, needs)
+                       2 if "sleep" in script else 600, 1 + ("PART 2" in script), needs)
         for name, script in scripts.items()])
     status = gpu_check.main(["--folder", str(tmp_path), *arguments])
     folder, = tmp_path.iterdir()
@@ -57,11 +57,16 @@ def test_single_steps_are_run_and_those_that_need_what_is_missing_are_left_out(m
     assert status == 0 and report["status"] == {"times": "left out: no_such_module is not installed"}
 
 
-def test_the_steps_are_the_tests_on_a_gpu_figures_and_the_times_beside_mitsuba(tmp_path):
-    kernels, figures, times, plugins = gpu_check.steps(tmp_path, quick=False)
+def test_parts_are_run_one_by_one(monkeypatch, tmp_path):
+    status, report, _ = check(monkeypatch, tmp_path, {"kernels": "raise SystemExit(1)", "times": "# PART 2"}, "--part", "2")
+    assert status == 0 and set(report["status"]) == {"times"}
+
+
+def test_the_steps_are_the_table_beside_mitsuba_the_tests_on_a_gpu_and_figures(tmp_path):
+    table, kernels, figures, plugins = gpu_check.steps(tmp_path, quick=False)
     assert kernels.command[2:6] == plugins.command[2:6] == ("pytest", "-m", "gpu", "tests/gpu")
-    assert kernels.command[-2:] == ("-k", "not every_plugin") and times.needs == "mitsuba"
-    for step, module in ((figures, "device_figures"), (times, "versus_mitsuba")):
-        assert step.command[2:9] == (f"benchmarks.{module}", "--device", "cuda", "--resolution", "512", "--spp", "64")
-        assert step.command[-2] == "--json"
-    assert sum(step.limit for step in (kernels, figures, times, plugins)) < 1200
+    assert kernels.command[-2:] == ("-k", "not every_plugin")
+    assert table.command[2:5] == ("benchmarks.gpu_table", "--device", "cuda") and table.command[-2] == "--json"
+    assert figures.command[2:9] == ("benchmarks.device_figures", "--device", "cuda", "--resolution", "512", "--spp", "64")
+    assert [step.part for step in (table, kernels, figures, plugins)] == [1, 2, 3, 3]
+    assert table.limit < 600 and kernels.limit < 600 and table.limit + kernels.limit < 900  # of a card that is lent

@@ -2,8 +2,9 @@
 
 import pytest
 
-from benchmarks.ptx import ARCHITECTURES, counts, kernels
+from benchmarks.ptx import ARCHITECTURES, BENCHMARKS, counts, kernels, kernels_of_benchmark
 from benchmarks.ptxas import Rejected, assemble, find
+from tests.deep import deep_but
 from tests.rendering.recorded import SAMPLINGS, SCENES
 
 pytestmark = pytest.mark.skipif(find() is None, reason="no ptxas: the wheel nvidia-cuda-nvcc-cu12 is not installed")
@@ -21,7 +22,7 @@ def check(scene: str, sampling: str, architectures) -> set[str]:
     for kernel in {kernel.text: kernel for kernel in kernels(scene, sampling)}.values():
         found.add(kernel.stage)
         for architecture in architectures:
-            used, _, fusible = counts(kernel.text, architecture)
+            used, _, fusible, *_ = counts(kernel.text, architecture)
             assert 0 < used.registers <= 255 and fusible == 0
             assert used.stores <= SPILLS.get(kernel.stage, 0), (kernel.stage, kernel.kind, used)
             assert 8 * kernel.parameters <= 32_764  # bytes that PTX has for them
@@ -30,6 +31,15 @@ def check(scene: str, sampling: str, architectures) -> set[str]:
 
 def test_kernels_of_a_room_with_networks_are_assembled():
     assert {"bounce", "bounce_adjoint", "places", "rows"} <= check("networks", "hybrid", ARCHITECTURES[-1:])
+
+
+# Of all their kernels one spills: the adjoint of rough metal whose vertices move, with 232 bytes.
+@pytest.mark.parametrize("scene", deep_but(["cornell-box", "metal-mesh-vertices"], BENCHMARKS))
+def test_kernels_of_the_benchmarks_spill_hardly_anything(scene):
+    pytest.importorskip("warp")
+    found = kernels_of_benchmark(scene)
+    assert {"bounce", "bounce_adjoint", "rows", "brightened"} <= {kernel.stage for kernel in found}
+    assert all(counts(kernel.text, "sm_90").usage.stores <= 256 for kernel in found)
 
 
 @pytest.mark.deep

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import functools
 import importlib.util
 import os
 import shutil
@@ -36,6 +35,7 @@ from torch_radbp.jit.lane.instructions import alignment
 from torch_radbp.jit.nvidia.driver import BUFFER, END, SIZE, Driver
 from torch_radbp.jit.nvidia.gpu import Gpu, KernelLoop
 from torch_radbp.jit.recording.addition import Addition
+from torch_radbp.threads.made_once import made_once
 
 BESIDE = Path(__file__).parents[3] / "shared" / "tools" / "ptx"
 MODULE = Path(os.environ.get("RADBP_PTX_INTERPRETER") or BESIDE, "ptxrun.py")
@@ -45,7 +45,7 @@ needs_interpreter = pytest.mark.skipif(
     reason="no interpreter of PTX: RADBP_PTX_INTERPRETER names the folder of one, which may need a C compiler, `cc`")
 
 
-@functools.cache
+@made_once
 def interpreter() -> ModuleType:
     """The interpreter's module."""
     given = importlib.util.spec_from_file_location("ptxrun", MODULE)

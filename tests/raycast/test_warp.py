@@ -1,5 +1,6 @@
 """What only the ray caster of GPUs has to hold, on Warp's CPU device; the rest is asked of all casters alike."""
 
+import importlib
 import subprocess
 import sys
 
@@ -13,12 +14,50 @@ from torch_radbp.scene.packing.pack import pack
 from torch_radbp.tensors.vec import Vec3
 
 pytest.importorskip("warp")
+warp_few = importlib.import_module("torch_radbp.raycast.warp_few")
+
+
+def turned_box(offset: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """A box of parallelograms, turned, with three triangles in it, one of them without area."""
+    vertices, faces = mesh("box")
+    inner = torch.tensor([[0.5, 0.1, 0.2], [-0.4, 0.3, 0.1], [0.1, -0.5, -0.3], [-0.2, -0.1, 0.6], [0.3, 0.0, 0.4]])
+    own = torch.tensor([[0, 1, 2], [2, 3, 4], [3, 3, 1]], dtype=torch.int32) + len(vertices)
+    turn = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(4))).Q
+    return torch.cat([vertices, inner]) @ turn.T + offset, torch.cat([faces, own])
+
+
+@pytest.mark.parametrize("offset, most", [(0.0, 2e-6), (100.0, 2e-4)])
+def test_of_few_faces_every_one_is_tried(offset, most):
+    """Parallelograms, triangles and one without area: the hits and shadows of brute force, but at edges."""
+    vertices, faces = turned_box(offset)
+    ray = random_rays(50_000, within=0.55)
+    ray = ray._replace(o=ray.o.map(lambda x: x + offset))
+    few, brute = (make_caster(name, vertices, faces) for name in ("warp", "brute"))
+    merged = few._head[3] < len(faces)  # far away corners are rounded too much for that
+    assert few.recorded_as[-1] == "closest_of_few" and merged == (offset == 0.0)
+    found, expected = few.intersect(ray), brute.intersect(ray)
+    same = found.prim == expected.prim
+    assert same.float().mean() > 0.999 and set(found.prim.tolist()) == set(range(len(faces) - 1))
+    for column in ("u", "v", "t"):
+        off = (getattr(found, column) - getattr(expected, column))[same].abs()
+        assert off.median() < most and off.max() < 1000 * most  # of rays along a triangle
+    tmax = torch.rand(50_000, generator=torch.Generator().manual_seed(1)) * 2
+    hidden, wanted = few.occluded(ray, tmax), brute.occluded(ray, tmax)
+    assert 0.1 < wanted.float().mean() < 0.9 and (hidden != wanted).float().mean() < 1e-4
+    assert bool((expected.prim >= 0).all() and (found.prim >= 0).all())  # nobody gets out
+
+
+def test_many_faces_have_a_tree(monkeypatch):
+    vertices, faces = turned_box(0.0)
+    monkeypatch.setattr(warp_few, "FEW", 7)
+    assert make_caster("warp", vertices, faces).recorded_as[-1] == "closest_hit"
 
 
 @pytest.mark.parametrize("offset", [0.0, 1000.0])
-@pytest.mark.parametrize("constructed", ["box", "fine sphere"])
-def test_no_ray_towards_an_edge_passes_between_the_boxes_of_the_tree(constructed, offset):
+@pytest.mark.parametrize("constructed, few", [("box", 0), ("box", 6), ("fine sphere", 0)])
+def test_no_ray_towards_an_edge_passes_between_boxes_of_the_tree_or_faces(constructed, few, offset, monkeypatch):
     """By Warp's own tree 853 of 200,000 get out of the box."""
+    monkeypatch.setattr(warp_few, "FEW", few)
     vertices, faces = mesh(constructed)
     generator = torch.Generator().manual_seed(0)
     face = faces[torch.randint(len(faces), (200_000,), generator=generator)].long()
@@ -27,6 +66,7 @@ def test_no_ray_towards_an_edge_passes_between_the_boxes_of_the_tree(constructed
     vertices = vertices + offset
     target = vertices[face[:, 0]] * share + vertices[face[:, 1]] * (1 - share)
     tracer = make_caster("warp", vertices, faces)
+    assert (tracer.recorded_as[-1] == "closest_of_few") == bool(few)
     ray = Ray(Vec3.of(o), Vec3.of(target - o))
     assert bool((tracer.intersect(ray).prim >= 0).all())
     assert bool(tracer.occluded(ray, torch.full((len(face),), torch.inf)).all())

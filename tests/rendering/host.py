@@ -19,7 +19,7 @@ ANSWERS = {Tensor.is_cuda.__get__: lambda tensor: True, Tensor.is_cpu.__get__: l
            Tensor.device.__get__: lambda tensor: CUDA}
 # By what they are called: on CUDA each of them waits until the device has come to the end of its work.
 READS = ("_local_scalar_dense", "nonzero", "masked_select", "unique", "_unique2", "bincount", "equal",
-         "repeat_interleave.Tensor")
+         "repeat_interleave.Tensor", "_linalg_check_errors")
 TO_HOST = (Tensor.tolist, Tensor.cpu, Tensor.numpy)
 FROM_HOST = (torch.tensor, torch.as_tensor, torch.from_numpy, Tensor.new_tensor)
 

@@ -19,6 +19,7 @@ from tests.rendering.host import exchanges
 from tests.rendering.on_gpu import render_on
 from tests.rendering.taped import SCENES, SETTINGS, rendered, singly
 from tests.scenes import CASES, cornell, load
+from tests.scenes.closed_box import closed_box
 from tests.scenes.mirrors import BALL, CUBE, MIRROR, SKY, VIEWED
 from tests.scenes.networks import room
 from torch_radbp.adjoint.function import RenderFunction
@@ -146,6 +147,13 @@ def test_places_where_images_jump_are_those_of_single_calls(term, scene, gpu, mo
     singly(monkeypatch)
     expected = gradient()
     assert expected.abs().max() > 1e-3 and torch.equal(taped, expected)
+
+
+@pytest.mark.parametrize("light_paths, material", [("all", {"type": "roughconductor"}),
+                                                   deep("caustics", {"type": "dielectric"})])
+def test_paths_from_lamps_have_the_bits_of_single_calls(light_paths, material, gpu, monkeypatch):
+    found = assert_same_bits(lambda: closed_box(material), gpu, monkeypatch, light_paths=light_paths)
+    assert found > 3 * SMALL["max_depth"]  # of camera paths, and of those from lamps
 
 
 def box(depth: int, adjoint: rb.MemoizedAdjoint) -> rb.Renderer:

@@ -22,7 +22,7 @@ from torch_radbp.jit.cpu.cpu import Cpu, CpuLoop
 from torch_radbp.jit.lane import instructions
 from torch_radbp.jit.lane.graph import Program
 from torch_radbp.jit.lane.lowered import without_library
-from torch_radbp.path import wavefront
+from torch_radbp.path import vertices
 
 pytestmark = [needs_interpreter, pytest.mark.deep, pytest.mark.filterwarnings(
     "error:.*runs eagerly:RuntimeWarning", "ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")]
@@ -46,7 +46,7 @@ def unfused(monkeypatch):
 @pytest.fixture
 def at_once(monkeypatch):
     """Loops of the processor do not wait for each other, as kernels do not: what both find is compared one by one."""
-    monkeypatch.setattr(wavefront, "loops_together", contextlib.nullcontext)
+    monkeypatch.setattr(vertices, "loops_together", contextlib.nullcontext)
 
 
 class ComparedLoop:

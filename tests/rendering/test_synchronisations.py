@@ -16,32 +16,18 @@ import torch
 import torch_radbp as rb
 from tests.gradients import cotangent
 from tests.rendering.host import exchanges
+from tests.scenes.closed_box import closed_box
 from tests.scenes.networks import room
 from torch_radbp.adjoint.function import RenderFunction
 
 SHALLOW, DEEP = 3, 5
 
-
-def box(material: dict, lamps: int = 1) -> rb.Scene:
-    """A closed box, in which no path ends before its time; with balls of another material, and lamps in its corners."""
-    def at(x: float, y: float, z: float, size: float) -> torch.Tensor:
-        return torch.tensor([[size, 0, 0, x], [0, size, 0, y], [0, 0, size, z], [0, 0, 0, 1]])
-
-    corners = [(x, y, z) for x in (-0.6, 0.6) for y in (-0.6, 0.6) for z in (-0.6, 0.6)][:lamps]
-    return rb.load_dict({
-        "type": "scene",
-        "sensor": {"type": "perspective", "fov": 60.0, "film": {"type": "hdrfilm", "width": 6, "height": 6}},
-        "walls": {"type": "cube", "to_world": at(0, 0, 0, 3.0), "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse"}}},
-        "thing": {"type": "cube", "to_world": at(0, 0, 1.8, 0.5), "bsdf": material},
-        **{f"lamp_{k}": {"type": "cube", "to_world": at(*place, 0.1), "emitter": {"type": "area"}}
-           for k, place in enumerate(corners)}})
-
-
 SCENES = {  # with the exchanges of a bounce
-    "one material": (lambda: box({"type": "twosided", "bsdf": {"type": "diffuse"}}), 2),
-    "two materials": (lambda: box({"type": "roughconductor"}), 2),
-    "other backs": (lambda: box({"type": "twosided", "front": {"type": "diffuse"}, "back": {"type": "roughconductor"}}), 3),
-    "many lights": (lambda: box({"type": "roughconductor"}, lamps=8), 3),
+    "one material": (lambda: closed_box({"type": "twosided", "bsdf": {"type": "diffuse"}}), 2),
+    "two materials": (lambda: closed_box({"type": "roughconductor"}), 2),
+    "other backs": (lambda: closed_box({"type": "twosided", "front": {"type": "diffuse"},
+                                        "back": {"type": "roughconductor"}}), 3),
+    "many lights": (lambda: closed_box({"type": "roughconductor"}, lamps=8), 3),
     "networks": (room, 7),
 }
 
@@ -81,7 +67,7 @@ def test_a_bounce_asks_the_device_for_the_numbers_of_lanes_only(name):
 
 def test_a_call_with_a_scene_as_it_was_asks_little():
     """Whether tensors are as they were, parameters in their domains, the image and the gradients finite."""
-    scene = box({"type": "roughconductor"})
+    scene = closed_box({"type": "roughconductor"})
     scene.get_parameter("thing.bsdf.alpha.value").requires_grad_()
     counted = of_second_call(scene, SHALLOW)
     of_bounces = ("jit/recording/any_device.py", "tensors/partition.py")

@@ -18,13 +18,11 @@ from tests.scenes.one_of_each import Half, scene_of
 from torch_radbp.emitter import envmap
 from torch_radbp.plugin import Texture
 from torch_radbp.scene.cache.pack_cache import PackCache
-from torch_radbp.scene.cache.same_bits import PART, same_bits
 from torch_radbp.scene.packing import geometry, light_table
 from torch_radbp.scene.packing.pack import PLACED, pack
 from torch_radbp.shape.mesh import Mesh
 from torch_radbp.shape.surface import Triangles
 
-LARGE = (9 << 20) + 5  # numbers
 SETTINGS = {"spp": 4, "max_depth": 3}
 
 
@@ -364,36 +362,3 @@ def test_a_result_is_taken_over_only_for_arguments_that_stand_still():
     live.data[1] = 1.0
     changed = PackCache(following.close())
     assert changed.frozen("place", live) is not frozen and changed(make, changed.frozen("place", live)) is not first
-
-
-@pytest.mark.parametrize("a, b, equal", [
-    (torch.tensor([torch.nan, 1.0]), torch.tensor([torch.nan, 1.0]), True),
-    (torch.tensor([0.0, 1.0]), torch.tensor([-0.0, 1.0]), False),
-    (torch.arange(7.0), torch.arange(7.0), True),
-    (torch.arange(9.0)[1:], torch.arange(9.0)[1:].clone(), True),
-    (torch.arange(8.0)[1:4], torch.arange(8.0)[1:4].clone(), True),
-    (torch.arange(12.0).reshape(3, 4).T, torch.arange(12.0).reshape(3, 4).T.clone(), True),
-    (torch.ones(3).expand(2, 3), torch.ones(2, 3), True),
-    (torch.ones(4), torch.ones(2, 2), False), (torch.ones(2), torch.ones(2, dtype=torch.float64), False),
-    (torch.tensor([True, False, True]), torch.tensor([True, False, True]), True),
-    (torch.tensor([True, False, True]), torch.tensor([True, False, False]), False),
-    (torch.zeros(0, 3), torch.zeros(0, 3), True), (torch.tensor(2.0), torch.tensor(3.0), False),
-])
-def test_tensors_are_compared_bit_by_bit(a, b, equal):
-    assert same_bits(a, b) == same_bits(b, a) == equal
-
-
-@pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize("place", [None, 0, 1_000_003, 4 << 20, -1])
-def test_large_tensors_are_compared_to_the_last_bit(place, threads):
-    assert 4 * LARGE > 2 * PART
-    count = torch.get_num_threads()
-    torch.set_num_threads(threads)
-    try:
-        a = torch.arange(LARGE, dtype=torch.int32)
-        b = a.clone()
-        if place is not None:
-            b[place] ^= 1 << 30
-        assert same_bits(a, b) == (place is None)
-    finally:
-        torch.set_num_threads(count)

@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 from functools import partial
-from threading import Event, current_thread, main_thread
+from threading import Barrier, Event, current_thread, main_thread
 
 import pytest
 import torch
@@ -25,7 +25,7 @@ def work():
     begun.set()
     Event().wait(0.5)
     print("finished", flush=True)
-laters = [Later(work).meanwhile() for _ in range(3)]
+laters = [Later(work).HELPED() for _ in range(3)]
 begun.wait()
 """
 
@@ -64,9 +64,36 @@ def test_whoever_asks_is_told_of_an_error_and_may_ask_again():
     assert later.result() == 5
 
 
-def test_a_process_that_ends_waits_for_what_a_helper_has_begun_and_begins_nothing_more():
-    done = subprocess.run([sys.executable, "-c", LEAVES], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0 and done.stderr == "" and done.stdout == "finished\n"
+@pytest.mark.parametrize("helped, most", [("meanwhile", 1), ("beside", 2)])
+def test_a_process_that_ends_waits_for_what_helpers_have_begun_and_begins_nothing_more(helped, most):
+    script = LEAVES.replace("HELPED", helped).replace("begun =", f"import os; os.cpu_count = lambda: {most}\nbegun =")
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0 and done.stderr == "" and 1 <= done.stdout.count("finished\n") <= most
+
+
+def test_several_helpers_compute_beside_each_other(monkeypatch):
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    both = Barrier(2, timeout=60)
+    laters = [Later(both.wait).beside() for _ in range(2)]
+    assert sorted(later.result() for later in laters) == [0, 1]
+
+
+def test_an_error_of_a_helper_waits_for_who_needs_the_value():
+    tried, failed = [], Event()
+
+    def work() -> int:
+        tried.append(current_thread())
+        if len(tried) == 1:
+            raise RuntimeError("failed on a helper")
+        return 5
+
+    later = Later(work)
+    helped = later.tried
+    later.tried = lambda: helped() or failed.set()
+    assert later.beside() is later and failed.wait(60)
+    with pytest.raises(RuntimeError, match="failed on a helper"):
+        later.result()
+    assert later.result() == 5 and tried[0] is not main_thread() and tried[1] is main_thread()
 
 
 FORKS = """

@@ -18,8 +18,10 @@ from torch_radbp.adjoint.sweep import Sweep, numbered_leaves
 from torch_radbp.adjoint.taped_sweep import sweep_of
 from torch_radbp.call.chunks import LaneBlock
 from torch_radbp.call.finite import FirstNonFinite, NonFiniteError, all_finite, count_of_bad, gradient_error
+from torch_radbp.call.less_memory import again_in_pieces
 from torch_radbp.call.pixels import weighted
 from torch_radbp.call.render_call import RenderCall, integrand_of_wavefront, start_paths, started
+from torch_radbp.call.sink import SinkValues
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
@@ -65,9 +67,14 @@ class RenderFunction(torch.autograd.Function):
         ctx.shapes = {name: tuple(parameter.shape) for name, parameter in call.parameters.items()}
         ctx.source_leaves, ctx.scene_leaves = asks_for_gradient(call.source.tensors), asks_for_gradient(call.scene)
         integrand, call = call.integrand, call.still()
-        ctx.call = call = call._replace(caster=None, make_integrand=None, integrand=None)
+        call = call._replace(caster=None, make_integrand=None, integrand=None)
         wanted = any(ctx.needs_input_grad)
-        values, filters, records = render_images(call, integrand, record=wanted and (call.shares_samples or call.together))
+
+        def images(call: RenderCall) -> tuple[RenderCall, SinkValues]:
+            return call, render_images(call, integrand, record=wanted and (call.shares_samples or call.together))
+
+        ctx.call, (values, filters, records) = again_in_pieces(call, images)
+        call = ctx.call
         ctx.filters = filters if call.shares_samples else None
         # An image that lives on keeps the hierarchy of triangles alive only if its backward pass casts rays.
         casts_again = wanted and (None in records or not call.adjoint.keep_hits)
@@ -97,8 +104,8 @@ class RenderFunction(torch.autograd.Function):
         adj_sums, all_wanted = call.sink.adj_sums(call, gradient, ctx.filters), (*wanted, *wanted_of_source)
         start_counts = bool(of_source) or call.sink.at_vertices
 
-        def swept(index: int, gradients: Gradients, sweep_of: Callable = sweep_of) -> Sweep:
-            wavefront, record = call.wavefronts[index], records[index]
+        def swept(call: RenderCall, index: int, gradients: Gradients, sweep_of: Callable = sweep_of) -> Sweep:
+            wavefront, record = call.wavefronts[index], None if call is not ctx.call else records[index]
             if record is None:
                 record = record_wavefront(call, integrand, wavefront)
             adj_L = weighted(call.sink.adjoint(call, wavefront, record.place, adj_sums), record.weight)
@@ -112,12 +119,12 @@ class RenderFunction(torch.autograd.Function):
         def sweep_again(finding: FirstNonFinite) -> None:
             for index in range(len(call.wavefronts)):
                 if finding.depth is None:
-                    swept(index, Gradients(leaves), lambda *arguments: nullcontext(CheckedSweep(finding, *arguments)))
+                    swept(call, index, Gradients(leaves), lambda *arguments: nullcontext(CheckedSweep(finding, *arguments)))
 
-        def differentiate_share(share: Iterable[int]) -> Gradients:
+        def differentiate_share(call: RenderCall, share: Iterable[int]) -> Gradients:
             gradients = Gradients((*leaves, *of_source), call.memory)
             for index in share:
-                sweep = swept(index, gradients)
+                sweep = swept(call, index, gradients)
                 adj_start = adj_of_start(sweep) if start_counts else None
                 del sweep  # and with it the states of its paths
                 for chunk, *lanes in call.wavefronts[index].parts() if start_counts else ():
@@ -125,7 +132,11 @@ class RenderFunction(torch.autograd.Function):
                         gradients.add_whole(k, adjoint)
             return gradients
 
-        shares = in_turns(len(call.wavefronts), call.workers, differentiate_share)
+        def differentiate(call: RenderCall) -> list[Gradients]:
+            return in_turns(len(call.wavefronts), call.workers, partial(differentiate_share, call))
+
+        # Without a caster what was recorded cannot be traced again.
+        shares = again_in_pieces(call, differentiate) if integrand.caster is not None else differentiate(call)
         results, are_finite = gradients_of(shares)
         call.memory.give_back(rows for share in shares for rows in share.rows)
         if not are_finite:

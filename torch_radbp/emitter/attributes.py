@@ -13,6 +13,7 @@ from torch_radbp.plugin.domain import NUMBER
 from torch_radbp.texture.bitmap import reader_of
 from torch_radbp.texture.colour import Colour
 from torch_radbp.texture.rgb import as_texture
+from torch_radbp.transforms import matrix_inverse
 
 FACTOR = NUMBER._replace(low=0.0)
 
@@ -60,16 +61,9 @@ class Scaled:
         return tuple(Scaled(colour, self.factor) for colour in self.texture.colours())
 
 
-def linear_inverse(name: str, matrix: Tensor) -> Tensor:
-    """The (3, 3) matrix from world to local directions, inverse of an affine (4, 4) pose; attached.
-
-    Raises:
-        ValueError: if the pose flattens space.
-    """
-    linear = matrix[:3, :3]
-    if torch.linalg.det(linear.detach().double()) == 0:
-        raise ValueError(f"{name} must be invertible, got a matrix with determinant 0")
-    return torch.linalg.inv(linear.double()).to(linear.dtype)
+def linear_inverse(matrix: Tensor) -> Tensor:
+    """The (3, 3) matrix from world to local directions, inverse of an affine (4, 4) pose that is invertible; attached."""
+    return matrix_inverse(matrix[:3, :3].double()).to(matrix.dtype)
 
 
 def colour(emitter: Emitter, name: str, value: Texture | Tensor | float) -> Texture:

@@ -20,7 +20,7 @@ from torch import Tensor
 from torch_radbp.emitter.attributes import FACTOR, factor, linear_inverse, weight
 from torch_radbp.emitter.latitude_longitude import latitude_longitude, local_direction, texels_around
 from torch_radbp.interface.emitter import Aim, Light, Pick, SurroundKind
-from torch_radbp.interface.texture import LUMINANCE
+from torch_radbp.interface.texture import LUMINANCE, luminance_weights
 from torch_radbp.plugin import Filename, Matrix4, register
 from torch_radbp.plugin.domain import AMOUNT, POSE, Domain
 from torch_radbp.sampling.grid import GridDistribution, grid_distribution
@@ -171,7 +171,7 @@ def envmap_table(emitter: Envmap, like: Tensor) -> EnvmapTable:
     height, width = data.shape[:2]
     edges, solid_angle, rows, columns = latitudes(height, width, like.dtype, like.device)
     with torch.no_grad():
-        texel, at_texels = (primal(data) @ like.new_tensor(LUMINANCE)).abs_(), None
+        texel, at_texels = (primal(data) @ luminance_weights(like.dtype, like.device)).abs_(), None
         brightness = between_neighbours(texel)
         if emitter.mis_compensation:
             average = (brightness * solid_angle).sum() / (4 * math.pi)
@@ -185,7 +185,7 @@ def envmap_table(emitter: Envmap, like: Tensor) -> EnvmapTable:
         if not pick.rows[-1] > 0:
             brightness, at_texels = torch.ones_like(brightness), torch.full_like(texel, 0.25)
             pick = grid_distribution(brightness * solid_angle)
-    to_local = linear_inverse("to_world of the envmap", emitter.to_world).to(like)
+    to_local = linear_inverse(emitter.to_world).to(like)
     return EnvmapTable(
         texels=Vec3(*columns_of_rows(data.reshape(-1, 3))), scale=emitter.scale.to(like).reshape(1),
         to_local=Frame(*(Vec3.of(row[None]) for row in to_local.unbind())),

@@ -114,12 +114,8 @@ def direction_to_local(to_local: Frame, d: Vec3) -> Vec3:
 
 
 def axes(to_world: Tensor) -> Frame:
-    """The rows of the matrix from world directions to those of a light, () each, for `Frame.to_local`.
-
-    Raises:
-        ValueError: if the pose flattens space.
-    """
-    return Frame(*(Vec3.of(row) for row in linear_inverse("to_world", to_world).unbind()))
+    """The rows of the matrix from world directions to those of a light, () each, for `Frame.to_local`."""
+    return Frame(*(Vec3.of(row) for row in linear_inverse(to_world).unbind()))
 
 
 def at(place: Tensor, axis: Vec3 | None = None) -> ShadowSource:

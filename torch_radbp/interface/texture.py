@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
 import torch
@@ -18,6 +19,13 @@ from torch_radbp.plugin import Texture
 from torch_radbp.tensors.vec import Vec2, Vec3
 
 LUMINANCE = (0.212671, 0.715160, 0.072169)  # weights of linear RGB, ITU-R BT.709 with Mitsuba's digits
+
+
+@lru_cache(maxsize=16)
+def luminance_weights(dtype: torch.dtype, device: torch.device) -> Tensor:
+    """`LUMINANCE` on a device, (3,)."""
+    with torch.inference_mode(False):
+        return torch.tensor(LUMINANCE, dtype=dtype, device=device)
 
 
 class TriangleEdges(NamedTuple):

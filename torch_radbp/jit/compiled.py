@@ -146,8 +146,9 @@ def compiled_program(name: str | None, interface: Interface, program: Program, t
 
 
 def ready(interface: Interface, code: Later[bytes], target: Target) -> Compiled:
-    """A compiled function from code that is loaded at the first run; without outputs there is none."""
-    return Compiled(interface, Later(lambda: target.loop(code.result(), interface.searched)) if interface.dtypes else None)
+    """A compiled function from code that is loaded at the first run, or before; without outputs there is none."""
+    loop = Later(lambda: target.loop(code.result(), interface.searched)) if interface.dtypes else None
+    return Compiled(interface, loop.meanwhile() if loop is not None and target.loads_ahead else loop)
 
 
 def write_compiled(name: str, interface: Interface, code: bytes) -> None:

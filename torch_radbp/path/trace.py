@@ -53,8 +53,9 @@ def trace_to_film(integrand: Integrand, start: PathState, deposit: Callable[[Bro
         visit, bounce, hit: as for `trace`.
     """
     onward, depth = Onward(start, None, hit), 0
-    with bounces_taken(integrand, start.pdf.dtype, bounce) as take:
+    with bounces_taken(integrand, start.pdf.dtype, bounce, waits=False) as take:
         while depth + 1 < integrand.max_depth:  # at the last vertex nothing scatters
+            onward = onward.asked(depth)
             if not most_of(onward.count):
                 break
             found = film_buffer(integrand, start)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -45,7 +46,7 @@ class Domain(NamedTuple):
         value = value.detach()
         self.check_range(name, value, *torch.stack(value.aminmax()).tolist())
         if self.is_pose:
-            self.check_pose(name, value)
+            self.check_pose(name, value.tolist())
 
     def check_shape(self, name: str, value: Tensor) -> None:
         """Raises ValueError unless the shape is one of `shapes`."""
@@ -80,9 +81,14 @@ class Domain(NamedTuple):
                           f"often may grow without bound", UserWarning, stacklevel=2)
 
     @staticmethod
-    def check_pose(name: str, matrix: Tensor) -> None:
-        """Raises ValueError unless a (4, 4) matrix is an invertible affine transform, in float32 too."""
-        *rows, last = matrix.detach().tolist()  # a scene may have thousands: numbers are faster than tensors of 16
+    def check_pose(name: str, matrix: Sequence[Sequence[float]]) -> None:
+        """Raises ValueError unless a (4, 4) matrix is an invertible affine transform, in float32 too.
+
+        Args:
+            name: for messages.
+            matrix: its rows; a scene may have thousands: numbers are faster than tensors of 16.
+        """
+        *rows, last = matrix
         if max(abs(entry - wanted) for entry, wanted in zip(last, (0, 0, 0, 1))) > 1e-5:
             raise ValueError(f"{name} must be affine: its last row must be 0 0 0 1, got {last}")
         (a, b, c), (d, e, f), (g, h, i) = linear = [row[:3] for row in rows]

@@ -1,15 +1,16 @@
 """Ray casting by NVIDIA Warp's tree of triangles, on CUDA devices; Warp's CPU device, one thread of it, serves the tests.
 
-Kernels run on torch's current stream and read and write torch's tensors where they lie. Warp's rule for a ray and a triangle
-is watertight (Woop, Benthin and Wald 2013, "Watertight ray/triangle intersection"), its rule for a ray and a box is not: by
-the rounding of divisions, a ray towards an edge may pass by the boxes of both triangles there (of 200,000 rays towards edges
-of a cube from inside, 853 got out). So the tree is built of triangles that are a little larger, see `widened`, and what rays
-meet are the true ones.
+Where faces are few each ray tries all of them instead (`warp_few.py`). Kernels run on torch's current stream and read
+and write torch's tensors where they lie. Warp's rule for a ray and a triangle is watertight (Woop, Benthin and Wald 2013,
+"Watertight ray/triangle intersection"), its rule for a ray and a box is not: by the rounding of divisions, a ray towards an
+edge may pass by the boxes of both triangles there (of 200,000 rays towards edges of a cube from inside, 853 got out). So the
+tree is built of triangles that are a little larger, see `widened`, and what rays meet are the true ones.
 """
 
 import math
 import weakref
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import repeat
 from threading import Lock
 
@@ -26,6 +27,8 @@ from torch_radbp.threads.made_once import made_once
 
 try:
     import warp as wp
+
+    from torch_radbp.raycast.warp_rays import FARTHEST, is_beyond, query_of
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("the ray caster 'warp' needs NVIDIA Warp: pip install 'warp-lang>=1.19'",
                               name="warp") from error
@@ -33,8 +36,6 @@ except ModuleNotFoundError as error:
 DEVICES = ("cuda", "cpu")
 ANSWERS = (torch.int32, torch.float32, torch.float32, torch.float32)  # what the kernel writes into a `Hit`
 WIDER = 2.0**-20  # how much wider boxes are, in units of the mesh's extent: enough for rays from 8 extents away
-LARGEST = wp.constant(1e18)  # of a direction's components, and its inverse: divisions neither overflow nor underflow
-FARTHEST = wp.constant(3e38)
 
 
 class Warp:
@@ -65,24 +66,35 @@ class Warp:
         self._device = _started(self.vertices.device)
         self._streams: set[torch.cuda.Stream] = set()
         corners, self._unit = in_units(self.vertices, self.faces)
-        points = widened(corners)
-        numbers = torch.arange(len(points), dtype=torch.int32, device=points.device)
-        with wp.ScopedStream(self._stream(), sync_enter=False):
-            self._mesh = wp.Mesh(wp.from_torch(points, dtype=wp.vec3), wp.from_torch(numbers))
-        points.copy_(corners.flatten(0, 1))  # the tree stays as it is
-        weakref.finalize(self, release, self._mesh, self._streams).atexit = False
+        warp_few = few_kernels(self.vertices.device)
+        few = warp_few.few_faces(corners)
+        if few is not None:
+            self._closest, self._any = warp_few.closest_of_few, warp_few.any_of_few
+            self._geometry = few
+            tables = (few.planes, wp.vec4), (few.prims, wp.int32), (few.places, wp.vec4)
+            self._head = [*(wp.from_torch(table, dtype=kind, return_ctype=True) for table, kind in tables),
+                          len(few.prims) // 2, wp.vec3(*few.middle)]
+        else:
+            points = widened(corners)
+            numbers = torch.arange(len(points), dtype=torch.int32, device=points.device)
+            with wp.ScopedStream(self._stream(), sync_enter=False):
+                self._geometry = wp.Mesh(wp.from_torch(points, dtype=wp.vec3), wp.from_torch(numbers))
+            points.copy_(corners.flatten(0, 1))  # the tree stays as it is
+            self._closest, self._any = tree_kernels(self.vertices.device)
+            self._head = [self._geometry.id]
+        weakref.finalize(self, release, self._geometry, self._streams).atexit = False
 
     def intersect(self, ray: Ray) -> Hit:
         check_lanes(ray, None, self.vertices.device)
         shape, dtype = ray.o.x.shape, ray.o.x.dtype
         hit = Hit(*(self.vertices.new_empty(shape, dtype=answer) for answer in ANSWERS))
-        self._launch(closest_hit, [*ray.o, *ray.d], hit[:4])
+        self._launch(self._closest, [*ray.o, *ray.d], hit[:4])
         return hit if dtype == torch.float32 else refined(self.vertices, self.faces, ray, hit)
 
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
         check_lanes(ray, tmax, self.vertices.device)
         hidden = self.vertices.new_empty(ray.o.x.shape, dtype=torch.bool)
-        self._launch(any_hit, [*ray.o, *ray.d, tmax], [hidden])
+        self._launch(self._any, [*ray.o, *ray.d, tmax], [hidden])
         return hidden
 
     def _launch(self, kernel: wp.Kernel, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
@@ -114,12 +126,12 @@ class Warp:
 
     def _start(self, kernel: wp.Kernel, lanes: int, last, columns: list) -> None:
         """Launches a kernel, and does not wait for it; `last`: None if all lanes are meant."""
-        wp.launch(kernel, lanes, [self._mesh.id, self._unit, last, lanes_of(self._rays_counted), *columns],
+        wp.launch(kernel, lanes, [*self._head, self._unit, last, lanes_of(self._rays_counted), *columns],
                   device=self._device, stream=self._stream(), record_tape=False)
 
     @property
     def recorded_as(self) -> Hashable:
-        return Warp, self.balls is not None
+        return Warp, self.balls is not None, self._closest.key
 
     def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
         """Nothing that a `Recording` is given: launches are told the tree when they begin."""
@@ -188,58 +200,47 @@ def widened(corners: Tensor) -> Tensor:
 
 @made_once
 def _started(device: torch.device):
-    """Warp's device for a torch device, with the kernels loaded: compiled the first time, and kept on disk by Warp."""
-    level, wp.config.log_level = wp.config.log_level, max(wp.config.log_level, wp.LOG_ERROR)
-    try:  # without a word on what Warp finds and compiles
+    """Warp's device for a torch device."""
+    with silent():
         wp.init()
-        warp_device = wp.device_from_torch(device)
-        wp.load_module(__name__, device=warp_device)
+        return wp.device_from_torch(device)
+
+
+@contextmanager
+def silent() -> Iterator[None]:
+    """A context in which Warp does not say what it finds and compiles."""
+    level, wp.config.log_level = wp.config.log_level, max(wp.config.log_level, wp.LOG_ERROR)
+    try:
+        yield
     finally:
         wp.config.log_level = level
-    return warp_device
 
 
-def release(mesh: wp.Mesh, streams: set[torch.cuda.Stream]) -> None:
-    """Waits until queries on other streams no longer read the mesh, so that its memory may be freed."""
+@made_once
+def tree_kernels(device: torch.device) -> tuple[wp.Kernel, wp.Kernel]:
+    """The kernels for closest hits and for any, by a tree; compiled the first time, and kept on disk by Warp."""
+    with silent():
+        wp.load_module(__name__, device=wp.device_from_torch(device))
+    return closest_hit, any_hit
+
+
+@made_once
+def few_kernels(device: torch.device):
+    """The module `warp_few`, with its kernels loaded."""
+    from torch_radbp.raycast import warp_few  # which Warp then compiles
+
+    with silent():
+        wp.load_module(warp_few.__name__, device=wp.device_from_torch(device))
+    return warp_few
+
+
+def release(geometry: object, streams: set[torch.cuda.Stream]) -> None:
+    """Waits until queries on other streams no longer read the triangles, so that their memory may be freed."""
     for stream in streams:
         stream.synchronize()
 
 
 # -- Kernels ------------------------------------------------------------------------------------------------------------
-
-
-@wp.struct
-class Query:
-    """A ray scaled to the units of the tree."""
-
-    valid: wp.bool
-    o: wp.vec3
-    d: wp.vec3  # scaled so that divisions stay in range
-    per_t: float  # t in the tree per t of the ray
-
-
-@wp.func
-def query_of(unit: float, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> Query:
-    """Scales a ray of the scene by `unit` to the units of the tree."""
-    query = Query()
-    query.o = wp.vec3(ox * unit, oy * unit, oz * unit)
-    d = wp.vec3(dx, dy, dz)
-    largest = wp.max(wp.abs(d))
-    factor = wp.where(largest > LARGEST, 1.0 / LARGEST, wp.where(largest < 1.0 / LARGEST, LARGEST, 1.0))
-    query.d = d * factor
-    query.valid = wp.isfinite(query.o) and wp.isfinite(d) and largest > 0.0
-    query.per_t = unit / factor
-    return query
-
-
-@wp.func
-def is_beyond(lane: int, last: wp.array(dtype=wp.int64), rays: wp.array(dtype=wp.int64)) -> bool:
-    """Whether there are fewer lanes than threads, where only the device knows; their number is added to that of rays."""
-    if not last:
-        return False
-    if lane == 0:
-        wp.atomic_add(rays, 0, last[0])
-    return wp.int64(lane) >= last[0]
 
 
 @wp.kernel(enable_backward=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -54,4 +55,11 @@ def grid_distribution(weights: Tensor) -> GridDistribution:
     cells[0], cells[1:] = 0.0, weights.detach().flatten()
     running_sum(cells, out=cells)
     return GridDistribution(cells[::columns].contiguous(), cells,
-                            tuple(torch.tensor(length, device=weights.device) for length in (rows, columns)))
+                            (_length(rows, weights.device), _length(columns, weights.device)))
+
+
+@lru_cache(maxsize=64)
+def _length(count: int, device: torch.device) -> Tensor:
+    """A number of rows or columns, () int64, on a device."""
+    with torch.inference_mode(False):
+        return torch.tensor(count, device=device)

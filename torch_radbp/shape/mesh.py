@@ -19,7 +19,7 @@ from torch_radbp.shape.normals import BLOCK, angle_weighted_normals
 from torch_radbp.shape.surface import Surface, Triangles, turned
 from torch_radbp.tensors.vec import attached
 from torch_radbp.texture.mesh_attribute import PREFIXES as ATTRIBUTE_PREFIXES
-from torch_radbp.transforms import affine, mirrors, transform_normals, transform_points
+from torch_radbp.transforms import affine, matrix_inverse, mirrors, transform_normals, transform_points
 
 if TYPE_CHECKING:
     import trimesh
@@ -158,7 +158,7 @@ class Mesh(Surface):
 
     def motion(self) -> Tensor:
         """The (4, 4) transform from the pose at loading to the current one; exactly the identity while they are equal."""
-        motion = (self.to_world.double() @ torch.linalg.inv(self.loaded_to_world.double())).to(self.to_world.dtype)
+        motion = (self.to_world.double() @ matrix_inverse(self.loaded_to_world.double())).to(self.to_world.dtype)
         moved = not torch.equal(self.to_world.detach(), self.loaded_to_world)
         return motion if moved else attached(torch.eye(4, dtype=motion.dtype, device=motion.device), motion)
 

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.formats.image import read_image, srgb_to_linear
-from torch_radbp.interface.texture import LUMINANCE, Reader, TableReader, TexturePoint, TriangleEdges
+from torch_radbp.interface.texture import Reader, TableReader, TexturePoint, TriangleEdges, luminance_weights
 from torch_radbp.plugin import Filename, Matrix4, Plugin, Texture, finite, nearest, register
 from torch_radbp.plugin.domain import Domain
 from torch_radbp.plugin.jump_lines import JumpLines
@@ -224,4 +224,5 @@ class Bitmap(Texture):
 
     def scalars(self) -> Tensor:
         """The texels as scalars, (H, W): the luminance, as in Mitsuba; attached."""
-        return self.data[..., 0] if self.channels == 1 else (self.data * self.data.new_tensor(LUMINANCE)).sum(2)
+        data = self.data
+        return data[..., 0] if self.channels == 1 else (data * luminance_weights(data.dtype, data.device)).sum(2)

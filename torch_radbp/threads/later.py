@@ -5,12 +5,15 @@ from __future__ import annotations
 import atexit
 import os
 from collections.abc import Callable
-from threading import Lock
+from threading import Condition, Lock
 from typing import Generic, TypeVar
 
 from torch_radbp.threads import team
 
 Made = TypeVar("Made")
+
+
+MOST_ASSEMBLERS = 8  # threads
 
 
 class Later(Generic[Made]):
@@ -21,36 +24,68 @@ class Later(Generic[Made]):
     """
 
     ends = False  # True when the process ends: helpers start nothing more
-    helping = Lock()  # held by the helper that computes: one at a time, as LLVM does
+    helping = Lock()  # held by the helper that is inside of LLVM: one at a time, as LLVM does
+    side_by_side, waiting = 0, Condition()  # helpers that compute beside each other, and who waits for them
 
     def __init__(self, make: Callable[[], Made]):
         self.make: Callable[[], Made] | None = make
         self.making = Lock()
+        self.failed: Exception | None = None  # of a helper
 
     def meanwhile(self) -> Later[Made]:
         """Returns itself, after asking a helper to compute the value."""
         team.COMPILERS.call(team.Task(self.helped), 1)
         return self
 
+    def beside(self) -> Later[Made]:
+        """As `meanwhile`, of a value that several helpers may compute beside each other; they enter LLVM by `helping`."""
+        team.ASSEMBLERS.call(team.Task(self.helped_beside), 1, min(MOST_ASSEMBLERS, os.cpu_count() or 1))
+        return self
+
     def helped(self, task: team.Task) -> None:
         """Computes the value on a helper thread."""
         with self.helping:
             if not self.ends:
-                self.result()
+                self.tried()
+
+    def helped_beside(self, task: team.Task) -> None:
+        """Computes the value on one of several helper threads."""
+        with Later.waiting:
+            if Later.ends:
+                return
+            Later.side_by_side += 1
+        try:
+            self.tried()
+        finally:
+            with Later.waiting:
+                Later.side_by_side -= 1
+                Later.waiting.notify_all()
+
+    def tried(self) -> None:
+        """Computes the value; an error waits for who needs it."""
+        try:
+            self.result()
+        except Exception as error:
+            self.failed = error
 
     def result(self) -> Made:
         """The value, computed now if necessary. If that fails, the error is raised, and a later call tries again."""
         if self.make is not None:
             with self.making:
+                if (failed := self.failed) is not None:
+                    self.failed = None
+                    raise failed
                 if self.make is not None:
                     self.made, self.make = self.make(), None  # in this order, as others look at `make` first
         return self.made
 
 
 @atexit.register
-def wait_for_helper() -> None:
-    """Waits for the helper at exit: a process must not end inside of LLVM."""
-    Later.ends = True
+def wait_for_helpers() -> None:
+    """Waits for helpers at exit: a process must not end inside of LLVM, or of a driver."""
+    with Later.waiting:
+        Later.ends = True
+        Later.waiting.wait_for(lambda: not Later.side_by_side)
     with Later.helping:
         pass
 

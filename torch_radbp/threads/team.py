@@ -91,9 +91,16 @@ class Team:
         self.helpers, self.growing = 0, threading.Lock()
         self.tasks: SimpleQueue[Task] = SimpleQueue()
 
-    def call(self, task: Task, helpers: int) -> None:
-        """Wakes helpers for a task."""
-        while self.helpers < helpers and self.grow(helpers):
+    def call(self, task: Task, helpers: int, most: int = 0) -> None:
+        """Wakes helpers for a task.
+
+        Args:
+            task: that they take part in.
+            helpers: for this one.
+            most: that there are for all tasks, if that is more.
+        """
+        most = max(helpers, most)
+        while self.helpers < most and self.grow(most):
             pass
         for _ in range(min(helpers, self.helpers)):
             self.tasks.put(task)
@@ -126,13 +133,13 @@ class _ThreadState(threading.local):
 
 
 HERE, TEAM = _ThreadState(), Team()
-COMPILERS = Team()  # that take no part in loops; see `later.py`
+COMPILERS, ASSEMBLERS = Team(), Team()  # that take no part in loops; see `later.py`
 
 
 def forget_helpers() -> None:
     """Resets the team in a forked process, which has none of its parent's threads."""
-    global TEAM, COMPILERS
-    TEAM, COMPILERS = Team(), Team()
+    global TEAM, COMPILERS, ASSEMBLERS
+    TEAM, COMPILERS, ASSEMBLERS = Team(), Team(), Team()
 
 
 if hasattr(os, "register_at_fork"):

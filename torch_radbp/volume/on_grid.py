@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_radbp.interface.volume import VolumeFunction
 from torch_radbp.tensors.interleaved import columns_of_rows
 from torch_radbp.tensors.vec import Vec3
-from torch_radbp.transforms import transform_points
+from torch_radbp.transforms import matrix_inverse, transform_points
 from torch_radbp.volume.grid import GridKind, GridTable
 
 
@@ -26,13 +26,13 @@ class OnGrid(VolumeFunction):
         values = self.samples()
         rows = values.to(dtype=dtype, device=device).reshape(-1, values.shape[3])
         size = tuple(torch.tensor([count], dtype=torch.int32, device=rows.device) for count in values.shape[2::-1])
-        to_local = torch.linalg.inv(self.from_unit_cube()).to(rows)[:3]
+        to_local = matrix_inverse(self.from_unit_cube()).to(rows)[:3]
         return GridTable(columns_of_rows(rows), size, tuple(
             (Vec3.of(row[None, :3]), row[3:].clone()) for row in to_local.unbind()))
 
     def cells(self) -> tuple[Tensor | None, Tensor]:
         values = self.samples().detach()
-        to_local = torch.linalg.inv(self.from_unit_cube()).to(values)[:3]
+        to_local = matrix_inverse(self.from_unit_cube()).to(values)[:3]
         if self.kind().wrap_mode != "clamp":
             return None, to_local
         return (values[..., 0] if values.shape[3] == 1 else values.amax(3)), to_local  # a view takes no memory

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torch_radbp.interface.texture import LUMINANCE, TableReader, TexturePoint
+from torch_radbp.interface.texture import TableReader, TexturePoint, luminance_weights
 from torch_radbp.interface.volume import VolumeKind
 from torch_radbp.plugin import Texture, Volume, register
 from torch_radbp.plugin.domain import Domain
@@ -89,4 +89,4 @@ class VolumeTexture(Texture):
     def scalars(self) -> Tensor:
         """The luminance of the entries, (1, K), attached."""
         texels = self.texels()
-        return (texels * texels.new_tensor(LUMINANCE)).sum(2)
+        return (texels * luminance_weights(texels.dtype, texels.device)).sum(2)

@@ -6,10 +6,10 @@ import torch
 from torch import Tensor
 
 from torch_radbp.formats.image import read_image
+from torch_radbp.interface.texture import LUMINANCE
 from torch_radbp.photographs.picture import read_mask
 from torch_radbp.plugin import nearest
 from torch_radbp.scene.modules.scene import Scene
-from torch_radbp.texture.bitmap import LUMINANCE
 from torch_radbp.training import recipe
 
 MOST_NEGATIVE = 0.01  # share of the pixels; filters with negative lobes leave some beside bright ones

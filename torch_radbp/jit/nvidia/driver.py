@@ -21,6 +21,7 @@ import torch
 from torch_radbp.install_hint import install_with
 from torch_radbp.jit.nvidia.nvptx import ptx
 from torch_radbp.jit.store import code_cache
+from torch_radbp.threads.later import Later
 
 # CU_LAUNCH_PARAM_BUFFER_POINTER, _BUFFER_SIZE and _END: a launch hands over its parameters as one piece of memory.
 BUFFER, SIZE, END = 1, 2, 0
@@ -72,7 +73,9 @@ class Driver:
 
     def assembled(self, text: str) -> bytes:
         """Compiles a module to machine code, by the driver's assembler."""
-        driver, code = self.driver, ptx(text, self.architecture).encode() + b"\0"
+        with Later.helping:
+            code = ptx(text, self.architecture).encode() + b"\0"
+        driver = self.driver
         complaint = bytes(WORDS)  # the bindings take the address of bytes, and the assembler writes there
         option = driver.CUjit_option
         state = self.ask(driver.cuLinkCreate, 2, [option.CU_JIT_ERROR_LOG_BUFFER, option.CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES],

@@ -9,6 +9,7 @@ import ctypes
 from array import array
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
+from functools import cached_property, partial
 from threading import Lock
 from typing import Any, Protocol
 
@@ -26,6 +27,7 @@ from torch_radbp.jit.nvidia.recorded_launches import RecordedLaunches
 from torch_radbp.jit.recording.addition import MOST_TABLES, SCALARS, Addition
 from torch_radbp.jit.recording.any_device import AnyDevice
 from torch_radbp.jit.recording.recording import NotRecordable, Recording, recording
+from torch_radbp.threads.later import Later
 from torch_radbp.threads.made_once import made_once
 
 SCATTERED = {(dtype, tables): (dtype, tables) for dtype in SCALARS for tables in range(1, MOST_TABLES + 1)}
@@ -53,7 +55,7 @@ class Launcher(Protocol):
 
 
 class LoadedKernel:
-    """A kernel that was loaded on a device.
+    """A kernel that is loaded on a device by a helper thread: assemblers need most of the time of a first call.
 
     Args:
         launcher: of the device.
@@ -62,7 +64,12 @@ class LoadedKernel:
     """
 
     def __init__(self, launcher: Launcher, text: str, name: str):
-        self.launcher, self.kernel = launcher, launcher.load(text, name)
+        self.launcher, self.loading = launcher, Later(partial(launcher.load, text, name)).beside()
+
+    @cached_property
+    def kernel(self) -> Any:
+        """The kernel; waits until it is loaded."""
+        return self.loading.result()
 
     def __call__(self, lanes: int, words: Sequence[int]) -> None:
         """Starts it for all lanes, at least 1, and does not wait for it; `words`: its other parameters."""
@@ -87,7 +94,7 @@ class Gpu(AnyDevice):
         launcher: of the device.
     """
 
-    counts_stay = True
+    counts_stay = loads_ahead = True
 
     def __init__(self, launcher: Launcher):
         super().__init__()

@@ -113,6 +113,9 @@ def features(architecture: str) -> str:
 def ptx(text: str, architecture: str) -> str:
     """Compiles LLVM IR to PTX.
 
+    What lanes are computed by has no repetitions, and NVIDIA's assembler optimises it again: all of LLVM's passes would take
+    three times as long, for as many registers. They are for what is more than one function.
+
     Args:
         text: LLVM's, from `kernel`.
         architecture: such as "sm_90".
@@ -120,7 +123,11 @@ def ptx(text: str, architecture: str) -> str:
     machine = _initialized().create_target_machine(cpu=architecture, features=features(architecture), opt=2)
     module = llvm.parse_assembly(text)
     module.verify()
-    options = llvm.create_pipeline_tuning_options(speed_level=2)
-    builder = llvm.create_pass_builder(machine, options)
-    builder.getModulePassManager().run(module, builder)
+    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
+    if "define internal" in text:
+        passes = builder.getModulePassManager()
+    else:
+        passes = llvm.create_new_module_pass_manager()
+        passes.add_instruction_combine_pass()
+    passes.run(module, builder)
     return FUSIBLE.sub(r"\1.rn", machine.emit_assembly(module))

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from torch_radbp.scene.cache.inventory import Inventory
-from torch_radbp.scene.cache.same_bits import bits_of, comparable, same_bits, same_bits_each
+from torch_radbp.scene.cache.same_bits import comparable, equal_on_device, same_bits, same_bits_each
 from torch_radbp.tensors.differentiated import primal
 
 
@@ -128,5 +128,5 @@ def _unchanged(places: dict[Hashable, weakref.ref[Tensor]], copies: dict[Hashabl
     there = [each for each in there if comparable(*each[1:])]
     if not there:
         return set()
-    equal_bits = torch.stack([(bits_of(tensor) == bits_of(copy)).all() for _, tensor, copy in there]).tolist()
+    equal_bits = equal_on_device([tensor for _, tensor, _ in there], [copy for *_, copy in there])
     return {(place, id(tensor)) for (place, tensor, _), equal in zip(there, equal_bits) if equal}

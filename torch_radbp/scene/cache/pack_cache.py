@@ -99,17 +99,18 @@ class PackCache(Copies):
         self.last_results, self.last_parts, self.last_twins, self.last_constants = {}, {}, {}, {}
         return self
 
-    def __call__(self, make: Callable, *arguments):
+    def __call__(self, make: Callable, *arguments, instead: Callable | None = None):
         """`make(*arguments)`, cached if all arguments are plain values or objects from this cache.
 
         Args:
             make: a function of a module, whose result depends on nothing but the arguments.
             arguments: plain values, tensors, modules, and tuples of these. Of others the result is made anew.
+            instead: computes the same in another way; None: `make` does.
         """
-        result = self.result(make, arguments)
-        return make(*arguments) if result is None else result.value
+        result = self.result(make, arguments, instead)
+        return (make(*arguments) if instead is None else instead()) if result is None else result.value
 
-    def result(self, make: Callable, arguments: tuple) -> Result | None:
+    def result(self, make: Callable, arguments: tuple, instead: Callable | None = None) -> Result | None:
         """The result of `make(*arguments)`, cached or computed; None if arguments may change without notice."""
         tokens = self.tokens(arguments)
         if tokens is None:
@@ -118,9 +119,14 @@ class PackCache(Copies):
         result = self.results.get(key) or self.last_results.get(key)
         if result is None:
             with torch.inference_mode(False), torch.no_grad():
-                result = Result(key, arguments, make(*arguments))
+                result = Result(key, arguments, make(*arguments) if instead is None else instead())
         self.take_over(result)
         return result
+
+    def knows(self, make: Callable, *arguments) -> bool:
+        """True if `make(*arguments)` has been computed, and still holds."""
+        tokens = self.tokens(arguments)
+        return tokens is not None and ((make, *tokens) in self.results or (make, *tokens) in self.last_results)
 
     def take_over(self, result: Result) -> None:
         """Keeps a result for the next rendering."""

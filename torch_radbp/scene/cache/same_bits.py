@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 import os
 from collections import deque
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, lru_cache
 
 import torch
 from torch import Tensor
@@ -15,6 +16,7 @@ from torch_radbp.tensors.differentiated import primal
 from torch_radbp.threads.team import Task, threads, together, until_none_is_left
 
 PART = 16 << 20  # bytes that a thread compares at a time
+SMALL = 4096  # bytes of tensors of a device that are compared together with others
 
 
 def same_bits(a: Tensor, b: Tensor) -> bool:
@@ -32,6 +34,31 @@ def same_bits_each(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> list[
     differ = memory_difference()
     return [not differ(a.data_ptr(), b.data_ptr(), a.nbytes) if a.is_contiguous() and a.nbytes <= PART else same_bits(a, b)
             for a, b in zip(tensors, copies)]
+
+
+def equal_on_device(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> list[bool]:
+    """`same_bits` for pairs of comparable tensors of one device, which is asked once, by few operations.
+
+    Small tensors are compared as one, entry by entry, and what differs is counted up to the end of each.
+    """
+    few = [place for place, tensor in enumerate(tensors) if tensor.nbytes <= SMALL]
+    many = sorted({*range(len(tensors))}.difference(few))
+    answers = [(bits_of(tensors[place]) != bits_of(copies[place])).any().reshape(1).long() for place in many]
+    if few:
+        joined, others = (torch.cat([bits_of(each[place]) for place in few]) for each in (tensors, copies))
+        different = torch.nn.functional.pad((joined != others).cumsum(0), (1, 0))
+        ends = itertools.accumulate([tensors[place].nbytes for place in few], initial=0)
+        answers.append(different.index_select(0, whole_numbers(tuple(ends), joined.device)).diff())
+    found = torch.cat(answers).tolist() if answers else []
+    equal = {place: count == 0 for place, count in zip((*many, *few), found)}
+    return [equal[place] for place in range(len(tensors))]
+
+
+@lru_cache(maxsize=64)
+def whole_numbers(numbers: tuple[int, ...], device: torch.device) -> Tensor:
+    """Some integers on a device, int64."""
+    with torch.inference_mode(False):
+        return torch.tensor(numbers, dtype=torch.int64, device=device)
 
 
 def comparable(a: Tensor, b: Tensor) -> bool:

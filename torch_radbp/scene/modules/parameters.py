@@ -6,8 +6,10 @@ has changed is checked: first the shapes, then the extremes.
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from functools import cache
+import itertools
+import math
+from collections.abc import Collection, Sequence
+from functools import cache, partial
 from typing import NamedTuple
 
 import torch
@@ -27,6 +29,7 @@ from torch_radbp.texture.bitmap import reader_of
 from torch_radbp.texture.module_function import Use
 
 DTYPES = (torch.float32, torch.float64)
+SMALL = 1024  # numbers of a tensor of a device that are all fetched to be checked
 NOT_FINITE = "; a smaller learning rate or bounds may keep it finite"
 OUTSIDE = ("; keep it inside, with scene.clamp_() after each step, rb.optim.bounded(optimizer, scene), or a parametrisation "
            "such as rb.optim.Sigmoid")
@@ -167,17 +170,43 @@ def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str], leew
         for name, held in changed.items():
             for domain in held.domains:
                 domain.check_shape(f"parameter {name!r}", values[name])
+        checks = {}
         for name, held in changed.items():
             value = primal(values[name]) if differentiated(values[name]) else cache.frozen(name, values[name])
-            cache(check_values, name, value, tuple(dict.fromkeys(held.domains)), leeway)
+            checks[name] = name, value, tuple(dict.fromkeys(held.domains)), leeway
+        # A device is asked once for what is to be checked of all.
+        away = [name for name, check in checks.items() if not check[1].is_cpu and not cache.knows(check_values, *check)]
+        fetched = dict(zip(away, numbers_on_host([checks[name][1] for name in away])))
+        for name, check in checks.items():
+            cache(check_values, *check, instead=partial(check_values, *check, fetched.get(name)))
 
 
-def check_values(name: str, value: Tensor, domains: tuple[Domain, ...], leeway: float) -> None:
+def numbers_on_host(values: Sequence[Tensor]) -> list[list[float]]:
+    """The numbers of tensors of a device, by one transfer and few operations; of large ones the extremes."""
+    parts = [value.reshape(-1) if value.numel() <= SMALL else torch.stack(value.aminmax()) for value in values]
+    dtypes = list(dict.fromkeys([part.dtype for part in parts]))
+    joined = [torch.cat([part for part in parts if part.dtype == dtype]).double() for dtype in dtypes]
+    numbers = iter(torch.cat(joined).tolist() if joined else ())
+    found = {place: list(itertools.islice(numbers, part.numel()))
+             for dtype in dtypes for place, part in enumerate(parts) if part.dtype == dtype}
+    return [found[place] for place in range(len(values))]
+
+
+def check_values(name: str, value: Tensor, domains: tuple[Domain, ...], leeway: float,
+                 numbers: list[float] | None = None) -> None:
     """Raises ValueError unless the detached values of a parameter are in all of its domains.
 
     Warns of reflectances above 1.
+
+    Args:
+        name, domains, leeway: of the parameter, and as for `Domain.check_range`.
+        value: of it.
+        numbers: from `numbers_on_host`; None: `value` is asked, wherever it lies.
     """
-    least, greatest = torch.stack(value.aminmax()).double().tolist()
+    if numbers is None:
+        least, greatest = torch.stack(value.aminmax()).double().tolist()
+    else:
+        least, greatest = (math.nan, math.nan) if any(map(math.isnan, numbers)) else (min(numbers), max(numbers))
     finite = abs(least) < torch.inf and abs(greatest) < torch.inf
     highest = min([domain.high for domain in domains], default=torch.inf)  # what all allow, of which the leeway is a share
     for domain in domains:
@@ -186,7 +215,8 @@ def check_values(name: str, value: Tensor, domains: tuple[Domain, ...], leeway: 
         within.check_range(f"parameter {name!r}", value, least, greatest, leeway, OUTSIDE if finite else NOT_FINITE)
         domain.warn(f"parameter {name!r}", greatest)
         if domain.is_pose:
-            domain.check_pose(f"parameter {name!r}: {name.rpartition('.')[2]}", value)
+            rows = value.tolist() if numbers is None else [numbers[first:first + 4] for first in range(0, 16, 4)]
+            domain.check_pose(f"parameter {name!r}: {name.rpartition('.')[2]}", rows)
 
 
 def check_names(renderer: nn.Module, cache: PackCache) -> None:

@@ -14,6 +14,7 @@ from torch import Tensor
 from torch_radbp.interface.instances import Instances
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import Vec3, dot, max_component, normalize
+from torch_radbp.transforms import matrix_inverse
 
 Rows = tuple[Vec3, Vec3, Vec3]  # (I,) or (N,) of a matrix each
 
@@ -46,7 +47,7 @@ def instance_table(matrices: Tensor, normals: bool, casting: Instances, numbers:
     identity = torch.eye(4, dtype=matrices.dtype, device=matrices.device)[None]
     matrices = torch.cat([identity, matrices])
     linear = matrices[:, :3, :3]
-    inverse = torch.linalg.inv(linear.double()).to(matrices.dtype) if normals else None  # in float64, despite autocast
+    inverse = matrix_inverse(linear.double()).to(matrices.dtype) if normals else None  # in float64, despite autocast
     side = torch.sign(torch.linalg.det(linear.detach().double())).to(matrices.dtype)
     # A point is a sum of products with its coordinates and of the origin, and so is a ray that goes the other way.
     summed = casting.boxes.abs().amax((1, 2)) + 2 * casting.to_world[:, :, 3].abs().amax(1)
