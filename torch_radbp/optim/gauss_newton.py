@@ -2,43 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_radbp.optim.linearisation import Images, Linearisation
+from torch_radbp.optim.quadratic_model import Model, diagonal_of, model_of, noise_of_j, proposed, trial_of
+from torch_radbp.optim.separate_columns import SeparateColumns
 from torch_radbp.scene.modules.bounds import held_by, range_of
 from torch_radbp.scene.modules.scene import Scene
 
 FULL = 64  # parameters whose Jacobian is computed as a whole; for more, conjugate gradients
-SOLVED = 0.2  # of the noise of the gradient, below which conjugate gradients need not solve for it
-KEPT = 8  # steps with one Jacobian at most
-STALE = 0.05  # the square of the relative error of J along a step above which the next step has a new one
+PROBES = 8  # of the diagonal of J^T W J, which preconditions these
+KEPT = 8  # steps with one Jacobian, or diagonal, at most
+STALE = 0.05  # the square of the relative error of J along a step, less its noise, above which the next step has a new one
+USELESS = 0.3  # that with its noise
 ATTEMPTS = 5  # of a step, each with ten times the damping
 NOISY = 0.3  # the share of noise in a step from which more samples are asked for
 LEAST_DAMPING, FIRST_DAMPING = 1e-9, 1e-3  # of steps that are as good as predicted; after the first that was not
-
-
-class Model(NamedTuple):
-    """The quadratic model of half the squared residuals around a position: g^T d + d^T H d / 2."""
-
-    gradient: Tensor  # (n,) g = J^T W r
-    curvature: Callable[[Tensor], Tensor]  # H d = J^T W J d; (n,) to (n,)
-    scale: Tensor  # (n,) what damping is in units of, > 0
-    noise: Tensor  # (n,) the part of g that is noise: J^T W (r_1 - r_2) / 2
-    noises: Tensor | None  # (n, M) that of each residual: the columns of J^T W times (r_1 - r_2) / 2
-    matrix: Tensor | None  # (n, n) H, if it is known as a whole
-    jacobian: Tensor | None  # (M, n) J, if it is known as a whole
-
-
-class Trial(NamedTuple):
-    """What residuals of two seeds, before and after a step d, say of the step and of J; without bias from their noise."""
-
-    fall: float  # of r_1^T W r_2 / 2
-    doubt: float  # how far two estimates of that are apart
-    error_of_j: float  # (D - J d)^T W (D - J d) over D^T W D, D being their change; 0 if J is not known
 
 
 class KeptPlace(NamedTuple):
@@ -119,12 +102,15 @@ class GaussNewton(torch.optim.Optimizer):
         self.kept: Tensor | None = None  # J of the last step, (M, n)
         self.kept_at: KeptPlace | None = None
         self.kept_for = 0
+        self.columns: SeparateColumns | None = None  # of J
+        self.diagonal: Tensor | None = None  # an estimate of that of J^T W J, (n,), where J is not computed as a whole
 
     def state_dict(self) -> dict[str, Any]:
         """What the next step depends on beside the parameters and the settings; numbers, lists and tensors."""
         place = None if self.kept_at is None else self.kept_at._asdict()
         return super().state_dict() | {"search": dict(self.search), "seed": self.seed, "kept_for": self.kept_for,
-                                       "kept_at": place}
+                                       "kept_at": place, "diagonal": self.diagonal,
+                                       "columns": None if self.columns is None else self.columns._asdict()}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Continues from a state.
@@ -132,12 +118,12 @@ class GaussNewton(torch.optim.Optimizer):
         Raises:
             ValueError: if it is one of another optimizer.
         """
-        missing = [key for key in ("search", "seed", "kept_for", "kept_at") if key not in state_dict]
+        missing = [key for key in ("search", "seed", "kept_for", "kept_at", "diagonal", "columns") if key not in state_dict]
         if missing or state_dict["search"].keys() != self.search.keys():
             raise ValueError(f"the state is none of GaussNewton: {', '.join(missing) or 'search'} missing or of another "
                              "kind")
         super().load_state_dict({key: state_dict[key] for key in ("state", "param_groups")})
-        place = state_dict["kept_at"]
+        place, columns, diagonal = (state_dict[key] for key in ("kept_at", "columns", "diagonal"))
         size = len(self.low)
         if place is not None and len(place["position"]) != size:
             raise ValueError(f"the state is of {len(place['position'])} parameters, and these are {size}")
@@ -145,6 +131,9 @@ class GaussNewton(torch.optim.Optimizer):
         self.kept = None
         self.kept_at = None if place is None else KeptPlace(
             torch.as_tensor(place["position"], dtype=torch.float64).to(self.low.device), place["seed"], place["spp"])
+        self.diagonal = None if diagonal is None else diagonal.to(self.low)
+        self.columns = None if columns is None else SeparateColumns(
+            columns["groups"], columns["changed"].to(self.low.device), columns["failures"])
 
     def step(self, closure: Images) -> float:  # type: ignore[override]
         """Makes one step.
@@ -164,7 +153,7 @@ class GaussNewton(torch.optim.Optimizer):
             state["evaluations"] += 1
             return closure(seed, spp)
 
-        linear = Linearisation(counted, self.param_groups[0]["params"])
+        linear = Linearisation(counted, self.param_groups[0]["params"], self.columns)
         seeds = [4 * self.seed + number for number in range(4)]
         self.seed += 1
         pair = [linear.values(seed, state["spp"]) for seed in seeds[:2]]
@@ -216,7 +205,8 @@ class GaussNewton(torch.optim.Optimizer):
         if noisy:
             state["spp_of_j"] *= 2
         self.kept_for += 1
-        if noisy or state["error_of_j"] > STALE or self.kept_for >= KEPT:
+        wrong = state["error_of_j"] - state["noise_of_j"] > STALE or state["error_of_j"] > USELESS
+        if noisy or wrong or self.kept_for >= KEPT:
             self.drop_jacobian()
 
     def drop_jacobian(self) -> None:
@@ -236,92 +226,30 @@ class GaussNewton(torch.optim.Optimizer):
     def model(self, linear: Linearisation, pair: list[Tensor], weights: Tensor, seed: int) -> Model:
         """The quadratic model around where parameters stand, from residuals, (M,) each, and the derivatives' seed."""
         spp = self.search["spp_of_j"]
-        mean, half = weights * (pair[0] + pair[1]) / 2, weights * (pair[0] - pair[1]) / 2
         if linear.size <= FULL:
-            if self.kept is None or len(self.kept) != len(mean):
+            if self.kept is None or len(self.kept) != len(weights):
                 self.kept_at, self.kept_for = KeptPlace(linear.position(), seed, spp), 0
-                self.kept = linear.jacobian(seed, spp)
+                self.kept, self.columns = linear.jacobian(seed, spp), linear.columns
                 self.search["jacobians"] += 1
                 self.search["error_of_j"] = 0.0
-            jacobian = self.kept
-            matrix = jacobian.T @ (weights[:, None] * jacobian)
-            scale = matrix.diag()
-            if not bool(scale.any()):
-                raise ValueError("no parameter changes the residuals: does the closure read the optimizer's parameters?")
-            return Model(jacobian.T @ mean, lambda step: matrix @ step, scale.clamp_min(1e-12 * float(scale.max())),
-                         jacobian.T @ half, jacobian.T * half, matrix, jacobian)
+            return model_of(self.kept, pair, weights)
 
         def product(step: Tensor) -> Tensor:
             """Symmetric and never negative, since forward and backward at one seed are transposes."""
             return linear.backward(weights * linear.forward(step, seed, spp), seed, spp)
 
-        gradient, noise = (linear.backward(part, seed, spp) for part in (mean, half))
-        if not bool(gradient.any()):
-            raise ValueError("no parameter changes the residuals: does the closure read the optimizer's parameters?")
-        typical = float(gradient @ product(gradient)) / float(gradient @ gradient)
-        return Model(gradient, product, torch.full_like(gradient, abs(typical)), noise, None, None, None)
+        if self.diagonal is None or self.kept_for >= KEPT:
+            self.diagonal, self.kept_for = diagonal_of(lambda part: linear.backward(part, seed, spp), weights, PROBES, seed), 0
+        gradient, noise = (linear.backward(weights * part, seed, spp)
+                           for part in ((pair[0] + pair[1]) / 2, (pair[0] - pair[1]) / 2))
+        return Model(gradient, product, self.diagonal, noise)
 
     def proposed(self, model: Model, start: Tensor) -> tuple[Tensor, float]:
         """The step of the damped model within the ranges, (n,), and the length of its noise over its own."""
-        state = self.search
         blocked = (start <= self.low) & (model.gradient > 0) | (start >= self.high) & (model.gradient < 0)
-        free = (~blocked).double()
-        if model.matrix is None:
-            step = conjugate_gradients(model, state["damping"], free, self.iterations)
-            share = float(model.noise.norm() / model.gradient.norm())
-        else:
-            root = model.scale.sqrt()
-            matrix = free * (model.matrix / root / root[:, None]) * free[:, None]
-            values, vectors = torch.linalg.eigh(matrix)
-            # Directions without curvature would make steps of any length.
-            known = values > 1e-10 * float(values.abs().max())
-            inverse = torch.where(known, 1 / (values.clamp_min(1e-300) + state["damping"]), 0.0)
-            solve = vectors @ (inverse[:, None] * vectors.T) * free / root  # of a gradient, in units of the root
-            step = -(solve @ model.gradient) / root
-            noise = max(float((solve @ model.noise).norm()), float((solve @ model.noises).norm()))
-            share = noise / max(float((root * step).norm()), 1e-300)
-        step = step / (1 + state["averaged"])
+        step, share = proposed(model, self.search["damping"], (~blocked).double(), self.iterations)
+        step = step / (1 + self.search["averaged"])
         return torch.minimum(torch.maximum(start + step, self.low), self.high) - start, share
-
-
-def conjugate_gradients(model: Model, damping: float, free: Tensor, iterations: int) -> Tensor:
-    """Solves (H + damping) d = -g for the entries that are free.
-
-    Reference: Nocedal and Wright 2006, "Numerical Optimization", algorithm 5.2.
-    """
-    step, left = torch.zeros_like(model.gradient), -free * model.gradient
-    direction, square = left.clone(), float(left @ left)
-    enough = max(1e-12 * square, SOLVED ** 2 * float((free * model.noise).square().sum()))
-    for _ in range(iterations):
-        bent = free * (model.curvature(direction) + damping * model.scale * direction)
-        curvature = float(direction @ bent)
-        if curvature <= 0 or square <= enough:
-            break
-        length = square / curvature
-        step, left = step + length * direction, left - length * bent
-        square, last = float(left @ left), square
-        direction = left + square / last * direction
-    return step
-
-
-def trial_of(model: Model, step: Tensor, before: list[Tensor], after: list[Tensor], weights: Tensor) -> Trial:
-    """What residuals of two seeds before and after a step say, (M,) each."""
-    falls = [-0.5 * float((weights * (before[one] + after[one])) @ (after[two] - before[two]))
-             for one, two in ((0, 1), (1, 0))]
-    off = 0.0
-    if model.jacobian is not None:
-        a, b = (now - then for now, then in zip(after, before, strict=True))
-        told = model.jacobian @ step
-        change, noise = float((weights * a) @ b), 0.5 * float((weights * (a - b)) @ (a - b))
-        if change > noise:  # or nothing is known
-            off = float((weights * (a - told)) @ (b - told)) / change
-    return Trial(sum(falls) / 2, abs(falls[0] - falls[1]), off)
-
-
-def noise_of_j(model: Model, step: Tensor, other: Tensor, weights: Tensor) -> float:
-    """The variance of J d over d^T H d, by a product with J of another seed, (M,)."""
-    apart = model.jacobian @ step - other
-    return 0.5 * float((weights * apart) @ apart) / max(float(step @ model.curvature(step)), 1e-300)
 
 
 def ranges(optimizer: torch.optim.Optimizer, scene: Scene | None) -> tuple[Tensor, Tensor]:
