@@ -89,7 +89,7 @@ def test_many_parameters_by_probing():
     scene = load(sensor=overhead(4, half=1), wall=rectangle((0, 0, 0), 1, bsdf={"type": "diffuse", "reflectance": texture}),
                  sun={"type": "directional", "direction": [0, 0, -1], "irradiance": rgb(2, 2, 2)})
     name = "wall.bsdf.reflectance.data"
-    found = rb.diagonal_covariance(renderer_of(scene), name, noise=0.1, prior={name: 0.2}, probes=2)
+    found = rb.diagonal_covariance(renderer_of(scene), name, noise=0.1, prior={name: 0.2}, probes=4)
     expected = ((2 / math.pi / 0.1) ** 2 + 1 / 0.2 ** 2) ** -0.5
     assert torch.allclose(found.standard_deviations[name], torch.full((4, 4, 3), expected, dtype=torch.float64), rtol=1e-5)
     with pytest.raises(ValueError, match="finite prior of every parameter"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -9,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.optim.linearisation import Images, Linearisation
-from torch_radbp.optim.quadratic_model import Model, diagonal_of, model_of, noise_of_j, proposed, trial_of
+from torch_radbp.optim.quadratic_model import Model, Trial, diagonal_of, model_of, noise_of_j, proposed, trial_of
 from torch_radbp.optim.separate_columns import SeparateColumns
 from torch_radbp.scene.modules.bounds import held_by, range_of
 from torch_radbp.scene.modules.scene import Scene
@@ -17,10 +18,11 @@ from torch_radbp.scene.modules.scene import Scene
 FULL = 64  # parameters whose Jacobian is computed as a whole; for more, conjugate gradients
 PROBES = 8  # of the diagonal of J^T W J, which preconditions these
 KEPT = 8  # steps with one Jacobian, or diagonal, at most
-STALE = 0.05  # the square of the relative error of J along a step, less its noise, above which the next step has a new one
-USELESS = 0.3  # that with its noise
+FORWARD = 2  # images that take as long as one in forward mode
+SHORT, LONGER = 1.5, 2.0  # a step is too short if the error falls by so many times what is predicted; then multiplied at most
 ATTEMPTS = 5  # of a step, each with ten times the damping
 NOISY = 0.3  # the share of noise in a step from which more samples are asked for
+LEAST_ERROR = 1e-3  # of J along a step, below which none counts
 LEAST_DAMPING, FIRST_DAMPING = 1e-9, 1e-3  # of steps that are as good as predicted; after the first that was not
 
 
@@ -97,7 +99,8 @@ class GaussNewton(torch.optim.Optimizer):
             raise ValueError(f"GaussNewton takes one group of parameters, got {len(self.param_groups)}")
         self.max_spp, self.robust, self.iterations, self.seed = max_spp or 64 * spp, robust, iterations, seed
         self.low, self.high = ranges(self, scene)
-        self.search = {"spp": spp, "spp_of_j": spp, "noise_of_j": 0.0, "error_of_j": 0.0, "damping": damping, "gain": 0.0,
+        self.search = {"spp": spp, "spp_of_j": spp, "noise_of_j": 0.0, "error_of_j": 0.0, "error_when_new": 0.0,
+                       "left_since": 1.0, "damping": damping, "gain": 0.0,
                        "noise_share": 0.0, "averaged": 0, "jacobians": 0, "evaluations": 0}
         self.kept: Tensor | None = None  # J of the last step, (M, n)
         self.kept_at: KeptPlace | None = None
@@ -177,8 +180,9 @@ class GaussNewton(torch.optim.Optimizer):
             predicted = -float(model.gradient @ step + 0.5 * step @ model.curvature(step))
             trial = trial_of(model, step, pair, [linear.values(seed, spp) for seed in seeds[:2]], weights)
             state["gain"] = trial.fall / predicted if predicted > 0 else 0.0
-            state["error_of_j"] = trial.error_of_j
+            state["error_of_j"] = 1.0 if trial.error_of_j is None else trial.error_of_j
             if predicted > 0 and trial.fall + trial.doubt > 0.1 * predicted:
+                linear.move_to(self.within(start + self.longer(trial, float(model.gradient @ step)) * step))
                 break
             if known:  # no shorter step by a Jacobian of another place
                 linear.move_to(start)
@@ -199,15 +203,32 @@ class GaussNewton(torch.optim.Optimizer):
         return float((weights * pair[0] * pair[1]).sum()) / len(pair[0])
 
     def judge_jacobian(self) -> None:
-        """Drops J if it was wrong along the last step, or has been kept for long; asks for more samples if it is noisy."""
+        """Asks for more samples of J if it is noisy, and drops it where a new one pays.
+
+        What is left of the residuals after a step is the error of J along it. So it is kept as long as the logarithm of that
+        falls more for each image than with a new one. The error of that is the noise of the last one, and of its other error
+        what is left for steps that have become shorter, as their squares.
+        """
         state = self.search
         noisy = self.kept_for == 0 and state["noise_of_j"] > NOISY and 2 * state["spp_of_j"] <= self.max_spp
         if noisy:
             state["spp_of_j"] *= 2
+        if self.kept_for == 0:
+            state["error_when_new"], state["left_since"] = state["error_of_j"], 1.0
+        state["left_since"] *= min(state["error_of_j"], 1.0)
         self.kept_for += 1
-        wrong = state["error_of_j"] - state["noise_of_j"] > STALE or state["error_of_j"] > USELESS
-        if noisy or wrong or self.kept_for >= KEPT:
+        if noisy or self.kept_for >= KEPT or self.kept is not None and not self.pays():
             self.drop_jacobian()
+
+    def pays(self) -> bool:
+        """True if another step with the kept J costs less than one with a new one, for what it gains."""
+        state = self.search
+        columns = len(self.low) if self.columns is None or not self.columns.save else len(self.columns.groups) + 1
+        step, jacobian = 4.0 * state["spp"], FORWARD * (columns + 1.0) * state["spp_of_j"]
+        noise = min(state["noise_of_j"], state["error_when_new"])
+        errors = state["error_of_j"], noise + (state["error_when_new"] - noise) * state["left_since"]
+        kept, new = (-math.log(min(max(error, LEAST_ERROR), 1.0)) for error in errors)
+        return errors[0] < 1 and kept / step >= new / (step + jacobian)
 
     def drop_jacobian(self) -> None:
         """Makes the next step compute J anew."""
@@ -249,7 +270,21 @@ class GaussNewton(torch.optim.Optimizer):
         blocked = (start <= self.low) & (model.gradient > 0) | (start >= self.high) & (model.gradient < 0)
         step, share = proposed(model, self.search["damping"], (~blocked).double(), self.iterations)
         step = step / (1 + self.search["averaged"])
-        return torch.minimum(torch.maximum(start + step, self.low), self.high) - start, share
+        return self.within(start + step) - start, share
+
+    def within(self, position: Tensor) -> Tensor:
+        """The nearest position within the ranges, (n,)."""
+        return torch.minimum(torch.maximum(position, self.low), self.high)
+
+    def longer(self, trial: Trial, slope: float) -> float:
+        """By how much a step that was tried should have been longer: to the vertex of the parabola through the slope, which
+        is known at its beginning, and the fall. J^T J overestimates curvatures by the noise of J, and by edges that move
+        further than they are wide.
+        """
+        if trial.fall - trial.doubt <= -0.5 * SHORT * slope or self.search["averaged"]:
+            return 1.0
+        bend = 2 * (-trial.fall - slope)  # of the parabola, twice
+        return LONGER if bend <= -slope / LONGER else -slope / bend
 
 
 def ranges(optimizer: torch.optim.Optimizer, scene: Scene | None) -> tuple[Tensor, Tensor]:

@@ -30,7 +30,7 @@ class Trial(NamedTuple):
 
     fall: float  # of r_1^T W r_2 / 2
     doubt: float  # how far two estimates of that are apart
-    error_of_j: float  # (D - J d)^T W (D - J d) over D^T W D, D being their change; 0 if J is not known
+    error_of_j: float | None  # (D - J d)^T W (D - J d) over D^T W D, D being their change; None: not told, D is all noise
 
 
 def model_of(jacobian: Tensor, pair: list[Tensor], weights: Tensor) -> Model:
@@ -124,13 +124,13 @@ def trial_of(model: Model, step: Tensor, before: list[Tensor], after: list[Tenso
     """What residuals of two seeds before and after a step say, (M,) each."""
     falls = [-0.5 * float((weights * (before[one] + after[one])) @ (after[two] - before[two]))
              for one, two in ((0, 1), (1, 0))]
-    off = 0.0
+    off = None
     if model.jacobian is not None:
         a, b = (now - then for now, then in zip(after, before, strict=True))
         told = model.jacobian @ step
         change, noise = float((weights * a) @ b), 0.5 * float((weights * (a - b)) @ (a - b))
-        if change > noise:  # or nothing is known
-            off = float((weights * (a - told)) @ (b - told)) / change
+        if change > noise or noise == 0:
+            off = float((weights * (a - told)) @ (b - told)) / max(change, 1e-300)
     return Trial(sum(falls) / 2, abs(falls[0] - falls[1]), off)
 
 
