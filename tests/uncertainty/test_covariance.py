@@ -96,6 +96,19 @@ def test_many_parameters_by_probing():
         rb.diagonal_covariance(renderer_of(scene), name, noise=0.1, prior={})
 
 
+def test_many_correlated_parameters_by_probing():
+    """Blurred numbers, of which some are known to half of the prior, and some hardly: against the inverse of the matrix."""
+    places = torch.arange(240, dtype=torch.float64) / 3
+    blur = torch.stack([torch.exp(-((places - at) / (0.5 + at / 10)).square()) for at in range(80)], 1)
+    x = torch.zeros(80, dtype=torch.float64)
+    found = rb.diagonal_covariance(lambda seed, spp: blur @ x, {"x": x}, noise=0.2, prior={"x": 0.3}, probes=256)
+    exact = torch.linalg.inv(blur.T @ blur / 0.2 ** 2 + torch.eye(80) / 0.3 ** 2).diag().sqrt()
+    assert exact.min() < 0.15 and exact.max() > 0.25
+    deviation, error = found.standard_deviations["x"], found.error["x"]
+    assert (deviation <= 0.3).all() and error.max() < 0.06 * 0.3
+    assert ((deviation - exact).abs() <= 5 * error + 0.005).all()
+
+
 @pytest.mark.parametrize(("prior", "message"), [({COLOUR: 0.0}, "leave it out"), ({"u": 1.0}, "none of the parameters")])
 def test_priors_that_make_no_sense(prior, message):
     renderer = renderer_of(wall_under_sun())

@@ -173,25 +173,24 @@ class GaussNewton(torch.optim.Optimizer):
             step, share = self.proposed(model, start)
             if model.jacobian is not None and self.kept_for == 0:
                 state["noise_of_j"] = noise_of_j(model, step, linear.forward(step, seeds[3], state["spp_of_j"]), weights)
+            predicted = 0.0 if known and share > NOISY else model.fall(step)
             linear.move_to(start + step)
             state["noise_share"] = share
             if known and share > NOISY:
                 break  # a step as short as noise; whether the error falls cannot be told
-            predicted = -float(model.gradient @ step + 0.5 * step @ model.curvature(step))
             trial = trial_of(model, step, pair, [linear.values(seed, spp) for seed in seeds[:2]], weights)
             state["gain"] = trial.fall / predicted if predicted > 0 else 0.0
             state["error_of_j"] = 1.0 if trial.error_of_j is None else trial.error_of_j
             if predicted > 0 and trial.fall + trial.doubt > 0.1 * predicted:
                 linear.move_to(self.within(start + self.longer(trial, float(model.gradient @ step)) * step))
                 break
+            linear.move_to(start)
             if known:  # no shorter step by a Jacobian of another place
-                linear.move_to(start)
                 self.drop_jacobian()
                 model, known = self.model(linear, pair, weights, seeds[2]), False
                 continue
             state["damping"] = max(10 * state["damping"], FIRST_DAMPING)
         else:
-            linear.move_to(start)
             share = max(share, 1.0)  # a fall that so short a step does not show is one that noise hides
         if state["gain"] > 0.5:
             state["damping"] = max(0.1 * state["damping"], LEAST_DAMPING)
@@ -255,15 +254,14 @@ class GaussNewton(torch.optim.Optimizer):
                 self.search["error_of_j"] = 0.0
             return model_of(self.kept, pair, weights)
 
-        def product(step: Tensor) -> Tensor:
-            """Symmetric and never negative, since forward and backward at one seed are transposes."""
-            return linear.backward(weights * linear.forward(step, seed, spp), seed, spp)
+        def transposed(part: Tensor) -> Tensor:
+            """At one seed forward and backward are transposes, so that H is symmetric and never negative."""
+            return linear.backward(part, seed, spp)
 
         if self.diagonal is None or self.kept_for >= KEPT:
-            self.diagonal, self.kept_for = diagonal_of(lambda part: linear.backward(part, seed, spp), weights, PROBES, seed), 0
-        gradient, noise = (linear.backward(weights * part, seed, spp)
-                           for part in ((pair[0] + pair[1]) / 2, (pair[0] - pair[1]) / 2))
-        return Model(gradient, product, self.diagonal, noise)
+            self.diagonal, self.kept_for = diagonal_of(transposed, weights, PROBES, seed), 0
+        gradient, noise = (transposed(weights * part) for part in ((pair[0] + pair[1]) / 2, (pair[0] - pair[1]) / 2))
+        return Model(gradient, lambda step: linear.forward(step, seed, spp), weights, transposed, self.diagonal, noise)
 
     def proposed(self, model: Model, start: Tensor) -> tuple[Tensor, float]:
         """The step of the damped model within the ranges, (n,), and the length of its noise over its own."""

@@ -17,12 +17,23 @@ class Model(NamedTuple):
     """The quadratic model of half the squared residuals around a position: g^T d + d^T H d / 2."""
 
     gradient: Tensor  # (n,) g = J^T W r
-    curvature: Callable[[Tensor], Tensor]  # H d = J^T W J d; (n,) to (n,)
+    changes: Callable[[Tensor], Tensor]  # J d, (n,) to (M,), where parameters stand
+    weights: Tensor  # (M,) W
+    transposed: Callable[[Tensor], Tensor]  # J^T, (M,) to (n,)
     scale: Tensor  # (n,) what damping is in units of, > 0: the diagonal of H, or an estimate of it
     noise: Tensor  # (n,) the part of g that is noise: J^T W (r_1 - r_2) / 2
     noises: Tensor | None = None  # (n, M) that of each residual: the columns of J^T W times (r_1 - r_2) / 2
     matrix: Tensor | None = None  # (n, n) H, if it is known as a whole
     jacobian: Tensor | None = None  # (M, n) J, if it is known as a whole
+
+    def curvature(self, step: Tensor) -> float:
+        """d^T H d."""
+        change = self.changes(step)
+        return float((self.weights * change) @ change)
+
+    def fall(self, step: Tensor) -> float:
+        """By how much half the squared residuals fall, as the model has it."""
+        return -float(self.gradient @ step) - 0.5 * self.curvature(step)
 
 
 class Trial(NamedTuple):
@@ -49,8 +60,8 @@ def model_of(jacobian: Tensor, pair: list[Tensor], weights: Tensor) -> Model:
     if not bool(scale.any()):
         raise ValueError("no parameter changes the residuals: does the closure read the optimizer's parameters?")
     mean, half = weights * (pair[0] + pair[1]) / 2, weights * (pair[0] - pair[1]) / 2
-    return Model(jacobian.T @ mean, lambda step: matrix @ step, scale.clamp_min(1e-12 * float(scale.max())),
-                 jacobian.T @ half, jacobian.T * half, matrix, jacobian)
+    return Model(jacobian.T @ mean, lambda step: jacobian @ step, weights, lambda part: jacobian.T @ part,
+                 scale.clamp_min(1e-12 * float(scale.max())), jacobian.T @ half, jacobian.T * half, matrix, jacobian)
 
 
 def proposed(model: Model, damping: float, free: Tensor, iterations: int) -> tuple[Tensor, float]:
@@ -88,8 +99,9 @@ def conjugate_gradients(model: Model, damping: float, free: Tensor, iterations: 
     for _ in range(iterations):
         if square <= enough:
             break
-        bent = free * (model.curvature(direction) + damping * model.scale * direction)
-        curvature = float(direction @ bent)
+        change = model.changes(direction)
+        bent = free * (model.transposed(model.weights * change) + damping * model.scale * direction)
+        curvature = float((model.weights * change) @ change + damping * (model.scale * direction) @ direction)
         if curvature <= 0:
             break
         length = square / curvature
@@ -137,4 +149,4 @@ def trial_of(model: Model, step: Tensor, before: list[Tensor], after: list[Tenso
 def noise_of_j(model: Model, step: Tensor, other: Tensor, weights: Tensor) -> float:
     """The variance of J d over d^T H d, by a product with J of another seed, (M,)."""
     apart = model.jacobian @ step - other
-    return 0.5 * float((weights * apart) @ apart) / max(float(step @ model.curvature(step)), 1e-300)
+    return 0.5 * float((weights * apart) @ apart) / max(model.curvature(step), 1e-300)
