@@ -39,7 +39,7 @@ def test_conjugate_gradients_solve_what_has_many_parameters():
 
 
 def test_conjugate_gradients_predict_from_where_the_step_begins():
-    """80 numbers by x^3 = 1 from 3: as of one, the step is to 55 / 27, and errors fall from 26 to that of the cube of this."""
+    """80 numbers by x^3 = 1 from 3: as of one, the step is to 55 / 27, and errors fall from 26 to those of its cube."""
     x = torch.full((80,), 3.0, dtype=torch.float64, requires_grad=True)
     optimizer = GaussNewton([x], damping=0)
     optimizer.step(lambda seed, spp: x ** 3 - 1)
@@ -60,7 +60,7 @@ def test_a_failed_step_by_conjugate_gradients_is_tried_again_from_where_it_began
 
 
 def test_numbers_that_share_no_channel_are_found_by_one_image():
-    """Three products for nine reflectances of a wall, and one more that looks whether they are separate; J is that of nine."""
+    """Three products for nine reflectances, and one more that looks whether they are separate; J is that of nine."""
     scene = cornell(torch.float64, 6)
     renderer = rb.Renderer(scene, spp=4, max_depth=3)
     held = [scene.get_parameter(f"{name}.reflectance.value") for name in ("white", "green", "red")]

@@ -19,7 +19,7 @@ FULL = 64  # parameters whose Jacobian is computed as a whole; for more, conjuga
 PROBES = 8  # of the diagonal of J^T W J, which preconditions these
 KEPT = 8  # steps with one Jacobian, or diagonal, at most
 FORWARD = 2  # images that take as long as one in forward mode
-SHORT, LONGER = 1.5, 2.0  # a step is too short if the error falls by so many times what is predicted; then multiplied at most
+SHORT, LONGER = 1.5, 2.0  # by how many times what is predicted the error falls after short steps; and what they grow by
 ATTEMPTS = 5  # of a step, each with ten times the damping
 NOISY = 0.3  # the share of noise in a step from which more samples are asked for
 LEAST_ERROR = 1e-3  # of J along a step, below which none counts
@@ -49,21 +49,25 @@ class GaussNewton(torch.optim.Optimizer):
     multiply residuals.
 
     Residuals and J have samples of their own: two renderings of residuals, r_1 and r_2, whose mean is r, and J of a third
-    seed. So the gradient J^T r has no bias from noise, and steps end where it is 0. J^T J has one, which shortens steps, as
-    damping does, in directions that few samples hardly see. Up to 64 parameters J is computed as a whole, for n renderings
-    in forward mode, and kept for up to 8 steps, as long as it says by how much residuals change: while the square of its
-    relative error along a step is below 0.05. Beyond that, steps are found by products with it in conjugate gradients, each
-    for a forward and a backward one, until what is left of the gradient is 0.2 of its noise. A step counts if the squared
-    error r_1^T r_2 falls, at the same seeds before and after, else damping grows. Where more than 0.3 of a step is noise of
-    r, by how far apart its two renderings are, `spp` is doubled, or for twice that share fourfold, up to `max_spp`, and with
-    a J that is kept the error is not looked at; at `max_spp` steps become 1, 1/2, 1/3, ..., so that the result is the mean
-    of what single steps would find. Where 0.3 of what a new J changes along a step is its noise, by the same of another
-    seed, the samples of J are doubled.
+    seed. So the gradient J^T r has no bias from noise, and steps end where it is 0. J^T J has one, which shortens steps,
+    as damping does, in directions that few samples hardly see; where the error falls by half more than predicted, the step
+    is made up to twice as long. Up to 64 parameters J is computed as a whole, in forward mode, parameters that change no
+    channel in common by one rendering (`SeparateColumns`), and kept for up to 8 steps, as long as a new one would not
+    lower the error more for each image: what a step leaves is the error of J along it. Beyond that, steps are found by
+    products with it in conjugate gradients, each for a forward and a backward one, preconditioned by the diagonal of J^T
+    J, of 8 backward ones, until what is left of the gradient is 0.2 of its noise. A step counts if the squared error r_1^T
+    r_2 falls, at the same seeds before and after, else damping grows. Where more than 0.3 of a step is noise of r, by how
+    far apart its two renderings are, `spp` is doubled, or for twice that share fourfold, up to `max_spp`, and with a J
+    that is kept the error is not looked at; at `max_spp` steps become 1, 1/2, 1/3, ..., so that the result is the mean of
+    what single steps would find. Where 0.3 of what a new J changes along a step is its noise, by the same of another seed,
+    the samples of J are doubled.
 
     Its `search`: `spp` now, of r and, `spp_of_j`, of J, `damping`, `gain`, the fall of the error over the predicted one,
     `noise_share`, the length of the step's noise over that of the step, `noise_of_j`, the share of J's, `error_of_j`, the
-    square of its relative error along the last step that was looked at, `jacobians`, how many were computed, `averaged`, how
-    many steps were limited by noise, `evaluations`, calls of the closure. One group of parameters, one learning rate, 1.
+    square of its relative error along the last step that was looked at, 1 if noise hides it, `error_when_new`, the same of
+    the step after which J was new, `left_since`, the product of these since then, `jacobians`, how many were computed,
+    `averaged`, how many steps were limited by noise, `evaluations`, calls of the closure. One group of parameters, one
+    learning rate, 1.
 
     `state_dict` has all of that, but for the settings of the constructor: an optimizer made with these that gets it by
     `load_state_dict` makes the same next step. A kept Jacobian is computed again, where it was.
@@ -100,8 +104,8 @@ class GaussNewton(torch.optim.Optimizer):
         self.max_spp, self.robust, self.iterations, self.seed = max_spp or 64 * spp, robust, iterations, seed
         self.low, self.high = ranges(self, scene)
         self.search = {"spp": spp, "spp_of_j": spp, "noise_of_j": 0.0, "error_of_j": 0.0, "error_when_new": 0.0,
-                       "left_since": 1.0, "damping": damping, "gain": 0.0,
-                       "noise_share": 0.0, "averaged": 0, "jacobians": 0, "evaluations": 0}
+                       "left_since": 1.0, "damping": damping, "gain": 0.0, "noise_share": 0.0, "averaged": 0,
+                       "jacobians": 0, "evaluations": 0}
         self.kept: Tensor | None = None  # J of the last step, (M, n)
         self.kept_at: KeptPlace | None = None
         self.kept_for = 0
@@ -275,9 +279,8 @@ class GaussNewton(torch.optim.Optimizer):
         return torch.minimum(torch.maximum(position, self.low), self.high)
 
     def longer(self, trial: Trial, slope: float) -> float:
-        """By how much a step that was tried should have been longer: to the vertex of the parabola through the slope, which
-        is known at its beginning, and the fall. J^T J overestimates curvatures by the noise of J, and by edges that move
-        further than they are wide.
+        """What a step that was tried should be multiplied by: up to the vertex of the parabola of its slope at the beginning
+        and its fall. J^T J overestimates curvatures by the noise of J, and by edges that move further than they are wide.
         """
         if trial.fall - trial.doubt <= -0.5 * SHORT * slope or self.search["averaged"]:
             return 1.0

@@ -75,7 +75,8 @@ class SeparateColumns(NamedTuple):
             columns |= {column: torch.where(self.changed[of, column], together, 0.0) for column in group}
         found = torch.stack([columns[column] for column in range(size)], 1)
         # Entries of a wrong column would be multiplied by another number than their own.
-        weights = torch.randn(size, generator=torch.Generator().manual_seed(size), dtype=torch.float64).to(device)
+        generator = torch.Generator().manual_seed(size)
+        weights = torch.randn(size, generator=generator, dtype=torch.float64).to(device)
         told, true = found @ weights, product(weights)
         room = ROUNDING * (found.abs() @ weights.abs()) + 1e-6 * true.abs().max()
         return found if bool(((told - true).abs() <= room).all()) else None

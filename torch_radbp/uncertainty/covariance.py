@@ -246,8 +246,8 @@ def variance_by(samples: Samples) -> tuple[Tensor, Tensor]:
     squares = samples.found.square().T[:, :, None]
     slopes = torch.linalg.lstsq(off - off.mean(1, keepdim=True), squares - squares.mean(1, keepdim=True), driver="gelsd")
     rest = (squares - off @ slopes.solution)[:, :, 0]
-    count = rest.shape[1]
-    return rest.mean(1).maximum(0.1 / samples.precision).clamp_max(1), rest.std(1) / count ** 0.5 * (count / (count - 2)) ** 0.5
+    variance = rest.mean(1).maximum(0.1 / samples.precision).clamp_max(1)
+    return variance, rest.std(1) / (rest.shape[1] - 2) ** 0.5
 
 
 def noise_of(images: Renderer | Images, targets: Tensor | Sequence[Tensor], parameters: Parameters, noise: Noise | str,
