@@ -92,7 +92,7 @@ class GaussNewton(torch.optim.Optimizer):
     """
 
     def __init__(self, params: Iterable[Tensor], scene: Scene | None = None, *, spp: int = 16, max_spp: int | None = None,
-                 damping: float = 1e-6, robust: float | None = None, iterations: int = 20, seed: int = 0):
+                 damping: float = 1e-6, robust: float | None = None, iterations: int = 10, seed: int = 0):
         if spp < 1 or max_spp is not None and max_spp < spp:
             raise ValueError(f"spp must be at least 1, and max_spp at least spp, got spp={spp} and max_spp={max_spp}")
         if not damping >= 0 or robust is not None and not robust > 0 or iterations < 1:

@@ -83,7 +83,7 @@ class SeparateColumns(NamedTuple):
 
 
 def parts_of(shapes: Sequence[torch.Size], device: torch.device) -> Tensor:
-    """The part that each number of some tensors is of, (M,) int64: channels of images, entries of vectors, rows of tables."""
+    """The part that each number of some tensors is of, (M,) int64: a channel of an image, an entry of a vector, a row."""
     found, first = [], 0
     for shape in shapes:
         lengths = shape[:-2] if len(shape) > 2 else shape[:1]
