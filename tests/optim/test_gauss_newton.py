@@ -59,6 +59,15 @@ def test_a_failed_step_by_conjugate_gradients_is_tried_again_from_where_it_began
     assert torch.allclose(x.detach(), torch.full_like(x, expected), rtol=1e-6)
 
 
+def test_steps_that_are_too_short_are_doubled():
+    """Noise of J three times as large as J makes a step a tenth of what it should be: thrice doubled, it is eight tenths."""
+    x = torch.full((1,), 2.0, dtype=torch.float64, requires_grad=True)
+    optimizer = GaussNewton([x], damping=0)
+    optimizer.step(lambda seed, spp: torch.cat([x - 1, (3.0 if seed % 4 >= 2 else 0.0) * (x - x.detach())]))
+    assert optimizer.search["gain"] == pytest.approx(1.9)
+    assert float(x.detach()) == pytest.approx(1.2)
+
+
 def test_numbers_that_share_no_channel_are_found_by_one_image():
     """Three products for nine reflectances, and one more that looks whether they are separate; J is that of nine."""
     scene = cornell(torch.float64, 6)

@@ -19,7 +19,7 @@ FULL = 64  # parameters whose Jacobian is computed as a whole; for more, conjuga
 PROBES = 8  # of the diagonal of J^T W J, which preconditions these
 KEPT = 8  # steps with one Jacobian, or diagonal, at most
 FORWARD = 2  # images that take as long as one in forward mode
-SHORT, LONGER = 1.5, 2.0  # by how many times what is predicted the error falls after short steps; and what they grow by
+SHORT, DOUBLINGS = 1.5, 3  # a step after which the error falls by so many times what is predicted is doubled up to so often
 ATTEMPTS = 5  # of a step, each with ten times the damping
 NOISY = 0.3  # the share of noise in a step from which more samples are asked for
 LEAST_ERROR = 1e-3  # of J along a step, below which none counts
@@ -51,16 +51,16 @@ class GaussNewton(torch.optim.Optimizer):
     Residuals and J have samples of their own: two renderings of residuals, r_1 and r_2, whose mean is r, and J of a third
     seed. So the gradient J^T r has no bias from noise, and steps end where it is 0. J^T J has one, which shortens steps,
     as damping does, in directions that few samples hardly see; where the error falls by half more than predicted, the step
-    is made up to twice as long. Up to 64 parameters J is computed as a whole, in forward mode, parameters that change no
-    channel in common by one rendering (`SeparateColumns`), and kept for up to 8 steps, as long as a new one would not
-    lower the error more for each image: what a step leaves is the error of J along it. Beyond that, steps are found by
-    products with it in conjugate gradients, each for a forward and a backward one, preconditioned by the diagonal of J^T
-    J, of 8 backward ones, until what is left of the gradient is 0.2 of its noise. A step counts if the squared error r_1^T
-    r_2 falls, at the same seeds before and after, else damping grows. Where more than 0.3 of a step is noise of r, by how
-    far apart its two renderings are, `spp` is doubled, or for twice that share fourfold, up to `max_spp`, and with a J
-    that is kept the error is not looked at; at `max_spp` steps become 1, 1/2, 1/3, ..., so that the result is the mean of
-    what single steps would find. Where 0.3 of what a new J changes along a step is its noise, by the same of another seed,
-    the samples of J are doubled.
+    is doubled up to three times, as long as it falls further. Up to 64 parameters J is computed as a whole, in forward
+    mode, parameters that change no channel in common by one rendering (`SeparateColumns`), and kept for up to 8 steps, as
+    long as a new one would not lower the error more for each image: what a step leaves is the error of J along it. Beyond
+    that, steps are found by products with it in conjugate gradients, each for a forward and a backward one, preconditioned
+    by the diagonal of J^T J, of 8 backward ones, until what is left of the gradient is 0.2 of its noise. A step counts if
+    the squared error r_1^T r_2 falls, at the same seeds before and after, else damping grows. Where more than 0.3 of a
+    step is noise of r, by how far apart its two renderings are, `spp` is doubled, or for twice that share fourfold, up to
+    `max_spp`, and with a J that is kept the error is not looked at; at `max_spp` steps become 1, 1/2, 1/3, ..., so that
+    the result is the mean of what single steps would find. Where 0.3 of what a new J changes along a step is its noise, by
+    the same of another seed, the samples of J are doubled.
 
     Its `search`: `spp` now, of r and, `spp_of_j`, of J, `damping`, `gain`, the fall of the error over the predicted one,
     `noise_share`, the length of the step's noise over that of the step, `noise_of_j`, the share of J's, `error_of_j`, the
@@ -186,7 +186,8 @@ class GaussNewton(torch.optim.Optimizer):
             state["gain"] = trial.fall / predicted if predicted > 0 else 0.0
             state["error_of_j"] = 1.0 if trial.error_of_j is None else trial.error_of_j
             if predicted > 0 and trial.fall + trial.doubt > 0.1 * predicted:
-                linear.move_to(self.within(start + self.longer(trial, float(model.gradient @ step)) * step))
+                if state["gain"] > SHORT and not state["averaged"]:
+                    self.lengthen(linear, model, start, step, trial.fall, pair, weights)
                 break
             linear.move_to(start)
             if known:  # no shorter step by a Jacobian of another place
@@ -204,6 +205,96 @@ class GaussNewton(torch.optim.Optimizer):
             state["spp"] = min(state["spp"] * (4 if share > 2 * NOISY else 2), self.max_spp)
         self.judge_jacobian()
         return float((weights * pair[0] * pair[1]).sum()) / len(pair[0])
+
+    def judge_jacobian(self) -> None:
+        """Asks for more samples of J if it is noisy, and drops it where a new one pays.
+
+        What is left of the residuals after a step is the error of J along it. So it is kept as long as the logarithm of that
+        falls more for each image than with a new one. The error of that is the noise of the last one, and of its other error
+        what is left for steps that have become shorter, as their squares.
+        """
+        state = self.search
+        noisy = self.kept_for == 0 and state["noise_of_j"] > NOISY and 2 * state["spp_of_j"] <= self.max_spp
+        if noisy:
+            state["spp_of_j"] *= 2
+        if self.kept_for == 0:
+            state["error_when_new"], state["left_since"] = state["error_of_j"], 1.0
+        state["left_since"] *= min(state["error_of_j"], 1.0)
+        self.kept_for += 1
+        if noisy or self.kept_for >= KEPT or self.kept is not None and not self.pays():
+            self.drop_jacobian()
+
+    def pays(self) -> bool:
+        """True if another step with the kept J costs less than one with a new one, for what it gains."""
+        state = self.search
+        columns = len(self.low) if self.columns is None or not self.columns.save else len(self.columns.groups) + 1
+        step, jacobian = 4.0 * state["spp"], FORWARD * (columns + 1.0) * state["spp_of_j"]
+        noise = min(state["noise_of_j"], state["error_when_new"])
+        errors = state["error_of_j"], noise + (state["error_when_new"] - noise) * state["left_since"]
+        kept, new = (-math.log(min(max(error, LEAST_ERROR), 1.0)) for error in errors)
+        return errors[0] < 1 and kept / step >= new / (step + jacobian)
+
+    def drop_jacobian(self) -> None:
+        """Makes the next step compute J anew."""
+        self.kept, self.kept_at = None, None
+
+    def computed_again(self, closure: Images, place: KeptPlace) -> Tensor:
+        """J of a place, (M, n); parameters stay where they are, and evaluations are not counted."""
+        linear = Linearisation(closure, self.param_groups[0]["params"])
+        now = linear.position()
+        linear.move_to(place.position)
+        try:
+            return linear.jacobian(place.seed, place.spp)
+        finally:
+            linear.move_to(now)
+
+    def model(self, linear: Linearisation, pair: list[Tensor], weights: Tensor, seed: int) -> Model:
+        """The quadratic model around where parameters stand, from residuals, (M,) each, and the derivatives' seed."""
+        spp = self.search["spp_of_j"]
+        if linear.size <= FULL:
+            if self.kept is None or len(self.kept) != len(weights):
+                self.kept_at, self.kept_for = KeptPlace(linear.position(), seed, spp), 0
+                self.kept, self.columns = linear.jacobian(seed, spp), linear.columns
+                self.search["jacobians"] += 1
+                self.search["error_of_j"] = 0.0
+            return model_of(self.kept, pair, weights)
+
+        def transposed(part: Tensor) -> Tensor:
+            """At one seed forward and backward are transposes, so that H is symmetric and never negative."""
+            return linear.backward(part, seed, spp)
+
+        if self.diagonal is None or self.kept_for >= KEPT:
+            self.diagonal, self.kept_for = diagonal_of(transposed, weights, PROBES, seed), 0
+        gradient, noise = (transposed(weights * part) for part in ((pair[0] + pair[1]) / 2, (pair[0] - pair[1]) / 2))
+        return Model(gradient, lambda step: linear.forward(step, seed, spp), weights, transposed, self.diagonal, noise)
+
+    def proposed(self, model: Model, start: Tensor) -> tuple[Tensor, float]:
+        """The step of the damped model within the ranges, (n,), and the length of its noise over its own."""
+        blocked = (start <= self.low) & (model.gradient > 0) | (start >= self.high) & (model.gradient < 0)
+        step, share = proposed(model, self.search["damping"], (~blocked).double(), self.iterations)
+        step = step / (1 + self.search["averaged"])
+        return self.within(start + step) - start, share
+
+    def within(self, position: Tensor) -> Tensor:
+        """The nearest position within the ranges, (n,)."""
+        return torch.minimum(torch.maximum(position, self.low), self.high)
+
+    def lengthen(self, linear: Linearisation, model: Model, start: Tensor, step: Tensor, fall: float, pair: list[Tensor],
+                 weights: Tensor) -> None:
+        """Doubles a step as long as the error falls further, where it has fallen by much more than predicted.
+
+        J^T J overestimates curvatures by the noise of J, and by edges that move further than they are wide.
+        """
+        best = step
+        for _ in range(DOUBLINGS):
+            longer = self.within(start + 2 * best) - start
+            linear.move_to(start + longer)
+            after = [linear.values(4 * (self.seed - 1) + number, self.search["spp"]) for number in range(2)]
+            found = trial_of(model, longer, pair, after, weights).fall
+            if not found > fall:
+                break
+            best, fall = longer, found
+        linear.move_to(start + best)
 
     def judge_jacobian(self) -> None:
         """Asks for more samples of J if it is noisy, and drops it where a new one pays.
