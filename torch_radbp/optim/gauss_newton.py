@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.optim.linearisation import Images, Linearisation
-from torch_radbp.optim.quadratic_model import Model, Trial, diagonal_of, model_of, noise_of_j, proposed, trial_of
+from torch_radbp.optim.quadratic_model import Model, diagonal_of, model_of, noise_of_j, proposed, trial_of
 from torch_radbp.optim.separate_columns import SeparateColumns
 from torch_radbp.scene.modules.bounds import held_by, range_of
 from torch_radbp.scene.modules.scene import Scene
@@ -295,88 +295,6 @@ class GaussNewton(torch.optim.Optimizer):
                 break
             best, fall = longer, found
         linear.move_to(start + best)
-
-    def judge_jacobian(self) -> None:
-        """Asks for more samples of J if it is noisy, and drops it where a new one pays.
-
-        What is left of the residuals after a step is the error of J along it. So it is kept as long as the logarithm of that
-        falls more for each image than with a new one. The error of that is the noise of the last one, and of its other error
-        what is left for steps that have become shorter, as their squares.
-        """
-        state = self.search
-        noisy = self.kept_for == 0 and state["noise_of_j"] > NOISY and 2 * state["spp_of_j"] <= self.max_spp
-        if noisy:
-            state["spp_of_j"] *= 2
-        if self.kept_for == 0:
-            state["error_when_new"], state["left_since"] = state["error_of_j"], 1.0
-        state["left_since"] *= min(state["error_of_j"], 1.0)
-        self.kept_for += 1
-        if noisy or self.kept_for >= KEPT or self.kept is not None and not self.pays():
-            self.drop_jacobian()
-
-    def pays(self) -> bool:
-        """True if another step with the kept J costs less than one with a new one, for what it gains."""
-        state = self.search
-        columns = len(self.low) if self.columns is None or not self.columns.save else len(self.columns.groups) + 1
-        step, jacobian = 4.0 * state["spp"], FORWARD * (columns + 1.0) * state["spp_of_j"]
-        noise = min(state["noise_of_j"], state["error_when_new"])
-        errors = state["error_of_j"], noise + (state["error_when_new"] - noise) * state["left_since"]
-        kept, new = (-math.log(min(max(error, LEAST_ERROR), 1.0)) for error in errors)
-        return errors[0] < 1 and kept / step >= new / (step + jacobian)
-
-    def drop_jacobian(self) -> None:
-        """Makes the next step compute J anew."""
-        self.kept, self.kept_at = None, None
-
-    def computed_again(self, closure: Images, place: KeptPlace) -> Tensor:
-        """J of a place, (M, n); parameters stay where they are, and evaluations are not counted."""
-        linear = Linearisation(closure, self.param_groups[0]["params"])
-        now = linear.position()
-        linear.move_to(place.position)
-        try:
-            return linear.jacobian(place.seed, place.spp)
-        finally:
-            linear.move_to(now)
-
-    def model(self, linear: Linearisation, pair: list[Tensor], weights: Tensor, seed: int) -> Model:
-        """The quadratic model around where parameters stand, from residuals, (M,) each, and the derivatives' seed."""
-        spp = self.search["spp_of_j"]
-        if linear.size <= FULL:
-            if self.kept is None or len(self.kept) != len(weights):
-                self.kept_at, self.kept_for = KeptPlace(linear.position(), seed, spp), 0
-                self.kept, self.columns = linear.jacobian(seed, spp), linear.columns
-                self.search["jacobians"] += 1
-                self.search["error_of_j"] = 0.0
-            return model_of(self.kept, pair, weights)
-
-        def transposed(part: Tensor) -> Tensor:
-            """At one seed forward and backward are transposes, so that H is symmetric and never negative."""
-            return linear.backward(part, seed, spp)
-
-        if self.diagonal is None or self.kept_for >= KEPT:
-            self.diagonal, self.kept_for = diagonal_of(transposed, weights, PROBES, seed), 0
-        gradient, noise = (transposed(weights * part) for part in ((pair[0] + pair[1]) / 2, (pair[0] - pair[1]) / 2))
-        return Model(gradient, lambda step: linear.forward(step, seed, spp), weights, transposed, self.diagonal, noise)
-
-    def proposed(self, model: Model, start: Tensor) -> tuple[Tensor, float]:
-        """The step of the damped model within the ranges, (n,), and the length of its noise over its own."""
-        blocked = (start <= self.low) & (model.gradient > 0) | (start >= self.high) & (model.gradient < 0)
-        step, share = proposed(model, self.search["damping"], (~blocked).double(), self.iterations)
-        step = step / (1 + self.search["averaged"])
-        return self.within(start + step) - start, share
-
-    def within(self, position: Tensor) -> Tensor:
-        """The nearest position within the ranges, (n,)."""
-        return torch.minimum(torch.maximum(position, self.low), self.high)
-
-    def longer(self, trial: Trial, slope: float) -> float:
-        """What a step that was tried should be multiplied by: up to the vertex of the parabola of its slope at the beginning
-        and its fall. J^T J overestimates curvatures by the noise of J, and by edges that move further than they are wide.
-        """
-        if trial.fall - trial.doubt <= -0.5 * SHORT * slope or self.search["averaged"]:
-            return 1.0
-        bend = 2 * (-trial.fall - slope)  # of the parabola, twice
-        return LONGER if bend <= -slope / LONGER else -slope / bend
 
 
 def ranges(optimizer: torch.optim.Optimizer, scene: Scene | None) -> tuple[Tensor, Tensor]:
