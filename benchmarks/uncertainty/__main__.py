@@ -15,8 +15,9 @@ first of Adam's steps that is there counts, even where the next is not; what is 
 Gauss-Newton's seconds is printed as more than these.
 
 *Views.* ``--views``: in random set-ups of a ball and a floor, seen by one camera, `rb.next_view` chooses one of five more;
-all look at chance from near or far, at the ball or past it. Each candidate is then fitted, together with the first view and with the prior, to noisy images; printed are in how many
-set-ups the error of its choice, root mean square in units of the prior, is below that of the median candidate, and its rank.
+all look at chance from near or far, at the ball or past it. Each candidate is then fitted, together with the first view and
+with the prior, to noisy images; printed are in how many set-ups the error of its choice, root mean square in units of the
+prior, is below that of the median candidate, and its rank.
 
 Seconds are the processor's, with ``OMP_NUM_THREADS=1``, so that a busy machine changes little; what runs first, and
 compiles, is not timed.
