@@ -53,7 +53,7 @@ class GaussNewton(Table):
     max_spp: Count | None = None  # samples per pixel where noise limits steps; None: 64 times those of `[render]`
     damping: Number = Field(1e-6, ge=0)
     robust: Positive | None = None  # size of residuals beyond which they count less; None: all count the same
-    iterations: Count = 20  # of conjugate gradients, of more than 200 numbers
+    iterations: Count = 10  # of conjugate gradients, of more than 64 numbers
 
 
 def _named(given: Any) -> Any:

@@ -60,7 +60,7 @@ class OurGaussNewton(OurLoop):
         leaves = [leaf for variable in self.variables.values() for group in variable.optimizer.param_groups
                   for leaf in group["params"]]
         self.size = sum(leaf.numel() for leaf in leaves)
-        self.optimizer = rb.optim.GaussNewton(leaves, spp=task.setting.spp, seed=self.seed)
+        self.optimizer = rb.optim.GaussNewton(leaves, self.renderer.scene, spp=task.setting.spp, seed=self.seed)
 
     def step(self, number: int) -> float:
         """One step; the seconds that it took."""

@@ -4,8 +4,8 @@
 of its own, with normal noise of 5 % of each pixel (and of 0.1). Printed are the standard deviations of what is found over
 those that `rb.covariance` predicts, root mean square and median over parameters, the least and greatest of them, and the
 share of the 95 % intervals that hold the truth. Fits begin at the truth: what is asked is the spread, not whether they
-arrive. For more than 200 numbers deviations are those of `rb.diagonal_covariance`. Textures and networks have a prior of
-0.3 for each number, skies of 0.1, which fits have, too, around values that chance takes as far from the truth. Weights of a
+arrive. For more than 200 numbers deviations are those of `rb.diagonal_covariance`. Textures have a prior of 0.3 for each
+number, networks and skies of 0.1, which fits have, too, around values that chance takes as far from the truth. Weights of a
 network take each other's part: there, the colours that it returns are compared.
 
 *Speed.* ``--speed``: from a start that is off, seconds until the root mean square of the relative errors of the parameters
@@ -14,9 +14,10 @@ renderer and loss, by two buffers of 16 or of 64 samples per pixel. Targets have
 first of Adam's steps that is there counts, even where the next is not; what is not there within ``--patience`` times
 Gauss-Newton's seconds is printed as more than these.
 
-*Views.* ``--views``: in random set-ups of a ball and a floor, seen by one camera, `rb.next_view` chooses one of five more.
-Each candidate is then fitted, together with the first view and with the prior, to noisy images; printed are in how many
-set-ups the error of its choice, root mean square in units of the prior, is below that of the median candidate, and its rank.
+*Views.* ``--views``: in random set-ups of a ball and a floor, seen by one camera, `rb.next_view` chooses one of five more;
+all look at chance from near or far, at the ball or past it. Each candidate is then fitted, together with the first view and
+with the prior, to noisy images; printed are in how many set-ups the error of its choice, root mean square in units of the
+prior, is below that of the median candidate, and its rank.
 
 Seconds are the processor's, with ``OMP_NUM_THREADS=1``, so that a busy machine changes little; what runs first, and
 compiles, is not timed.

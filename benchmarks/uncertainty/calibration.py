@@ -41,7 +41,7 @@ def predicted(task: Task, exact: Tensor, noise: Tensor) -> Tensor:
     spp = 64 if task.size > MANY else 256
     prior = None if task.prior is None else dict.fromkeys(task.parameters, task.prior)
     if task.size > DENSE:
-        found = rb.diagonal_covariance(task.images, task.parameters, noise=noise, prior=prior, spp=spp, probes=16,
+        found = rb.diagonal_covariance(task.images, task.parameters, noise=noise, prior=prior, spp=spp, probes=64,
                                        seed=10 ** 5)
         return torch.cat([deviation.reshape(-1) for deviation in found.standard_deviations.values()])
     whole = rb.covariance(task.images, exact, task.parameters, noise=noise, prior=prior, spp=spp, repeats=4, seed=10 ** 5)

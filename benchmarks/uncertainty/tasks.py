@@ -72,8 +72,8 @@ def scaled(factor: float):
     return torch.diag(torch.tensor([factor, factor, factor, 1.0])).numpy()
 
 
-def camera(size: int = SIZE, eye=EYE) -> dict[str, Any]:
-    pose = rb.look_at(eye, [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]).numpy()
+def camera(size: int = SIZE, eye=EYE, aim=(0.0, 0.0, 0.0)) -> dict[str, Any]:
+    pose = rb.look_at(eye, list(aim), [0.0, 1.0, 0.0]).numpy()
     return {"type": "perspective", "fov": 40, "to_world": pose, "film": {
         "type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}}}
 
@@ -159,7 +159,7 @@ def network() -> Task:
     renderer, axis = rb.Renderer(scene, max_depth=2), (torch.arange(8) + 0.5) / 8
     places = torch.cartesian_prod(axis, axis)
     return Task(lambda seed, spp: renderer(seed=seed, spp=spp), dict(module.named_parameters()), scene, near(0.4),
-                prior=0.3, outputs=lambda: module(places.to(module[0].weight.dtype)))
+                prior=0.1, outputs=lambda: module(places.to(module[0].weight.dtype)))
 
 
 def exposure() -> Task:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
 
 import torch_radbp as rb
 from benchmarks.uncertainty.tasks import Task, camera, near, rgb, scaled
+
+SPP, STEPS = 256, 3  # of a refit
 
 
 def views_of(number: int, refits: int) -> list[float]:
@@ -18,11 +21,15 @@ def views_of(number: int, refits: int) -> list[float]:
     def uniform(low: float, high: float, count: int = 1) -> list[float]:
         return (low + (high - low) * torch.rand(count, generator=generator)).tolist()
 
-    def eye() -> list[float]:
+    def place(distance: float) -> list[float]:
         angle, height = uniform(0, 2 * math.pi)[0], uniform(-0.2, 2.5)[0]
-        return [3.5 * math.cos(angle), height, 3.5 * math.sin(angle)]
+        return [distance * math.cos(angle), height, distance * math.sin(angle)]
 
-    cameras = {name: camera(8, eye()) for name in ("taken", "a", "b", "c", "d", "e")}
+    def view() -> dict[str, Any]:
+        """From near or far, at the ball or past it."""
+        return camera(8, place(uniform(2.5, 8)[0]), [*uniform(-1.5, 1.5), -0.5, *uniform(-1.5, 1.5)])
+
+    cameras = {name: view() for name in ("taken", "a", "b", "c", "d", "e")}
     ground = rb.look_at([0.0, -1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]).numpy() @ scaled(5)
     scene = rb.load_dict({
         "type": "scene", **cameras, "sky": {"type": "constant", "radiance": rgb(0.05, 0.05, 0.05)},
@@ -30,11 +37,11 @@ def views_of(number: int, refits: int) -> list[float]:
                                                "specular_reflectance": rgb(*uniform(0.3, 0.9, 3))}},
         "floor": {"type": "rectangle", "to_world": ground,
                   "bsdf": {"type": "diffuse", "reflectance": rgb(*uniform(0.2, 0.8, 3))}},
-        "lamp": {"type": "point", "position": [eye()[0], 3.0, eye()[2]], "intensity": rgb(30, 30, 30)}})
+        "lamp": {"type": "point", "position": [*uniform(-3, 3), 3.0, *uniform(-3, 3)], "intensity": rgb(30, 30, 30)}})
     names = ["subject.bsdf.alpha.value", "subject.bsdf.specular_reflectance.value", "floor.bsdf.reflectance.value"]
-    renderer, candidates, noise, prior = rb.Renderer(scene, max_depth=3), list(cameras)[1:], 0.1, 0.1
+    renderer, candidates, noise, prior = rb.Renderer(scene, max_depth=3), list(cameras)[1:], 0.05, 0.05
     found = rb.next_view(renderer, candidates, names, noise=noise, prior=dict.fromkeys(names, prior), taken=["taken"],
-                         spp=128)
+                         spp=SPP)
     task = Task(lambda seed, spp: renderer(seed=seed, spp=spp), {name: scene.get_parameter(name) for name in names}, scene,
                 near(0.0))
     truth, errors = task.position(), []
@@ -53,8 +60,8 @@ def views_of(number: int, refits: int) -> list[float]:
                 now = torch.cat([parameter.reshape(-1) for parameter in task.parameters.values()])
                 return [(renderer(seed=seed, spp=spp, sensors=sensors) - target) / noise, (now - believed.to(now)) / prior]
 
-            optimizer = rb.optim.GaussNewton(task.parameters.values(), scene, spp=64, max_spp=64, seed=1000 * refit)
-            for _ in range(3):
+            optimizer = rb.optim.GaussNewton(task.parameters.values(), scene, spp=SPP, max_spp=SPP, seed=1000 * refit)
+            for _ in range(STEPS):
                 optimizer.step(residuals)
             off.append((task.position() - truth) / prior)
         errors.append(float(torch.stack(off).square().mean().sqrt()))

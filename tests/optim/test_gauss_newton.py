@@ -9,6 +9,7 @@ import torch_radbp as rb
 from tests.scenes import cornell
 from tests.scenes.sunlit import COLOUR, wall_under_sun
 from torch_radbp.optim import GaussNewton
+from torch_radbp.optim.linearisation import Linearisation
 
 
 def test_a_linear_problem_takes_one_step():
@@ -35,6 +36,67 @@ def test_conjugate_gradients_solve_what_has_many_parameters():
     optimizer.step(lambda seed, spp: matrix @ (found - truth))
     assert (found - truth).norm() <= 1e-4 * truth.norm()
     assert found.requires_grad
+
+
+def test_conjugate_gradients_predict_from_where_the_step_begins():
+    """80 numbers by x^3 = 1 from 3: as of one, the step is to 55 / 27, and errors fall from 26 to those of its cube."""
+    x = torch.full((80,), 3.0, dtype=torch.float64, requires_grad=True)
+    optimizer = GaussNewton([x], damping=0)
+    optimizer.step(lambda seed, spp: x ** 3 - 1)
+    assert torch.allclose(x.detach(), torch.full_like(x, 55 / 27), rtol=1e-9)
+    assert optimizer.search["gain"] == pytest.approx(1 - (((55 / 27) ** 3 - 1) / 26) ** 2, rel=1e-9)
+
+
+def test_a_failed_step_by_conjugate_gradients_is_tried_again_from_where_it_began():
+    """The arctangent from 2, where the undamped step goes too far: the damped one ends between 0 and 2."""
+    x = torch.full((80,), 2.0, dtype=torch.float64, requires_grad=True)
+    optimizer = GaussNewton([x], damping=0)
+    optimizer.step(lambda seed, spp: x.atan())
+    assert optimizer.search["damping"] >= 1e-3
+    damping = optimizer.search["damping"] * (10 if optimizer.search["gain"] > 0.5 else 1)
+    slope = 0.2  # of the arctangent at 2; the diagonal of J^T J is its square
+    expected = 2 - math.atan(2) / (slope * (1 + damping))
+    assert torch.allclose(x.detach(), torch.full_like(x, expected), rtol=1e-6)
+
+
+def test_steps_that_are_too_short_are_doubled():
+    """Noise of J three times as large as J makes a step a tenth of what it should be: thrice doubled, it is eight tenths."""
+    x = torch.full((1,), 2.0, dtype=torch.float64, requires_grad=True)
+    optimizer = GaussNewton([x], damping=0)
+    optimizer.step(lambda seed, spp: torch.cat([x - 1, (3.0 if seed % 4 >= 2 else 0.0) * (x - x.detach())]))
+    assert optimizer.search["gain"] == pytest.approx(1.9)
+    assert float(x.detach()) == pytest.approx(1.2)
+
+
+def test_numbers_that_share_no_channel_are_found_by_one_image():
+    """Three products for nine reflectances, and one more that looks whether they are separate; J is that of nine."""
+    scene = cornell(torch.float64, 6)
+    renderer = rb.Renderer(scene, spp=4, max_depth=3)
+    held = [scene.get_parameter(f"{name}.reflectance.value") for name in ("white", "green", "red")]
+    seeds = []
+
+    def images(seed, spp):
+        seeds.append(seed)
+        return renderer(seed=seed, spp=spp)
+
+    linear = Linearisation(images, held)
+    whole = linear.jacobian(1, 4)
+    assert whole.abs().amax(0).min() > 0 and len(seeds) == 9
+    assert sorted(map(sorted, linear.columns.groups)) == [[0, 1, 2], [3, 4, 5], [6, 7, 8]]
+    again = linear.jacobian(1, 4)
+    assert len(seeds) == 9 + 4 and torch.equal(again, whole)
+
+
+def test_columns_that_were_separate_and_are_no_longer_are_found_one_by_one():
+    mixed = torch.zeros((), dtype=torch.float64)
+    x = torch.ones(3, dtype=torch.float64)
+    linear = Linearisation(lambda seed, spp: x + mixed * x.flip(0), [x])
+    assert torch.equal(linear.jacobian(0, 1), torch.eye(3, dtype=torch.float64))
+    assert linear.columns.groups == [[0, 1, 2]] and linear.columns.save
+    mixed.fill_(0.5)
+    expected = torch.eye(3, dtype=torch.float64) + 0.5 * torch.eye(3, dtype=torch.float64).flip(0)
+    assert torch.equal(linear.jacobian(0, 1), expected)
+    assert torch.equal(linear.jacobian(0, 1), expected)
 
 
 def test_a_product_is_found_within_few_steps():

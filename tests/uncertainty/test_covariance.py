@@ -89,11 +89,24 @@ def test_many_parameters_by_probing():
     scene = load(sensor=overhead(4, half=1), wall=rectangle((0, 0, 0), 1, bsdf={"type": "diffuse", "reflectance": texture}),
                  sun={"type": "directional", "direction": [0, 0, -1], "irradiance": rgb(2, 2, 2)})
     name = "wall.bsdf.reflectance.data"
-    found = rb.diagonal_covariance(renderer_of(scene), name, noise=0.1, prior={name: 0.2}, probes=2)
+    found = rb.diagonal_covariance(renderer_of(scene), name, noise=0.1, prior={name: 0.2}, probes=4)
     expected = ((2 / math.pi / 0.1) ** 2 + 1 / 0.2 ** 2) ** -0.5
     assert torch.allclose(found.standard_deviations[name], torch.full((4, 4, 3), expected, dtype=torch.float64), rtol=1e-5)
     with pytest.raises(ValueError, match="finite prior of every parameter"):
         rb.diagonal_covariance(renderer_of(scene), name, noise=0.1, prior={})
+
+
+def test_many_correlated_parameters_by_probing():
+    """Blurred numbers, of which some are known to half of the prior, and some hardly: against the inverse of the matrix."""
+    places = torch.arange(240, dtype=torch.float64) / 3
+    blur = torch.stack([torch.exp(-((places - at) / (0.5 + at / 10)).square()) for at in range(80)], 1)
+    x = torch.zeros(80, dtype=torch.float64)
+    found = rb.diagonal_covariance(lambda seed, spp: blur @ x, {"x": x}, noise=0.2, prior={"x": 0.3}, probes=256)
+    exact = torch.linalg.inv(blur.T @ blur / 0.2 ** 2 + torch.eye(80) / 0.3 ** 2).diag().sqrt()
+    assert exact.min() < 0.15 and exact.max() > 0.25
+    deviation, error = found.standard_deviations["x"], found.error["x"]
+    assert (deviation <= 0.3).all() and error.max() < 0.06 * 0.3
+    assert ((deviation - exact).abs() <= 5 * error + 0.005).all()
 
 
 @pytest.mark.parametrize(("prior", "message"), [({COLOUR: 0.0}, "leave it out"), ({"u": 1.0}, "none of the parameters")])

@@ -2,43 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import math
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_radbp.optim.linearisation import Images, Linearisation
+from torch_radbp.optim.quadratic_model import Model, diagonal_of, model_of, noise_of_j, proposed, trial_of
+from torch_radbp.optim.separate_columns import SeparateColumns
 from torch_radbp.scene.modules.bounds import held_by, range_of
 from torch_radbp.scene.modules.scene import Scene
 
 FULL = 64  # parameters whose Jacobian is computed as a whole; for more, conjugate gradients
-SOLVED = 0.2  # of the noise of the gradient, below which conjugate gradients need not solve for it
-KEPT = 8  # steps with one Jacobian at most
-STALE = 0.05  # the square of the relative error of J along a step above which the next step has a new one
+PROBES = 8  # of the diagonal of J^T W J, which preconditions these
+KEPT = 8  # steps with one Jacobian, or diagonal, at most
+FORWARD = 2  # images that take as long as one in forward mode
+SHORT, DOUBLINGS = 1.5, 3  # a step after which the error falls by so many times what is predicted is doubled up to so often
 ATTEMPTS = 5  # of a step, each with ten times the damping
 NOISY = 0.3  # the share of noise in a step from which more samples are asked for
+LEAST_ERROR = 1e-3  # of J along a step, below which none counts
 LEAST_DAMPING, FIRST_DAMPING = 1e-9, 1e-3  # of steps that are as good as predicted; after the first that was not
-
-
-class Model(NamedTuple):
-    """The quadratic model of half the squared residuals around a position: g^T d + d^T H d / 2."""
-
-    gradient: Tensor  # (n,) g = J^T W r
-    curvature: Callable[[Tensor], Tensor]  # H d = J^T W J d; (n,) to (n,)
-    scale: Tensor  # (n,) what damping is in units of, > 0
-    noise: Tensor  # (n,) the part of g that is noise: J^T W (r_1 - r_2) / 2
-    noises: Tensor | None  # (n, M) that of each residual: the columns of J^T W times (r_1 - r_2) / 2
-    matrix: Tensor | None  # (n, n) H, if it is known as a whole
-    jacobian: Tensor | None  # (M, n) J, if it is known as a whole
-
-
-class Trial(NamedTuple):
-    """What residuals of two seeds, before and after a step d, say of the step and of J; without bias from their noise."""
-
-    fall: float  # of r_1^T W r_2 / 2
-    doubt: float  # how far two estimates of that are apart
-    error_of_j: float  # (D - J d)^T W (D - J d) over D^T W D, D being their change; 0 if J is not known
 
 
 class KeptPlace(NamedTuple):
@@ -64,21 +49,25 @@ class GaussNewton(torch.optim.Optimizer):
     multiply residuals.
 
     Residuals and J have samples of their own: two renderings of residuals, r_1 and r_2, whose mean is r, and J of a third
-    seed. So the gradient J^T r has no bias from noise, and steps end where it is 0. J^T J has one, which shortens steps, as
-    damping does, in directions that few samples hardly see. Up to 64 parameters J is computed as a whole, for n renderings
-    in forward mode, and kept for up to 8 steps, as long as it says by how much residuals change: while the square of its
-    relative error along a step is below 0.05. Beyond that, steps are found by products with it in conjugate gradients, each
-    for a forward and a backward one, until what is left of the gradient is 0.2 of its noise. A step counts if the squared
-    error r_1^T r_2 falls, at the same seeds before and after, else damping grows. Where more than 0.3 of a step is noise of
-    r, by how far apart its two renderings are, `spp` is doubled, or for twice that share fourfold, up to `max_spp`, and with
-    a J that is kept the error is not looked at; at `max_spp` steps become 1, 1/2, 1/3, ..., so that the result is the mean
-    of what single steps would find. Where 0.3 of what a new J changes along a step is its noise, by the same of another
-    seed, the samples of J are doubled.
+    seed. So the gradient J^T r has no bias from noise, and steps end where it is 0. J^T J has one, which shortens steps,
+    as damping does, in directions that few samples hardly see; where the error falls by half more than predicted, the step
+    is doubled up to three times, as long as it falls further. Up to 64 parameters J is computed as a whole, in forward
+    mode, parameters that change no channel in common by one rendering (`SeparateColumns`), and kept for up to 8 steps, as
+    long as a new one would not lower the error more for each image: what a step leaves is the error of J along it. Beyond
+    that, steps are found by products with it in conjugate gradients, each for a forward and a backward one, preconditioned
+    by the diagonal of J^T J, of 8 backward ones, until what is left of the gradient is 0.2 of its noise. A step counts if
+    the squared error r_1^T r_2 falls, at the same seeds before and after, else damping grows. Where more than 0.3 of a
+    step is noise of r, by how far apart its two renderings are, `spp` is doubled, or for twice that share fourfold, up to
+    `max_spp`, and with a J that is kept the error is not looked at; at `max_spp` steps become 1, 1/2, 1/3, ..., so that
+    the result is the mean of what single steps would find. Where 0.3 of what a new J changes along a step is its noise, by
+    the same of another seed, the samples of J are doubled.
 
     Its `search`: `spp` now, of r and, `spp_of_j`, of J, `damping`, `gain`, the fall of the error over the predicted one,
     `noise_share`, the length of the step's noise over that of the step, `noise_of_j`, the share of J's, `error_of_j`, the
-    square of its relative error along the last step that was looked at, `jacobians`, how many were computed, `averaged`, how
-    many steps were limited by noise, `evaluations`, calls of the closure. One group of parameters, one learning rate, 1.
+    square of its relative error along the last step that was looked at, 1 if noise hides it, `error_when_new`, the same of
+    the step after which J was new, `left_since`, the product of these since then, `jacobians`, how many were computed,
+    `averaged`, how many steps were limited by noise, `evaluations`, calls of the closure. One group of parameters, one
+    learning rate, 1.
 
     `state_dict` has all of that, but for the settings of the constructor: an optimizer made with these that gets it by
     `load_state_dict` makes the same next step. A kept Jacobian is computed again, where it was.
@@ -103,7 +92,7 @@ class GaussNewton(torch.optim.Optimizer):
     """
 
     def __init__(self, params: Iterable[Tensor], scene: Scene | None = None, *, spp: int = 16, max_spp: int | None = None,
-                 damping: float = 1e-6, robust: float | None = None, iterations: int = 20, seed: int = 0):
+                 damping: float = 1e-6, robust: float | None = None, iterations: int = 10, seed: int = 0):
         if spp < 1 or max_spp is not None and max_spp < spp:
             raise ValueError(f"spp must be at least 1, and max_spp at least spp, got spp={spp} and max_spp={max_spp}")
         if not damping >= 0 or robust is not None and not robust > 0 or iterations < 1:
@@ -114,17 +103,21 @@ class GaussNewton(torch.optim.Optimizer):
             raise ValueError(f"GaussNewton takes one group of parameters, got {len(self.param_groups)}")
         self.max_spp, self.robust, self.iterations, self.seed = max_spp or 64 * spp, robust, iterations, seed
         self.low, self.high = ranges(self, scene)
-        self.search = {"spp": spp, "spp_of_j": spp, "noise_of_j": 0.0, "error_of_j": 0.0, "damping": damping, "gain": 0.0,
-                       "noise_share": 0.0, "averaged": 0, "jacobians": 0, "evaluations": 0}
+        self.search = {"spp": spp, "spp_of_j": spp, "noise_of_j": 0.0, "error_of_j": 0.0, "error_when_new": 0.0,
+                       "left_since": 1.0, "damping": damping, "gain": 0.0, "noise_share": 0.0, "averaged": 0,
+                       "jacobians": 0, "evaluations": 0}
         self.kept: Tensor | None = None  # J of the last step, (M, n)
         self.kept_at: KeptPlace | None = None
         self.kept_for = 0
+        self.columns: SeparateColumns | None = None  # of J
+        self.diagonal: Tensor | None = None  # an estimate of that of J^T W J, (n,), where J is not computed as a whole
 
     def state_dict(self) -> dict[str, Any]:
         """What the next step depends on beside the parameters and the settings; numbers, lists and tensors."""
         place = None if self.kept_at is None else self.kept_at._asdict()
         return super().state_dict() | {"search": dict(self.search), "seed": self.seed, "kept_for": self.kept_for,
-                                       "kept_at": place}
+                                       "kept_at": place, "diagonal": self.diagonal,
+                                       "columns": None if self.columns is None else self.columns._asdict()}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Continues from a state.
@@ -132,12 +125,12 @@ class GaussNewton(torch.optim.Optimizer):
         Raises:
             ValueError: if it is one of another optimizer.
         """
-        missing = [key for key in ("search", "seed", "kept_for", "kept_at") if key not in state_dict]
+        missing = [key for key in ("search", "seed", "kept_for", "kept_at", "diagonal", "columns") if key not in state_dict]
         if missing or state_dict["search"].keys() != self.search.keys():
             raise ValueError(f"the state is none of GaussNewton: {', '.join(missing) or 'search'} missing or of another "
                              "kind")
         super().load_state_dict({key: state_dict[key] for key in ("state", "param_groups")})
-        place = state_dict["kept_at"]
+        place, columns, diagonal = (state_dict[key] for key in ("kept_at", "columns", "diagonal"))
         size = len(self.low)
         if place is not None and len(place["position"]) != size:
             raise ValueError(f"the state is of {len(place['position'])} parameters, and these are {size}")
@@ -145,6 +138,9 @@ class GaussNewton(torch.optim.Optimizer):
         self.kept = None
         self.kept_at = None if place is None else KeptPlace(
             torch.as_tensor(place["position"], dtype=torch.float64).to(self.low.device), place["seed"], place["spp"])
+        self.diagonal = None if diagonal is None else diagonal.to(self.low)
+        self.columns = None if columns is None else SeparateColumns(
+            columns["groups"], columns["changed"].to(self.low.device), columns["failures"])
 
     def step(self, closure: Images) -> float:  # type: ignore[override]
         """Makes one step.
@@ -164,7 +160,7 @@ class GaussNewton(torch.optim.Optimizer):
             state["evaluations"] += 1
             return closure(seed, spp)
 
-        linear = Linearisation(counted, self.param_groups[0]["params"])
+        linear = Linearisation(counted, self.param_groups[0]["params"], self.columns)
         seeds = [4 * self.seed + number for number in range(4)]
         self.seed += 1
         pair = [linear.values(seed, state["spp"]) for seed in seeds[:2]]
@@ -181,24 +177,25 @@ class GaussNewton(torch.optim.Optimizer):
             step, share = self.proposed(model, start)
             if model.jacobian is not None and self.kept_for == 0:
                 state["noise_of_j"] = noise_of_j(model, step, linear.forward(step, seeds[3], state["spp_of_j"]), weights)
+            predicted = 0.0 if known and share > NOISY else model.fall(step)
             linear.move_to(start + step)
             state["noise_share"] = share
             if known and share > NOISY:
                 break  # a step as short as noise; whether the error falls cannot be told
-            predicted = -float(model.gradient @ step + 0.5 * step @ model.curvature(step))
             trial = trial_of(model, step, pair, [linear.values(seed, spp) for seed in seeds[:2]], weights)
             state["gain"] = trial.fall / predicted if predicted > 0 else 0.0
-            state["error_of_j"] = trial.error_of_j
+            state["error_of_j"] = 1.0 if trial.error_of_j is None else trial.error_of_j
             if predicted > 0 and trial.fall + trial.doubt > 0.1 * predicted:
+                if state["gain"] > SHORT and not state["averaged"]:
+                    self.lengthen(linear, model, start, step, trial.fall, pair, weights)
                 break
+            linear.move_to(start)
             if known:  # no shorter step by a Jacobian of another place
-                linear.move_to(start)
                 self.drop_jacobian()
                 model, known = self.model(linear, pair, weights, seeds[2]), False
                 continue
             state["damping"] = max(10 * state["damping"], FIRST_DAMPING)
         else:
-            linear.move_to(start)
             share = max(share, 1.0)  # a fall that so short a step does not show is one that noise hides
         if state["gain"] > 0.5:
             state["damping"] = max(0.1 * state["damping"], LEAST_DAMPING)
@@ -210,14 +207,32 @@ class GaussNewton(torch.optim.Optimizer):
         return float((weights * pair[0] * pair[1]).sum()) / len(pair[0])
 
     def judge_jacobian(self) -> None:
-        """Drops J if it was wrong along the last step, or has been kept for long; asks for more samples if it is noisy."""
+        """Asks for more samples of J if it is noisy, and drops it where a new one pays.
+
+        What is left of the residuals after a step is the error of J along it. So it is kept as long as the logarithm of that
+        falls more for each image than with a new one. The error of that is the noise of the last one, and of its other error
+        what is left for steps that have become shorter, as their squares.
+        """
         state = self.search
         noisy = self.kept_for == 0 and state["noise_of_j"] > NOISY and 2 * state["spp_of_j"] <= self.max_spp
         if noisy:
             state["spp_of_j"] *= 2
+        if self.kept_for == 0:
+            state["error_when_new"], state["left_since"] = state["error_of_j"], 1.0
+        state["left_since"] *= min(state["error_of_j"], 1.0)
         self.kept_for += 1
-        if noisy or state["error_of_j"] > STALE or self.kept_for >= KEPT:
+        if noisy or self.kept_for >= KEPT or self.kept is not None and not self.pays():
             self.drop_jacobian()
+
+    def pays(self) -> bool:
+        """True if another step with the kept J costs less than one with a new one, for what it gains."""
+        state = self.search
+        columns = len(self.low) if self.columns is None or not self.columns.save else len(self.columns.groups) + 1
+        step, jacobian = 4.0 * state["spp"], FORWARD * (columns + 1.0) * state["spp_of_j"]
+        noise = min(state["noise_of_j"], state["error_when_new"])
+        errors = state["error_of_j"], noise + (state["error_when_new"] - noise) * state["left_since"]
+        kept, new = (-math.log(min(max(error, LEAST_ERROR), 1.0)) for error in errors)
+        return errors[0] < 1 and kept / step >= new / (step + jacobian)
 
     def drop_jacobian(self) -> None:
         """Makes the next step compute J anew."""
@@ -236,92 +251,50 @@ class GaussNewton(torch.optim.Optimizer):
     def model(self, linear: Linearisation, pair: list[Tensor], weights: Tensor, seed: int) -> Model:
         """The quadratic model around where parameters stand, from residuals, (M,) each, and the derivatives' seed."""
         spp = self.search["spp_of_j"]
-        mean, half = weights * (pair[0] + pair[1]) / 2, weights * (pair[0] - pair[1]) / 2
         if linear.size <= FULL:
-            if self.kept is None or len(self.kept) != len(mean):
+            if self.kept is None or len(self.kept) != len(weights):
                 self.kept_at, self.kept_for = KeptPlace(linear.position(), seed, spp), 0
-                self.kept = linear.jacobian(seed, spp)
+                self.kept, self.columns = linear.jacobian(seed, spp), linear.columns
                 self.search["jacobians"] += 1
                 self.search["error_of_j"] = 0.0
-            jacobian = self.kept
-            matrix = jacobian.T @ (weights[:, None] * jacobian)
-            scale = matrix.diag()
-            if not bool(scale.any()):
-                raise ValueError("no parameter changes the residuals: does the closure read the optimizer's parameters?")
-            return Model(jacobian.T @ mean, lambda step: matrix @ step, scale.clamp_min(1e-12 * float(scale.max())),
-                         jacobian.T @ half, jacobian.T * half, matrix, jacobian)
+            return model_of(self.kept, pair, weights)
 
-        def product(step: Tensor) -> Tensor:
-            """Symmetric and never negative, since forward and backward at one seed are transposes."""
-            return linear.backward(weights * linear.forward(step, seed, spp), seed, spp)
+        def transposed(part: Tensor) -> Tensor:
+            """At one seed forward and backward are transposes, so that H is symmetric and never negative."""
+            return linear.backward(part, seed, spp)
 
-        gradient, noise = (linear.backward(part, seed, spp) for part in (mean, half))
-        if not bool(gradient.any()):
-            raise ValueError("no parameter changes the residuals: does the closure read the optimizer's parameters?")
-        typical = float(gradient @ product(gradient)) / float(gradient @ gradient)
-        return Model(gradient, product, torch.full_like(gradient, abs(typical)), noise, None, None, None)
+        if self.diagonal is None or self.kept_for >= KEPT:
+            self.diagonal, self.kept_for = diagonal_of(transposed, weights, PROBES, seed), 0
+        gradient, noise = (transposed(weights * part) for part in ((pair[0] + pair[1]) / 2, (pair[0] - pair[1]) / 2))
+        return Model(gradient, lambda step: linear.forward(step, seed, spp), weights, transposed, self.diagonal, noise)
 
     def proposed(self, model: Model, start: Tensor) -> tuple[Tensor, float]:
         """The step of the damped model within the ranges, (n,), and the length of its noise over its own."""
-        state = self.search
         blocked = (start <= self.low) & (model.gradient > 0) | (start >= self.high) & (model.gradient < 0)
-        free = (~blocked).double()
-        if model.matrix is None:
-            step = conjugate_gradients(model, state["damping"], free, self.iterations)
-            share = float(model.noise.norm() / model.gradient.norm())
-        else:
-            root = model.scale.sqrt()
-            matrix = free * (model.matrix / root / root[:, None]) * free[:, None]
-            values, vectors = torch.linalg.eigh(matrix)
-            # Directions without curvature would make steps of any length.
-            known = values > 1e-10 * float(values.abs().max())
-            inverse = torch.where(known, 1 / (values.clamp_min(1e-300) + state["damping"]), 0.0)
-            solve = vectors @ (inverse[:, None] * vectors.T) * free / root  # of a gradient, in units of the root
-            step = -(solve @ model.gradient) / root
-            noise = max(float((solve @ model.noise).norm()), float((solve @ model.noises).norm()))
-            share = noise / max(float((root * step).norm()), 1e-300)
-        step = step / (1 + state["averaged"])
-        return torch.minimum(torch.maximum(start + step, self.low), self.high) - start, share
+        step, share = proposed(model, self.search["damping"], (~blocked).double(), self.iterations)
+        step = step / (1 + self.search["averaged"])
+        return self.within(start + step) - start, share
 
+    def within(self, position: Tensor) -> Tensor:
+        """The nearest position within the ranges, (n,)."""
+        return torch.minimum(torch.maximum(position, self.low), self.high)
 
-def conjugate_gradients(model: Model, damping: float, free: Tensor, iterations: int) -> Tensor:
-    """Solves (H + damping) d = -g for the entries that are free.
+    def lengthen(self, linear: Linearisation, model: Model, start: Tensor, step: Tensor, fall: float, pair: list[Tensor],
+                 weights: Tensor) -> None:
+        """Doubles a step as long as the error falls further, where it has fallen by much more than predicted.
 
-    Reference: Nocedal and Wright 2006, "Numerical Optimization", algorithm 5.2.
-    """
-    step, left = torch.zeros_like(model.gradient), -free * model.gradient
-    direction, square = left.clone(), float(left @ left)
-    enough = max(1e-12 * square, SOLVED ** 2 * float((free * model.noise).square().sum()))
-    for _ in range(iterations):
-        bent = free * (model.curvature(direction) + damping * model.scale * direction)
-        curvature = float(direction @ bent)
-        if curvature <= 0 or square <= enough:
-            break
-        length = square / curvature
-        step, left = step + length * direction, left - length * bent
-        square, last = float(left @ left), square
-        direction = left + square / last * direction
-    return step
-
-
-def trial_of(model: Model, step: Tensor, before: list[Tensor], after: list[Tensor], weights: Tensor) -> Trial:
-    """What residuals of two seeds before and after a step say, (M,) each."""
-    falls = [-0.5 * float((weights * (before[one] + after[one])) @ (after[two] - before[two]))
-             for one, two in ((0, 1), (1, 0))]
-    off = 0.0
-    if model.jacobian is not None:
-        a, b = (now - then for now, then in zip(after, before, strict=True))
-        told = model.jacobian @ step
-        change, noise = float((weights * a) @ b), 0.5 * float((weights * (a - b)) @ (a - b))
-        if change > noise:  # or nothing is known
-            off = float((weights * (a - told)) @ (b - told)) / change
-    return Trial(sum(falls) / 2, abs(falls[0] - falls[1]), off)
-
-
-def noise_of_j(model: Model, step: Tensor, other: Tensor, weights: Tensor) -> float:
-    """The variance of J d over d^T H d, by a product with J of another seed, (M,)."""
-    apart = model.jacobian @ step - other
-    return 0.5 * float((weights * apart) @ apart) / max(float(step @ model.curvature(step)), 1e-300)
+        J^T J overestimates curvatures by the noise of J, and by edges that move further than they are wide.
+        """
+        best = step
+        for _ in range(DOUBLINGS):
+            longer = self.within(start + 2 * best) - start
+            linear.move_to(start + longer)
+            after = [linear.values(4 * (self.seed - 1) + number, self.search["spp"]) for number in range(2)]
+            found = trial_of(model, longer, pair, after, weights).fall
+            if not found > fall:
+                break
+            best, fall = longer, found
+        linear.move_to(start + best)
 
 
 def ranges(optimizer: torch.optim.Optimizer, scene: Scene | None) -> tuple[Tensor, Tensor]:

@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
+from torch_radbp.optim.separate_columns import SeparateColumns, parts_of
+
 Images = Callable[[int, int | None], Tensor | Sequence[Tensor]]  # of a seed and a number of samples per pixel
 
 
@@ -22,6 +24,7 @@ class Linearisation:
     Args:
         images: a function of seed and samples per pixel that returns a tensor, or several, of any shapes; M numbers in all.
         parameters: leaves that it reads, floating-point, n numbers in all.
+        columns: which columns of J an earlier one showed to be separate; None: not known.
 
     Raises:
         TypeError: if they are no leaves of a floating dtype, or `images` cannot be called.
@@ -30,8 +33,8 @@ class Linearisation:
     Reference: Griewank and Walther 2008, "Evaluating Derivatives", chapter 3.
     """
 
-    def __init__(self, images: Images, parameters: Iterable[Tensor]):
-        self.images, self.parameters = images, list(parameters)
+    def __init__(self, images: Images, parameters: Iterable[Tensor], columns: SeparateColumns | None = None):
+        self.images, self.parameters, self.columns = images, list(parameters), columns
         if not callable(images):
             raise TypeError(f"images must be a function of seed and spp, got {type(images).__name__}")
         if not self.parameters:
@@ -43,6 +46,7 @@ class Linearisation:
         if len({id(parameter) for parameter in self.parameters}) < len(self.parameters):
             raise ValueError("each parameter may be given once only")
         self.size = sum(parameter.numel() for parameter in self.parameters)
+        self.shapes: list[torch.Size] = []  # of the images of the last product
 
     def position(self) -> Tensor:
         """The values of all parameters, (n,) float64, detached."""
@@ -71,6 +75,7 @@ class Linearisation:
                 if bool(part.any()):
                     parameter.copy_(forward_ad.make_dual(parameter.detach().clone(), part.contiguous()))
             images = [forward_ad.unpack_dual(image) for image in _several(self.images(seed, spp))]
+            self.shapes = [image.primal.shape for image in images]
             return _flat([torch.zeros_like(image.primal) if image.tangent is None else image.tangent for image in images])
 
     def backward(self, cotangent: Tensor, seed: int, spp: int | None) -> Tensor:
@@ -94,9 +99,20 @@ class Linearisation:
                       for parameter, gradient in zip(self.parameters, found, strict=True)])
 
     def jacobian(self, seed: int, spp: int | None) -> Tensor:
-        """J, (M, n) float64, a column for each parameter by forward mode."""
+        """J, (M, n) float64, by forward mode: a product for each column, or for each group of separate ones."""
+        if self.columns is not None and self.columns.save:
+            separate = self.columns.jacobian(lambda direction: self.forward(direction, seed, spp), self.parts)
+            if separate is not None:
+                return separate
         identity = torch.eye(self.size, dtype=torch.float64, device=self.parameters[0].device)
-        return torch.stack([self.forward(direction, seed, spp) for direction in identity], dim=1)
+        found = torch.stack([self.forward(direction, seed, spp) for direction in identity], dim=1)
+        if self.columns is None or self.columns.save:
+            self.columns = SeparateColumns.of(found, self.parts(), self.columns)
+        return found
+
+    def parts(self) -> Tensor:
+        """The part of the images that each row of the last product is of, (M,) int64; see `parts_of`."""
+        return parts_of(self.shapes, self.parameters[0].device)
 
 
 def _several(images: Tensor | Sequence[Tensor]) -> list[Tensor]:

@@ -17,6 +17,7 @@ from torch_radbp.uncertainty.problem import Noise, Parameters, Problem, images_o
 FLAT = 1e-8  # of a curvature relative to that of single parameters: below is rounding
 ERRORS = 3.0  # standard errors that a curvature must be above 0 to be one
 STRONG = 0.95  # correlations that are put into words
+DIAGONAL_PROBES = 8  # of the diagonal that preconditions conjugate gradients
 
 
 class CovarianceOfParameters(NamedTuple):
@@ -156,53 +157,97 @@ def correlated(matrix: Tensor, values: Tensor, names: list[str]) -> list[str]:
 
 
 def diagonal_covariance(images: Renderer | Images, parameters: Parameters, *, noise: Noise,
-                        prior: Mapping[str, float | Tensor], spp: int | None = None, probes: int = 16,
+                        prior: Mapping[str, float | Tensor], spp: int | None = None, probes: int = 32,
                         seed: int = 0) -> Diagonal:
-    """Standard deviations of any number of parameters, such as the texels of a bitmap, by probing.
+    """Standard deviations of any number of parameters, such as the texels of a bitmap, by samples of what they may be.
 
-    The diagonal of (J^T Sigma^-1 J + P)^-1 is the mean of z (J^T Sigma^-1 J + P)^-1 z over random signs z, each solved for
-    by conjugate gradients; without what lies beside the diagonal one probe would do. J^T J is of one seed, so that it is
-    never negative: its noise makes deviations too small where samples are few.
+    Each probe draws noise for images and prior, b = J^T Sigma^-1/2 e + P^1/2 f, and solves (J^T Sigma^-1 J + P) x = b by
+    conjugate gradients: x is then what a fit may be off by, and the mean of x^2 its variance, to sqrt(2 / probes) of it at
+    worst. Most of that is taken off where parameters are hardly correlated, and where there is hardly more than the prior.
+    J is of one seed: its noise makes deviations too small where samples are few.
 
     Args:
         images, parameters, noise, spp, seed: as for `curvature`.
         prior: as for `covariance`; every parameter must have one, so that what nothing sees has a deviation.
-        probes: at least 2.
+        probes: at least 4.
+
+    Returns:
+        A `Diagonal`, of `standard_deviations` and their standard `error` by the scatter of the probes, by parameter, each in
+        its shape and units, float64.
 
     Raises:
-        ValueError: for a parameter without a prior, or fewer than 2 probes.
+        ValueError: for a parameter without a prior, or fewer than 4 probes.
         TypeError: as `curvature`.
 
-    Reference: Bekas, Kokiopoulou and Saad 2007, "An estimator for the diagonal of a matrix".
+    Reference: Papandreou and Yuille 2010, "Gaussian sampling by local perturbations".
     """
+    problem = Problem(images, parameters, noise, spp)
+    precision = prior_precision(problem, prior)
+    if probes < 4 or not bool((precision > 0).all()):
+        raise ValueError("probing needs at least 4 probes and a finite prior of every parameter, got "
+                         f"{probes} and priors of {sorted(prior)} for {problem.names}")
+    variance, error = variance_by(posterior_samples(problem, precision.rsqrt(), probes, seed))
+    deviation = precision.rsqrt() * variance.sqrt()
+    return Diagonal(problem.by_name(deviation), problem.by_name(deviation * error / (2 * variance)))
+
+
+class Samples(NamedTuple):
+    """What fits may be off by, in units of the prior's deviations S: (S H S + 1) x = b = S J^T Sigma^-1/2 e + f."""
+
+    found: Tensor  # (K, n) float64, x
+    drawn: Tensor  # (K, n) b
+    prior: Tensor  # (K, n) f
+    precision: Tensor  # (n,) of each parameter if all others were known, roughly: the diagonal of S H S + 1
+
+
+def posterior_samples(problem: Problem, spread: Tensor, probes: int, seed: int) -> Samples:
+    """So many samples, for a prior of deviations `spread`, (n,)."""
     import numpy
     from scipy.sparse.linalg import LinearOperator, cg
 
-    problem = Problem(images, parameters, noise, spp)
-    precision = prior_precision(problem, prior)
-    if probes < 2 or not bool((precision > 0).all()):
-        raise ValueError("probing needs at least 2 probes and a finite prior of every parameter, got "
-                         f"{probes} and priors of {sorted(prior)} for {problem.names}")
-    hessian, generator = Curvature(problem, seed), torch.Generator().manual_seed(seed)
-    spread = precision.rsqrt().numpy()
+    linear, hessian, generator = problem.linear, Curvature(problem, seed), torch.Generator().manual_seed(seed)
+    device, size = linear.parameters[0].device, linear.size
+    weights = problem.weighted(torch.ones(len(linear.values(seed, 1)), dtype=torch.float64, device=device))
+
+    def transposed(residuals: Tensor) -> Tensor:
+        return spread * linear.backward(residuals, seed, problem.spp).cpu()
 
     def product(direction):
-        """P^-1/2 (J^T Sigma^-1 J) P^-1/2 + 1, whose eigenvalues are at least 1."""
-        vector = torch.from_numpy(spread * direction.reshape(-1))
-        return spread * hessian.product(vector, 1, independent=False).value.cpu().numpy() + direction.reshape(-1)
+        """Its eigenvalues are at least 1."""
+        vector = spread * torch.from_numpy(direction.reshape(-1))
+        return (spread * hessian.product(vector, 1, independent=False).value).numpy() + direction.reshape(-1)
 
-    operator = LinearOperator((hessian.size, hessian.size), matvec=product, dtype="float64")
-    found = []
+    # Where J is 0 by chance, the prior is all that there is.
+    own = torch.stack([transposed(weights.sqrt() * signs_of(len(weights), generator).to(device)).square()
+                       for _ in range(DIAGONAL_PROBES)]).mean(0)
+    rough = 1 + own
+    operator = LinearOperator((size, size), matvec=product, dtype="float64")
+    preconditioner = LinearOperator((size, size), matvec=lambda vector: vector.reshape(-1) / rough.numpy(), dtype="float64")
+    found, drawn, of_prior = [], [], []
     for _ in range(probes):
-        signs = signs_of(hessian.size, generator).numpy()
-        solved, left = cg(operator, spread * signs, rtol=1e-4, maxiter=10 * hessian.size)
+        normal = torch.randn(len(weights), generator=generator, dtype=torch.float64).to(device)
+        of_prior.append(torch.randn(size, generator=generator, dtype=torch.float64))
+        drawn.append(transposed(weights.sqrt() * normal) + of_prior[-1])
+        solved, left = cg(operator, drawn[-1].numpy(), rtol=1e-4, maxiter=10 * size, M=preconditioner)
         if left:
             raise RuntimeError(f"conjugate gradients did not converge in {left} iterations: take a narrower prior")
-        found.append(torch.from_numpy(numpy.ascontiguousarray(signs * spread * solved)))
-    variance = torch.stack(found).mean(0)
-    error = torch.stack(found).std(0) / probes ** 0.5
-    deviation = variance.clamp_min(0).sqrt()
-    return Diagonal(problem.by_name(deviation), problem.by_name(error / (2 * deviation.clamp_min(1e-300))))
+        found.append(torch.from_numpy(numpy.ascontiguousarray(solved)))
+    return Samples(torch.stack(found), torch.stack(drawn), torch.stack(of_prior), rough)
+
+
+def variance_by(samples: Samples) -> tuple[Tensor, Tensor]:
+    """The mean of x^2, (n,), less what tells how far it is off, by regression; and its standard error.
+
+    The means of x b and of f^2 are known to be 1: of parameters that are known well by themselves the first tells all of the
+    error, of those that only the prior tells the second. It is at most 1, and at least 1 over the precision, with room of 10
+    for the error of that.
+    """
+    off = torch.stack([samples.found * samples.drawn, samples.prior.square()], -1).movedim(0, 1) - 1  # (n, K, 2)
+    squares = samples.found.square().T[:, :, None]
+    slopes = torch.linalg.lstsq(off - off.mean(1, keepdim=True), squares - squares.mean(1, keepdim=True), driver="gelsd")
+    rest = (squares - off @ slopes.solution)[:, :, 0]
+    variance = rest.mean(1).maximum(0.1 / samples.precision).clamp_max(1)
+    return variance, rest.std(1) / (rest.shape[1] - 2) ** 0.5
 
 
 def noise_of(images: Renderer | Images, targets: Tensor | Sequence[Tensor], parameters: Parameters, noise: Noise | str,
