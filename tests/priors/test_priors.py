@@ -77,6 +77,8 @@ def test_bad_arguments_are_named():
             prior(torch.rand(1, 3, 4, 4))
     with pytest.raises(ValueError, match=r"at least 3 along each axis but the last, got torch.float32 of \(2, 4, 4, 1\)"):
         rb.priors.bending(torch.rand(2, 4, 4, 1))
+    with pytest.raises(ValueError, match=r"got torch.int64 of \(4, 4, 1\)"):
+        rb.priors.bending(torch.ones(4, 4, 1, dtype=torch.int64))
     with pytest.raises(ValueError, match="epsilon must be greater than 0"):
         rb.priors.total_variation(torch.rand(3, 3, 1), epsilon=0)
     with pytest.raises(ValueError, match=r"colours must have shape \(..., 3\), got \(4,\)"):

@@ -77,11 +77,11 @@ def bending(values: Tensor, epsilon: float = 1e-3) -> Tensor:
     Applications to Medical Magnetic Resonance Images in Space and Time"; Lefkimmiatis, Bourquard and Unser 2012,
     "Hessian-Based Norm Regularization for Image Restoration With Biomedical Applications".
     """
-    *axes, channels = values.shape if values.is_floating_point() else ()
-    if len(axes) not in (2, 3) or min(axes) < 3 or channels == 0:
+    axes = values.shape[:-1]
+    if not values.is_floating_point() or len(axes) not in (2, 3) or min(axes) < 3 or values.numel() == 0:
         raise ValueError(f"values must be floats of shape (H, W, C) or (Z, Y, X, C), at least 3 along each axis but the "
                          f"last, got {values.dtype} of {tuple(values.shape)}")
-    least, square = positive("epsilon", epsilon), 0.0
+    least, square = positive("epsilon", epsilon), values.new_zeros(())
     for first, second in combinations_with_replacement(range(len(axes)), 2):
         difference = values.diff(dim=first).diff(dim=second)
         # Texels that have a difference along every axis.
