@@ -13,7 +13,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.gradients import image_and_gradients, relative_error
+from benchmarks.scenes import QUICK
+from benchmarks.scenes import SCENES as BENCHMARKS
+from tests.gradients import cotangent, image_and_gradients, relative_error
 from tests.jit.interpreter import CheckedGpu, CheckedLoop, interpreted, needs_interpreter
 from tests.rendering.on_gpu import render_on
 from tests.rendering.recorded import SCENES, build
@@ -108,6 +110,15 @@ def test_every_kernel_has_the_bits_of_the_processor(name, sampling, dtype, archi
         for name, gradient, wanted in zip(names, found, gradients):
             seen = wanted.abs().max() > 1e-9  # below that it is rounding, as of texture coordinates that nothing reads
             assert relative_error(gradient, wanted) < 1e-9 if seen else gradient.abs().max() < 1e-8, name
+
+
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_every_kernel_of_the_benchmarks_has_the_bits_of_the_processor(name, unfused, at_once, monkeypatch, tmp_path):
+    device = Compared(interpreted().launcher)
+    render_on(device, monkeypatch)
+    image = BENCHMARKS[name].make(tmp_path, QUICK).renderer(True)(seed=1)
+    image.backward(cotangent(image.detach()))
+    assert image.detach().std() > 0 and device.launcher.driver.launches["lanes"] > 10
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)

@@ -38,6 +38,9 @@ from torch_radbp.tensors.vec import Ray, Vec2, Vec3
 WASTE, SPARE = 1.75, 50
 COMPILED = 0.3  # of the working memory of an eager adjoint,
 WASTE_COMPILED, SPARE_COMPILED = 1.25, 20  # and of its waste
+# Of the same without spare numbers, what launches of a GPU take: on the way back where records say what was decided, and on
+# the way there, when nothing is kept yet but light is looked for. See `python -m benchmarks.lane_bytes`.
+LAUNCHED_BACK, LAUNCHED_THERE = 0.95, 1.65
 
 # Numbers per lane that a bounce, its adjoint and autograd's tape need at least: those of diffuse surfaces.
 LEAST_BOUNCE, LEAST_ADJOINT, LEAST_TAPE = 74, 60, 32
@@ -143,6 +146,7 @@ class Workload(NamedTuple):
     least: int = 1  # least lanes of a chunk
     row: int = 1  # lanes of a row of pixels
     jumps: int = 0  # bytes of discontinuity curves and samples on them; 0: no boundary terms
+    launched: bool = False  # True if bounces are launches of a GPU, whose results have room for all lanes
 
     @property
     def bounce_memory(self) -> BounceMemory:
@@ -178,9 +182,12 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
     replayed = adjoint.replayed(fractions, depths, work.moving) * state
     held = radiance + memo + state + step * (not adjoint.keep_hits)
     share, waste, spare = (COMPILED, WASTE_COMPILED, SPARE_COMPILED) if work.compiled else (1.0, WASTE, SPARE)
+    spare = 0 if work.launched else spare
     busy = waste * max(share * sweep.per_lane + held, share * bounce.per_lane) + spare * dtype.itemsize
     # A chunk of few rows is not like the image: measured, up to half of its lanes meet more than in the mean.
     unlike = 1.0 + 1.0 / (1.0 + chunk / work.row)
+    there = LAUNCHED_THERE * busy if work.launched else 0.0
+    busy *= LAUNCHED_BACK if work.launched and adjoint.keep_hits else 1.0
     working = together * unlike * (busy * max(fractions) + replayed) + work.workers * sweep.fixed
     working += work.workers * (WASTE * outside.per_lane * min(chunk, at_once) + outside.fixed)
     # Adjoints that are held back, once more where they are joined; lanes are of the image, or of the derivative.
@@ -192,7 +199,9 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
     # What is traced again is recorded chunk by chunk; and what is kept, chunk by chunk, too.
     kept = min(lanes * per_lane, max(record_bytes, together * per_lane))
     retrace = kept < lanes * per_lane
-    return MemoryPlan(chunk, adjoint, retrace, int(WASTE * kept if retrace else kept), int(working) + work.images)
+    kept = WASTE * kept if retrace and not work.launched else kept  # a card's allocator fills the holes of other chunks
+    working = max(working, together * unlike * there * max(fractions) - kept)
+    return MemoryPlan(chunk, adjoint, retrace, int(kept), int(working) + work.images)
 
 
 def states_kept(adjoint, bounces: int, work: Workload) -> float:

@@ -64,13 +64,14 @@ class MemoryPlanner:
                      and any_differentiated(call.scene.triangles.vertices.p))
         still = call.still()
         fractions = reaching(integrand, pilot_paths(still, PILOT_LANES))
-        if keeps_all_lanes(call.integrand):
+        launched = keeps_all_lanes(call.integrand)
+        if launched:
             fractions = room_for(fractions)[:integrand.max_depth]
         return Workload(fractions, lanes, integrand.max_depth, scene.dtype,
                         call.stages.is_compiled, call.workers, moving,
                         record_sizes(integrand, pilot_paths(still, FEW_LANES), triangles), IMAGE_COPIES * image_bytes,
                         self.bounce_memory_of(call, integrand, triangles),
-                        columns * min(call.spp, TOGETHER), columns * call.spp)
+                        columns * min(call.spp, TOGETHER), columns * call.spp, launched=launched)
 
     def bounce_memory_of(self, call: RenderCall, integrand: Integrand, triangles: bool) -> BounceMemory:
         """The memory of a bounce of a call; measured once for each kind of call.

@@ -114,7 +114,7 @@ def ptx(text: str, architecture: str) -> str:
     """Compiles LLVM IR to PTX.
 
     What lanes are computed by has no repetitions, and NVIDIA's assembler optimises it again: all of LLVM's passes would take
-    three times as long, for as many registers. They are for what is more than one function.
+    half as long again, for as many registers. They are for what is more than one function.
 
     Args:
         text: LLVM's, from `kernel`.
