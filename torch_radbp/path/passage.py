@@ -229,7 +229,7 @@ def next_segment(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, trac
     u = ((way.u - used) / (1.0 - used).clamp_min(TINY)).clamp(0.0, ALMOST_ONE)
     chance = mean_of_colours(way.beyond * where(scatters, density, beyond))
     flight = Flight(torch.where(scatters, come + end, torch.inf), chance, medium, ways, None, panes, stays, choice)
-    way = PathPassage(Ray(si.straight_on(d), d), u, way.v, seed, beyond_it, flight)
+    way = PathPassage(Ray(si.offset(d), d), u, way.v, seed, beyond_it, flight)
     return hit._replace(t=torch.where(met, come + length, hit.t)), way, passes
 
 

@@ -92,7 +92,7 @@ def next_shadow_segment(scene: SceneTensors, shadow: Ray, distance: Tensor, pass
         passes = passes | passes_pane
     passes = met & passes
     medium = torch.where(passes, medium_beyond(scene, si.prim, si.cosine, passed.medium), passed.medium)
-    return ShadowPassage(Ray(si.straight_on(shadow.d), shadow.d), medium, seed, ~met, ways, panes), passes
+    return ShadowPassage(Ray(si.offset(shadow.d), shadow.d), medium, seed, ~met, ways, panes), passes
 
 
 @stage("scene", "shadow", "distance", "ahead")

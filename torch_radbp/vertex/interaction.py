@@ -31,8 +31,6 @@ from torch_radbp.vertex.barycentric_gradients import barycentric_gradients
 from torch_radbp.vertex.cone import Cone, footprint
 from torch_radbp.vertex.nearby import slides_from
 
-GRAZING = 0.05  # cosine between a ray and a surface below which it leaves the surface by its normal
-
 
 class SurfaceInteraction(NamedTuple):
     """A surface point per lane; directions `wi` point away from the surface, in the local frame."""
@@ -54,11 +52,6 @@ class SurfaceInteraction(NamedTuple):
     def offset(self, d: Vec3) -> Vec3:
         """The origin of a ray that leaves in direction `d`: moved off the surface to avoid self-intersection."""
         return self.p + self.n * torch.copysign(self.clearance, dot(self.n, d))
-
-    def straight_on(self, d: Vec3) -> Vec3:
-        """The origin of a ray that goes on through the surface in direction `d`: on its line, but where it grazes."""
-        cosine = dot(self.n, d).abs()
-        return where(cosine > GRAZING, self.p + d * (self.clearance / cosine.clamp_min(GRAZING)), self.offset(d))
 
 
 def is_met(scene: SceneTensors, hit) -> Tensor:

@@ -32,6 +32,7 @@ from torch_radbp.tensors.vector_jacobian import vector_jacobian_product, zeros_u
 from torch_radbp.vertex.cone import camera_cone
 
 APART = 2e-6  # share of its distance by which places on either side of a curve lie off it, through which paths are traced
+WIDER = 64.0  # times as far where rays pass boundaries of media
 ROUNDED = 8 * 2.0**-24  # the same as a share of the coordinates, by whose rounding in float32 rays miss the places
 NEIGHBOURS = 64  # successive places that share a sequence of low discrepancy
 FEWEST, LARGEST_SHARE = 256, 4  # places on the curves of a kind; of all kinds, one for so many paths of the image at most
@@ -230,7 +231,8 @@ def depth_of(camera: Camera, p: Vec3, vertices: Sequence[Vec3], aperture: Vec2 |
 
 
 @stage("sight", "places", "chosen")
-def rays_beside(sight: Sight, places: Places, chosen: Tensor, count: Tensor, lane: Tensor, cones: bool) -> CameraSample:
+def rays_beside(sight: Sight, places: Places, chosen: Tensor, count: Tensor, lane: Tensor, cones: bool,
+                through_media: bool) -> CameraSample:
     """Camera rays to samples, then behind, then ahead of the curves: three for each sample.
 
     Args:
@@ -240,6 +242,7 @@ def rays_beside(sight: Sight, places: Places, chosen: Tensor, count: Tensor, lan
         count: () int32, K.
         lane: (3 K,) int32, the numbers of the rays.
         cones: whether rays have cones around them.
+        through_media: whether they pass boundaries, each of which moves them aside a little.
     """
     camera = sight.camera
     film, dtype = camera.film, camera.dtype
@@ -254,7 +257,7 @@ def rays_beside(sight: Sight, places: Places, chosen: Tensor, count: Tensor, lan
     cone = camera_cone(camera, ray, position, aperture)
     # Far enough for the rounding of places in the world and of positions on the film.
     apart = torch.maximum(apart_at(p, distance) / (cone.width + cone.spread * distance), APART * film.size_x)
-    apart = apart * torch.where(way == 1, -1.0, torch.where(way == 2, 1.0, 0.0))
+    apart = apart * (WIDER if through_media else 1.0) * torch.where(way == 1, -1.0, torch.where(way == 2, 1.0, 0.0))
     scale = apart / torch.sqrt(normal.x * normal.x + normal.y * normal.y).clamp_min(TINY)
     position = Vec2(((at.x + normal.x * scale + film.crop_x) / film.size_x).to(dtype),
                     ((at.y + normal.y * scale + film.crop_y) / film.size_y).to(dtype))

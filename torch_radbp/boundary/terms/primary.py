@@ -201,7 +201,8 @@ def sides_in_sight(call: RenderCall, integrand: Integrand, viewed: ExaminedView,
     table, kinds = found.table, found.kinds
     sent = torch.full((), len(asked), dtype=torch.int32, device=asked.device)
     lane = lanes(3 * len(asked), asked)
-    sample = stages(rays_beside)(sight, table, asked, sent, lane, call.scene.layout.traces_cones)
+    sample = stages(rays_beside)(sight, table, asked, sent, lane, call.scene.layout.traces_cones,
+                                found.through_media)
     rays = Sent(sample, first_hit(integrand, sample.ray, 0))
     if found.through_media:
         rays = Sent(sample, *free_flights(integrand, started(call, sample), rays.hit, 0))
