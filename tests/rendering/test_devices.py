@@ -19,6 +19,7 @@ import torch_radbp as rb
 from benchmarks.ptx import Listing
 from tests.deep import deep_but
 from tests.rendering.recorded import SAMPLINGS, SCENES, build, calls_of, stage_named
+from torch_radbp.jit.compiled import Compiled
 from torch_radbp.jit.nvidia.gpu import Gpu
 from torch_radbp.jit.nvidia.nvptx import ptx
 from torch_radbp.jit.stages import CompiledStage, CompiledStages
@@ -76,7 +77,8 @@ OF_FEW_EDGES = {"edge_tried"}  # few beside the samples
 OF_EDGES = {"boxes_around", "contour_length", "contour_place", "crosses", "edge_bounds", "edge_place", "edge_weight",
             "in_sight", "merged_bounds", "paths_beside", "ray_along_edge", "rays_beside"}
 OF_WAYS = {"emission_begun", "emission_on_segment", "is_tracked_in", "let_through", "next_segment", "next_shadow_segment",
-           "on_boundary", "shadow_ahead", "shadow_begun", "surface_ahead", "tracking_begun", "tracking_on", "way_begun"}  # through media
+           "on_boundary", "shadow_ahead", "shadow_begun", "surface_ahead", "tracking_begun", "tracking_on",
+           "way_begun"}  # through media
 OF_MEDIA = {"free_flight", *OF_WAYS}  # that scatter
 OF_LAMPS = {"sample_lamps", "shining", "splats"}  # of paths from lamps, which begin at no network
 # Stages that a scene does without.
@@ -108,6 +110,12 @@ def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling):
             assert trace_on_cuda(stage_named(name), arguments) <= {CUDA}
 
 
+def load(compiled: Compiled) -> None:
+    """Loads the kernel of a function; waits for the helper that does so."""
+    if compiled.loop is not None:
+        compiled.loop.result().kernel.kernel  # noqa: B018 (a property that waits)
+
+
 def kernels_on_cuda(stage: CompiledStage, arguments: tuple, monkeypatch) -> list[str]:
     """The kernels that a compiled stage is for arguments that are moved to CUDA, without their values."""
     listing, asked = Listing(), set()
@@ -118,7 +126,7 @@ def kernels_on_cuda(stage: CompiledStage, arguments: tuple, monkeypatch) -> list
             moved[id(leaf)] = torch.empty_like(leaf, device="meta")
             moved[id(leaf)].address = leaf.data_ptr()  # tables that share their memory are one
     with torch.no_grad(), SaysCuda():
-        stage.fused.prepared(with_leaves(arguments, [moved.get(id(leaf), leaf) for leaf in leaves_of(arguments)]))[0].load()
+        load(stage.fused.prepared(with_leaves(arguments, [moved.get(id(leaf), leaf) for leaf in leaves_of(arguments)]))[0])
     assert asked == {CUDA}
     return listing.texts
 
@@ -137,8 +145,8 @@ def test_every_stage_of_every_appearance_is_ptx_on_cuda(name, sampling, monkeypa
             apart = with_leaves(arguments, [leaf.contiguous() if isinstance(leaf, Tensor) else leaf
                                             for leaf in leaves_of(arguments)])  # as tensors without contents lie
             texts, here, in_rows = kernels_on_cuda(stages(stage_named(stage)), apart, monkeypatch), Listing(), Listing()
-            CompiledStages(Gpu(here))(stage_named(stage)).fused.prepared(apart)[0].load()
-            CompiledStages(Gpu(in_rows))(stage_named(stage)).fused.prepared(arguments)[0].load()
+            load(CompiledStages(Gpu(here))(stage_named(stage)).fused.prepared(apart)[0])
+            load(CompiledStages(Gpu(in_rows))(stage_named(stage)).fused.prepared(arguments)[0])
             assert texts == here.texts and (texts or stage == "material_value")  # some colours are arguments as they are
             assert all(".visible .entry lanes(" in ptx(text, "sm_90") and "store" in text
                        for text in {*texts, *in_rows.texts})
