@@ -16,7 +16,7 @@ number; what another minor number changes is in CHANGELOG.md.
     torch_radbp.bake       bitmap, mesh
     torch_radbp.losses     two_buffer_l2, two_buffer_relative_l2, two_buffer_log_l2, ssim, lpips, exchange_derivatives,
                            exchanged, masked_mean
-    torch_radbp.priors     total_variation, smoothness, white_balance
+    torch_radbp.priors     total_variation, bending, smoothness, white_balance
     torch_radbp.optim      LargeSteps, CoarseToFine, refine, Log, Sigmoid, AdamUniform, GaussNewton, bounded,
                            laplacian_loss, normal_consistency_loss, remesh
 

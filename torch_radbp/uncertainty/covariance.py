@@ -191,7 +191,7 @@ def diagonal_covariance(images: Renderer | Images, parameters: Parameters, *, no
     return Diagonal(problem.by_name(deviation), problem.by_name(deviation * error / (2 * variance)))
 
 
-class Samples(NamedTuple):
+class PosteriorSamples(NamedTuple):
     """What fits may be off by, in units of the prior's deviations S: (S H S + 1) x = b = S J^T Sigma^-1/2 e + f."""
 
     found: Tensor  # (K, n) float64, x
@@ -200,7 +200,7 @@ class Samples(NamedTuple):
     precision: Tensor  # (n,) of each parameter if all others were known, roughly: the diagonal of S H S + 1
 
 
-def posterior_samples(problem: Problem, spread: Tensor, probes: int, seed: int) -> Samples:
+def posterior_samples(problem: Problem, spread: Tensor, probes: int, seed: int) -> PosteriorSamples:
     """So many samples, for a prior of deviations `spread`, (n,)."""
     import numpy
     from scipy.sparse.linalg import LinearOperator, cg
@@ -232,10 +232,10 @@ def posterior_samples(problem: Problem, spread: Tensor, probes: int, seed: int) 
         if left:
             raise RuntimeError(f"conjugate gradients did not converge in {left} iterations: take a narrower prior")
         found.append(torch.from_numpy(numpy.ascontiguousarray(solved)))
-    return Samples(torch.stack(found), torch.stack(drawn), torch.stack(of_prior), rough)
+    return PosteriorSamples(torch.stack(found), torch.stack(drawn), torch.stack(of_prior), rough)
 
 
-def variance_by(samples: Samples) -> tuple[Tensor, Tensor]:
+def variance_by(samples: PosteriorSamples) -> tuple[Tensor, Tensor]:
     """The mean of x^2, (n,), less what tells how far it is off, by regression; and its standard error.
 
     The means of x b and of f^2 are known to be 1: of parameters that are known well by themselves the first tells all of the
