@@ -139,7 +139,7 @@ def test_texels_have_a_picture_of_deviations(noisy):
 
 def test_many_texels_are_probed_and_unseen_ones_have_the_prior(noisy, monkeypatch):
     monkeypatch.setattr(deviations, "DENSE", 10)
-    monkeypatch.setattr(deviations, "PROBES", 3)
+    monkeypatch.setattr(deviations, "PROBES", 4)
     summary, report = finished(noisy, "parameters.0.name='picture.reflectance.data'", "parameters.0.initial=0.5",
                                "report.deviations='all'", "steps=2")
     found = summary["deviations"]
