@@ -68,6 +68,7 @@ assert_type(rb.losses.lpips(*buffers, target, torch.nn.functional.mse_loss), Ten
 assert_type(rb.losses.exchanged(torch.nn.functional.l1_loss, *buffers, target), Tensor)
 assert_type(rb.losses.masked_mean(image, image[:, :1]), Tensor)
 assert_type(rb.priors.total_variation(parameter) + rb.priors.smoothness(parameter), Tensor)
+assert_type(rb.priors.bending(parameter), Tensor)
 assert_type(rb.priors.white_balance(parameter), Tensor)
 ranges: list[torch.nn.Module] = [rb.optim.Log(), rb.optim.Sigmoid(0.0, 1.0), rb.optim.CoarseToFine((4, 4))]
 assert_type(rb.optim.bounded(torch.optim.Adam([parameter]), scene), torch.optim.Adam)
