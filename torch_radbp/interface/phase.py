@@ -65,9 +65,9 @@ class CosineKind(PhaseKind):
 class PhaseFunction(Phase):
     """What a phase function's plugin gives to media."""
 
-    def largest_area(self) -> Tensor | float:
-        """An upper bound of `PhaseKind.projected_area`, detached."""
-        return 1.0
+    def extreme_areas(self) -> tuple[Tensor | float, Tensor | float]:
+        """Bounds of `PhaseKind.projected_area` from above and from below, detached."""
+        return 1.0, 1.0
 
     def even_area(self) -> bool:
         """True if `PhaseKind.projected_area` is the same at all points."""

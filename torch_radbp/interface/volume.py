@@ -61,14 +61,15 @@ class VolumeFunction(Volume):
         values, = self.entries().values()
         return values
 
-    def largest(self) -> Tensor:
-        """An upper bound of the values of all channels, (), detached."""
-        return self.samples().detach().amax()
+    def extremes(self) -> tuple[Tensor, Tensor]:
+        """Bounds of the values of all channels from above and from below, () each, detached."""
+        least, largest = self.samples().detach().aminmax()
+        return largest, least
 
     def cells(self) -> tuple[Tensor | None, Tensor]:
-        """The largest entries of cells, (Z, Y, X), detached, between whose centres values are interpolated, and which go on
+        """The entries of cells, (C, Z, Y, X), detached, between whose centres values are interpolated, and which go on
         beyond the unit cube; None: values are not so. And (3, 4) the transform from the world to that cube."""
-        largest = self.largest()
+        largest, _ = self.extremes()
         return None, torch.eye(4, dtype=largest.dtype, device=largest.device)[:3]
 
     def corners(self) -> Tensor:

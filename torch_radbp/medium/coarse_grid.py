@@ -1,4 +1,4 @@
-"""A coarse grid over a volume with a bound of the values in each of its cells, and rays through it."""
+"""A coarse grid over a volume with bounds of the values in each of its cells, and rays through it."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from torch_radbp.tensors.vec import TINY, Ray, Vec3, dot
 
 COARSER = 8  # cells of the volume to a cell of the coarse grid, along each axis
 NUDGE = 1e-3  # by which a ray is in the next cell when it is at the border, in cells; bounds hold as far beyond borders
-ABOVE = 1.0 + 1e-5  # over the largest value, against rounding
+ABOVE, BELOW = 1.0 + 1e-5, 1.0 - 1e-5  # over the largest value and the least, against rounding
 
 
 class CoarseGrid(NamedTuple):
     """K cells, x fastest; the other columns have one entry."""
 
     bound: Tensor  # (K,) no value in the cell is larger
+    least: Tensor  # (K,) or smaller
     size: tuple[Tensor, Tensor, Tensor]  # int32, along x, y and z
     to_cells: tuple[tuple[Vec3, Tensor], ...]  # the rows of the transform from the world, with its shift; in cells
     low: Vec3  # corners of the box in the world that the volume fills
@@ -30,26 +31,32 @@ class CoarseGrid(NamedTuple):
 def coarse_grid(volume: VolumeFunction) -> CoarseGrid:
     """The coarse grid of a volume, detached."""
     with torch.no_grad():
-        bound, size, to_unit = bounds_of(volume)
+        bound, least, to_unit = bounds_of(volume)
+        size = bound.shape[::-1]
         corners = volume.corners().to(bound)
         low, high = (Vec3.of(each[None]) for each in (corners.amin(0), corners.amax(0)))
         x, y, z = (torch.tensor([count], dtype=torch.int32, device=bound.device) for count in size)
         to_cells = to_unit * to_unit.new_tensor(size)[:, None]
         rows = tuple((Vec3.of(row[None, :3]), row[3:].clone()) for row in to_cells.unbind())
-        return CoarseGrid(bound.reshape(-1) * ABOVE, (x, y, z), rows, low, high)
+        return CoarseGrid(bound.reshape(-1) * ABOVE, least.reshape(-1) * BELOW, (x, y, z), rows, low, high)
 
 
-def bounds_of(volume: VolumeFunction) -> tuple[Tensor, tuple[int, int, int], Tensor]:
-    """Bounds by cells (Z, Y, X), their numbers along x, y and z, and (3, 4) the transform from the world to the unit cube
-    that they divide."""
+def bounds_of(volume: VolumeFunction) -> tuple[Tensor, Tensor, Tensor]:
+    """The largest and the least value by cells (Z, Y, X), and (3, 4) the transform from the world to the unit cube that they
+    divide."""
     cells, to_unit = volume.cells()
     if cells is None:
-        return volume.largest().reshape(1, 1, 1), (1, 1, 1), to_unit
-    # The largest of the cells between whose centres points of a coarse cell are, a half and the nudge beyond its borders.
-    bound = max_pool3d(cells[None, None], COARSER + 2, stride=COARSER, padding=1, ceil_mode=True)[0, 0]
-    scale = torch.tensor([count / (COARSER * of) for count, of in zip(cells.shape[::-1], bound.shape[::-1])])
-    z, y, x = bound.shape
-    return bound, (x, y, z), to_unit * scale.to(to_unit)[:, None]
+        largest, least = volume.extremes()
+        return largest.reshape(1, 1, 1), least.reshape(1, 1, 1), to_unit
+    # Those of the cells between whose centres points of a coarse cell are, a half and the nudge beyond its borders.
+    bound, least = pooled(cells).amax(0), -pooled(-cells).amax(0)
+    scale = torch.tensor([count / (COARSER * of) for count, of in zip(cells.shape[1:], bound.shape)]).flip(0)
+    return bound, least, to_unit * scale.to(to_unit)[:, None]
+
+
+def pooled(cells: Tensor) -> Tensor:
+    """The largest values of (C, Z, Y, X) cells in and beside each coarse cell."""
+    return max_pool3d(cells[:, None], COARSER + 2, stride=COARSER, padding=1, ceil_mode=True)[:, 0]
 
 
 def cell_of(grid: CoarseGrid, ray: Ray, t: Tensor) -> Tensor:

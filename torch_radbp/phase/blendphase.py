@@ -100,9 +100,10 @@ class BlendPhase(PhaseFunction):
     def row(self) -> BlendTable:
         return BlendTable(self.weight.table(), self.phase_0.row(), self.phase_1.row())
 
-    def largest_area(self) -> Tensor | float:
-        return max(part.largest_area() for part in self.phase)
+    def extreme_areas(self) -> tuple[Tensor | float, Tensor | float]:
+        largest, least = zip(*(part.extreme_areas() for part in self.phase))
+        return max(largest), min(least)
 
     def even_area(self) -> bool:
-        same = all(isinstance(part.largest_area(), float) for part in self.phase)  # 1 of both
+        same = all(isinstance(part.extreme_areas()[0], float) for part in self.phase)  # 1 of both
         return same or (isinstance(self.weight, ConstVolume) and all(part.even_area() for part in self.phase))

@@ -113,10 +113,13 @@ class SGGX(PhaseFunction):
     def row(self) -> Any:
         return self.S.table()
 
-    def largest_area(self) -> Tensor:
-        # The root of the largest eigenvalue, which is not more than the trace; interpolation does not exceed it.
-        entries = self.S.samples()
-        return entries.detach()[..., :3].sum(-1).amax().clamp_min(LEAST).sqrt()
+    def extreme_areas(self) -> tuple[Tensor, Tensor]:
+        # Roots of eigenvalues, of which the largest is not more than the trace, and none is less than by how much a diagonal
+        # entry exceeds the others of its row (Gershgorin 1931); interpolation does not exceed them.
+        xx, yy, zz, xy, xz, yz = self.S.samples().detach().unbind(-1)
+        rows = xx - xy.abs() - xz.abs(), yy - xy.abs() - yz.abs(), zz - xz.abs() - yz.abs()
+        least = torch.stack([row.amin() for row in rows]).amin()
+        return (xx + yy + zz).amax().clamp_min(LEAST).sqrt(), least.clamp_min(0.0).sqrt()
 
     def even_area(self) -> bool:
         entries = self.S.samples()

@@ -35,7 +35,7 @@ class OnGrid(VolumeFunction):
         to_local = matrix_inverse(self.from_unit_cube()).to(values)[:3]
         if self.kind().wrap_mode != "clamp":
             return None, to_local
-        return (values[..., 0] if values.shape[3] == 1 else values.amax(3)), to_local  # a view takes no memory
+        return values.movedim(3, 0), to_local
 
     def corners(self) -> Tensor:
         unit = torch.tensor(list(product((0.0, 1.0), repeat=3)), dtype=torch.float64, device=self.to_world.device)
