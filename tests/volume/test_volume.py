@@ -122,15 +122,18 @@ def test_far_away_the_nearest_value_is_read():
     assert volume.kind().eval(volume.table(), far).x.tolist() == [0.0, 7.0, 0.0, 7.0]
 
 
-def test_nothing_exceeds_the_largest_value_and_corners_bound_it():
+def test_values_lie_between_the_extremes_and_corners_bound_them():
     volume = made(data=random(3, 4, 5, 3), to_world=POSE)
-    assert volume.largest() == volume.data.max() and not volume.largest().requires_grad
+    largest, least = volume.extremes()
+    assert (largest, least) == (volume.data.max(), volume.data.min()) and not largest.requires_grad
     corner, far = volume.corners()[0], volume.corners()[-1]
     torch.testing.assert_close(corner, POSE[:3, 3])
     torch.testing.assert_close(far, POSE[:3, :3].sum(1) + POSE[:3, 3])
-    assert volume.kind().eval(volume.table(), places(10000)).stack().max() <= volume.largest() + 1e-12
+    values = volume.kind().eval(volume.table(), places(10000)).stack()
+    assert least - 1e-12 <= values.min() and values.max() <= largest + 1e-12
     constant = build_plugin({"type": "constvolume", "value": {"type": "rgb", "value": [0.2, 0.7, 0.4]}}, "volume")
-    assert float(constant.largest()) == pytest.approx(0.7) and constant.corners().tolist()[-1] == [1.0, 1.0, 1.0]
+    assert [float(each) for each in constant.extremes()] == pytest.approx([0.7, 0.2])
+    assert constant.corners().tolist()[-1] == [1.0, 1.0, 1.0]
     assert constant.kind().eval(constant.table(), places(2).map(torch.Tensor.float)).stack()[1].tolist() == pytest.approx(
         [0.2, 0.7, 0.4])
 

@@ -16,10 +16,14 @@ from torch import Tensor
 from torch_radbp.connection.light import light_aims, sample_light, sample_places
 from torch_radbp.connection.media import attenuated, transmittance, transmittance_to_light
 from torch_radbp.interface.texture import Place, TextureValue
+from torch_radbp.path.event import FlightEnd
+from torch_radbp.path.flight import phase_to, point_along, scattered_at_end
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.light_connection import connected_to_light
+from torch_radbp.path.passage import way_through
 from torch_radbp.path.sorting import queued
-from torch_radbp.path.state import Arrival, PathState, Settings
+from torch_radbp.path.state import Arrival, Flight, PathState, Settings
 from torch_radbp.path.surface import scattered_to, shares_of, surface_met
 from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.raycast.protocol import Hit
@@ -94,7 +98,20 @@ def scattered(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3,
     si = surface_met(scene, arrival, Settings())
     of_material, *_ = shares_of(scene, texture_values)
     reflected, _ = scattered_to(material_at(scene, si, of_material), si, d)
-    return masked(si.valid, attenuated(reflected, transmittance(scene, arrival.state.ray, si.t)))
+    return masked(si.valid, attenuated(reflected, way_through(scene, arrival, si.t)))
+
+
+@stage("scene", "arrival", "d")
+def scattered_by_medium(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3, medium: int) -> Vec3:
+    """The same where flights end in a medium: scattering times the phase function.
+
+    Args:
+        medium: the number of the medium; the rest as for `scattered`.
+    """
+    arrival, d = rows((arrival, d), lanes)
+    ray, t, kind, table = arrival.state.ray, arrival.flight.t, scene.layout.media[medium], scene.media[medium]
+    phase, _ = phase_to(kind, table, table, point_along(ray, t), -ray.d, d)
+    return scattered_at_end(scene, arrival, medium, t) * phase
 
 
 def light_sent_back(integrand: Integrand, state: PathState, hit: Hit, draw: LightDraw) -> Vec3:
@@ -106,30 +123,37 @@ def light_sent_back(integrand: Integrand, state: PathState, hit: Hit, draw: Ligh
         hit: what they meet.
         draw: the light samples.
     """
-    return of_surfaces(integrand, direct_light, state, hit, draw, direct_light_places,
+    return of_surfaces(integrand, direct_light, Arrival(state, hit, None), draw, direct_light_places,
                        Settings(sampling=integrand.settings.sampling))
 
 
-def scattered_light(integrand: Integrand, state: PathState, hit: Hit, d: Vec3) -> Vec3:
-    """`scattered` for all rays, as `light_sent_back`."""
-    return of_surfaces(integrand, scattered, state, hit, d, scattered_places)
+def scattered_light(integrand: Integrand, state: PathState, hit: Hit, d: Vec3, flight: Flight | None) -> Vec3:
+    """`scattered` for all rays, as `light_sent_back`, and `scattered_by_medium` where their flights end before."""
+    return of_surfaces(integrand, scattered, Arrival(state, hit, None, flight=flight), d, scattered_places)
 
 
-def of_surfaces(integrand: Integrand, stage: Callable, state: PathState, hit: Hit, asked, places_of: Callable,
-                *more) -> Vec3:
-    """Runs a stage for all rays, (N,), each appearance by its own functions; 0 where nothing scatters. `more`: its other
-    arguments.
+def of_surfaces(integrand: Integrand, stage: Callable, arrival: Arrival, asked, places_of: Callable, *more) -> Vec3:
+    """Runs a stage for all rays, (N,), each appearance by its own functions; 0 where nothing scatters.
+
+    Args:
+        arrival: the rays and what they meet, sides aside.
+        asked: of all N.
+        places_of: the points at which its network textures are evaluated.
+        more: its other arguments.
     """
-    front, order, queues = queued(integrand, state.ray, hit, False)
-    arrival, found = Arrival(state, hit, front), Vec3.buffer(state.pdf)
+    state, hit, _, _, flight = arrival
+    front, order, queues = queued(integrand, state.ray, hit, False, flight=flight)
+    arrival, found = arrival._replace(front=front), Vec3.buffer(state.pdf)
     for queue in queues:
         if not queue.event.scatters:
             continue
         lanes, part = order[queue.first:queue.last], integrand.part(queue.event)
+        if isinstance(queue.event, FlightEnd):
+            put_rows(found, lanes, part.call(scattered_by_medium, arrival, lanes, asked, queue.event.medium))
+            continue
         scatterer, places = integrand.scatterer(queue.event), ()
         if part.proposal.layout.lit or scatterer.outside:
             places = places_of(part.proposal, arrival, lanes, asked)
         values = texture_values_at(integrand.proposal, scatterer, places)
-        for total, own in zip(found, part.call(stage, arrival, lanes, asked, values, *more)):
-            total.index_copy_(0, lanes.long(), own)
+        put_rows(found, lanes, part.call(stage, arrival, lanes, asked, values, *more))
     return found

@@ -77,8 +77,7 @@ class FlightVertex(VertexKind):
         kind, table, fixed = scene.layout.media[medium], scene.media[medium], proposal.media[medium]
         t, longer = self.distance_flown(scene, arrival, settings, here)
         p, wi = point_along(state.ray, t), -state.ray.d
-        chance = longer / settled(arrival.flight.chance).clamp_min(TINY)
-        scattered = way_left(scene, arrival, t) * kind.scattering(table, p, wi) * chance
+        scattered = scattered_at_end(scene, arrival, medium, t) * longer
 
         # Le: the light that media emit on the way, up to the next surface.
         surface = t
@@ -163,6 +162,19 @@ class FlightVertex(VertexKind):
 def point_along(ray: Ray, t: Tensor) -> Vec3:
     """The points at distances along rays."""
     return ray.o + ray.d * t
+
+
+def scattered_at_end(scene: SceneTensors, arrival: Arrival, medium: int, t: Tensor) -> Vec3:
+    """What light counts by that is scattered where flights end, but for the phase function, (N,), attached: T sigma_s / p.
+
+    Args:
+        arrival: the paths, with their flights.
+        medium: the number of that in which they end.
+        t: (N,) distance to there, attached.
+    """
+    kind, table, ray = scene.layout.media[medium], scene.media[medium], arrival.state.ray
+    scattering = kind.scattering(table, point_along(ray, t), -ray.d)
+    return way_left(scene, arrival, t) * scattering / settled(arrival.flight.chance).clamp_min(TINY)
 
 
 def phase_to(kind: MediumKind, table: Any, fixed: Any, p: Vec3, wi: Vec3, d: Vec3) -> tuple[Vec3, Tensor]:

@@ -25,7 +25,7 @@ from torch_radbp.tensors.vec import TINY, Ray, Vec3, cross, dot, normalize
 def scattered_towards(call: RenderCall, integrand: Integrand, points: Viewpoints, reach: Vec3) -> Vec3:
     """BSDF times cosine of viewpoints, (N,), in directions of any length, float64; detached."""
     d = normalize(reach).map(lambda c: c.to(integrand.proposal.dtype).contiguous())
-    return scattered_light(integrand, path_of(call, points.ray, points.key), points.hit, d)
+    return scattered_light(integrand, path_of(call, points.ray, points.key), points.hit, d, points.flight)
 
 
 def solid_angle(scene: SceneTensors, hit: Hit, line: Ray) -> Tensor:

@@ -47,7 +47,7 @@ def what_slides(call: RenderCall, number: int, geometry: Geometry, points: Viewp
     if geometry.triangles.plain is None:
         return torch.zeros_like(points.hit.prim[:0], dtype=torch.int64), place.map(lambda c: c[:0])
     share, d = share_of_slide(geometry_of(detached(call.scene)), points.hit, start, met, place)
-    near = (share > 0.0).nonzero().squeeze(1)
+    near = ((share > 0.0) & ~points.in_medium).nonzero().squeeze(1)
     points, met, share, d = rows((points, met, share, d), near)
     fixed = crossed_at(corners_of(geometry, met), Ray(vertex_at(call, geometry, number, points), d))
     return near, fixed.map(lambda way: share * (way - primal(way)))

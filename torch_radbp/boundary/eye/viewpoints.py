@@ -14,21 +14,35 @@ from torch_radbp.boundary.eye.eyes import Eyes, Lobe, lobe_around
 from torch_radbp.boundary.eye.seen_edges import corners_of, salted, uniform_numbers
 from torch_radbp.call.render_call import RenderCall, started
 from torch_radbp.path.camera_rays import CameraSample, sample_camera
-from torch_radbp.path.event import SurfaceMet
+from torch_radbp.path.event import Event
+from torch_radbp.path.flight import FlightVertex
 from torch_radbp.path.integrand import Integrand, int32_number
 from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.light_share import ends_lamp_paths
-from torch_radbp.path.state import PathState
-from torch_radbp.path.step import Onward
+from torch_radbp.path.state import Arrival, BoundaryCrossing, Flight, PathState, Settings
+from torch_radbp.path.step import Onward, Step
 from torch_radbp.path.taped_bounces import bounces_taken
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import LaneKey, SampleKey, hash32
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.record import joined, leaves_of, with_leaves
+from torch_radbp.tensors.record import joined, leaves_of, mapped, selected, with_leaves
 from torch_radbp.tensors.stage import stage
-from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpolated, max_component, rows, unit_normal, where
+from torch_radbp.tensors.vec import (
+    TINY,
+    Ray,
+    Vec2,
+    Vec3,
+    cross,
+    dot,
+    interpolated,
+    masked,
+    max_component,
+    rows,
+    unit_normal,
+    where,
+)
 from torch_radbp.vertex.cone import Cone
 from torch_radbp.vertex.nearby import slides_from
 
@@ -51,6 +65,18 @@ class Viewpoints(NamedTuple):
     key: LaneKey
     lobe: Lobe  # around a scattered direction
     tried: Tensor | None  # (M,) bool: pilot samples, which only estimate noise; None: none are
+    flight: Flight | None = None  # by which the ray comes there through media, or ends before `hit`; see `Arrival`
+    boundary: Hit | None = None  # that it passes last; triangle -1: none; None: rays pass none, or carry no derivatives
+
+    @property
+    def in_medium(self) -> Tensor:
+        """(M,) bool: the vertex is where a flight ends in a medium, before the surface that is hit."""
+        return torch.zeros_like(self.slides) if self.flight is None else self.flight.t < torch.inf
+
+    @property
+    def standing(self) -> Hit:
+        """(M,) the surfaces on which vertices stand; triangle -1: they are in a medium."""
+        return self.hit._replace(prim=torch.where(self.in_medium, -1, self.hit.prim))
 
 
 class Begun(NamedTuple):
@@ -84,6 +110,8 @@ class Picked(NamedTuple):
     ray: Ray  # hits the vertex
     beta: Vec3  # throughput before it
     hit: Hit
+    flight: Flight | None = None  # as of `Viewpoints`
+    boundary: Hit | None = None
 
     @staticmethod
     def nothing(state: PathState, instanced: bool) -> Picked:
@@ -103,6 +131,8 @@ class PathsAtBounce(NamedTuple):
     order: Tensor  # int32, the path of each vertex
     survives: Tensor  # bool: it goes on,
     onwards: PathState  # with these states
+    flight: Flight | None  # (N,) as of `Viewpoints`
+    boundary: Hit | None
 
 
 def viewpoints(call: RenderCall, number: int, integrand: Integrand, batch: PathBatch, following: bool = False) -> Viewpoints:
@@ -127,15 +157,16 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, batch: PathB
         beta = beta * camera.weight
     found = Viewpoints(pixel, sample, place, picked.depth.long(), picked.ray, picked.hit, picked.slides, beta, camera.key,
                        lobe_around(picked.onwards, picked.density),
-                       torch.arange(len(sample), device=sample.device) < tried if tried else None)
+                       torch.arange(len(sample), device=sample.device) < tried if tried else None, picked.flight,
+                       picked.boundary)
     found = rows(found, (found.depth >= 0).nonzero().squeeze(1))
     if call.camera_share is not None:
-        lit_from_lamps = (found.depth == 0) & ends_lamp_paths(call.camera_share.integrand.scene, found.hit.prim)
+        lit_from_lamps = (found.depth == 0) & ends_lamp_paths(call.camera_share.integrand.scene, found.standing.prim)
         found = found._replace(slides=found.slides & ~lit_from_lamps)
     if call.scene.triangles.plain is None:
         return found
     geometry = geometry_of(call.scene)
-    near = slides_from(corners_of(geometry, found.hit), found.hit.t.double(), hits_plain(geometry, found.hit))
+    near = slides_from(corners_of(geometry, found.hit), found.hit.t.double(), hits_plain(geometry, found.standing))
     return found._replace(slides=found.slides | (near & (found.depth > 0)))
 
 
@@ -185,8 +216,12 @@ def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, foll
             state, step, onward = bounce(onward, depth, L)
             meant = [torch.arange(queue.first, queue.last, dtype=torch.int32, device=key.seed.device)
                      for queue in step.queues if queue.event.scatters and scatters_as(integrand, queue.event, following)]
+            flight, boundary = flown(step)
+            if flight is not None and picked.flight is None:
+                room = mapped((flight, boundary), lambda leaf: None if leaf is None else leaf.new_zeros(len(start.lane)))
+                picked = picked._replace(flight=room[0], boundary=room[1])
             if meant:
-                reached = PathsAtBounce(state, step.hit, step.order, step.survives, onward.paths)
+                reached = PathsAtBounce(state, step.hit, step.order, step.survives, onward.paths, flight, boundary)
                 at = int32_number(SALT + 1 + depth, key.seed.device)
                 put_rows(picked, *stages(picked_vertex)(picked, reached, torch.cat(meant), key, at, attached))
             depth += 1
@@ -205,18 +240,32 @@ def picked_vertex(picked: Picked, reached: PathsAtBounce, vertex: Tensor, key: S
         key, counter: of random numbers, the latter () int32.
         attached: whether rays are never left to chance.
     """
-    state, hit = rows((reached.state, reached.hit), rows(reached.order, vertex))
+    state, hit, flight, boundary = rows((reached.state, reached.hit, reached.flight, reached.boundary),
+                                        rows(reached.order, vertex))
     before, weight = rows(picked, state.lane), max_component(state.beta)
     total = before.total + weight
     taken = uniform_numbers(key, state.lane, counter, weight.dtype) * total < weight
     slides = torch.isinf(state.pdf) if state.followed is None else torch.isinf(state.pdf) | state.followed
+    if flight is not None:  # in media points keep their share of the way to the surface behind, and move with the ray
+        slides = slides | (flight.t < torch.inf)
     density = rows(reached.onwards.pdf, vertex) * rows(reached.survives, vertex).to(weight.dtype)
     depth = (counter - (SALT + 1)) + torch.zeros_like(state.lane)
     here = Picked(total, weight, depth, slides | attached, rows(reached.onwards.ray.d, vertex), density, state.ray,
-                  state.beta, hit)
+                  state.beta, hit, flight, boundary)
     found = [torch.where(taken, new, old) if isinstance(new, Tensor) else None
              for new, old in zip(leaves_of(here), leaves_of(before))]
     return state.lane, with_leaves(here, found)._replace(total=total)
+
+
+def flown(step: Step) -> tuple[Flight | None, Hit | None]:
+    """The flights of a bounce, and the boundaries that rays pass last, as of `Viewpoints`."""
+    flight = step.flight
+    if flight is None or flight.crossings is None:
+        return flight, None
+    last = step.hit._replace(prim=torch.full_like(step.hit.prim, -1))
+    for crossing in flight.crossings:
+        last = selected(crossing.hit.prim >= 0, crossing.hit, last)
+    return flight._replace(crossings=None), last
 
 
 def hits_plain(geometry: Geometry, hit: Hit) -> Tensor:
@@ -224,12 +273,12 @@ def hits_plain(geometry: Geometry, hit: Hit) -> Tensor:
     return (hit.prim >= 0) & lookup(geometry.triangles.plain, hit.prim.clamp_min(0))
 
 
-def scatters_as(integrand: Integrand, event: SurfaceMet, following: bool) -> bool:
-    """True if an event's scattering has differentiated directions (`following`), or else hits that are fixed to surfaces; of
-    what scatters between surfaces neither is looked for."""
+def scatters_as(integrand: Integrand, event: Event, following: bool) -> bool:
+    """True if an event's scattering has differentiated directions (`following`), or else hits that are fixed to surfaces; in
+    media only the latter are looked for."""
     scatterer, settings = integrand.scatterer(event), integrand.settings
     if scatterer is None:
-        return False
+        return not following and settings.sampling != "attached"
     kind = scatterer.kind
     return kind.smooth and (settings.sampling == "attached" or settings.following and kind.follows) == following
 
@@ -237,13 +286,30 @@ def scatters_as(integrand: Integrand, event: SurfaceMet, following: bool) -> boo
 def eyes_at(geometry: Geometry, points: Viewpoints, at: Vec3, lobes: tuple[Lobe, ...] = ()) -> Eyes:
     """The viewpoints, which lie `at` (M,) world, with weights of directions; `lobes`: beside those that scatter."""
     one, corners = torch.ones_like(at.x), corners_of(geometry, points.hit)
-    normal = unit_normal(corners[1] - corners[0], corners[2] - corners[0])
-    return Eyes(at, one, normal, one, one * EVEN, (points.lobe, *lobes))
+    normal = masked(~points.in_medium, unit_normal(corners[1] - corners[0], corners[2] - corners[0]))
+    return Eyes(at, one, normal, one, torch.where(points.in_medium, 1.0, EVEN * one), (points.lobe, *lobes))
 
 
 def vertex_at(call: RenderCall, geometry: Geometry, number: int, points: Viewpoints) -> Vec3:
     """The viewpoints, (M,) world, attached: they slide along their rays, or are fixed to triangles."""
-    return vertex_on(geometry, points, arriving(call, number, points))
+    ray = arriving(call, number, points)
+    at = vertex_on(geometry, points, ray)
+    return at if points.flight is None else where(points.in_medium, flown_to(call, points, ray), at)
+
+
+def flown_to(call: RenderCall, points: Viewpoints, ray: Ray) -> Vec3:
+    """Where flights end in media, (M,) world, attached, where they do: they keep their share of the way from the last boundary to the
+    surface ahead. Args as for `vertex_on`, which serves the others."""
+    here, boundary, layout = points.in_medium, points.boundary, call.scene.layout
+    flight = points.flight._replace(t=torch.where(here, points.flight.t, 0.0))
+    if boundary is not None:
+        flight = flight._replace(crossings=(BoundaryCrossing(boundary, flight.medium, flight.medium),))
+    arrival, t = Arrival(path_of(call, ray, points.key), points.hit, None, flight=flight), flight.t
+    for medium in layout.scattering_media:
+        found, _ = FlightVertex(medium).distance_flown(call.scene, arrival, Settings(moving=True))
+        t = found if flight.medium is None else torch.where(flight.medium == medium, found, t)
+    o, d = (part.map(torch.Tensor.double) for part in ray)
+    return o + d * t.double()
 
 
 def vertex_on(geometry: Geometry, points: Viewpoints, ray: Ray) -> Vec3:

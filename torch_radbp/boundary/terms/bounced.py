@@ -21,7 +21,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.curve.geometry import Geometry, geometry_of
 from torch_radbp.boundary.curve.outline import Outline
-from torch_radbp.boundary.eye.lines_through_edges import solid_angle
+from torch_radbp.boundary.eye.lines_through_edges import scattered_towards, solid_angle
 from torch_radbp.boundary.eye.seen_edges import BEFORE, Casting, corners_of, course_of, crossed_at, unhidden, uniform_numbers
 from torch_radbp.boundary.eye.slid import less_what_slides
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, path_of, vertex_at, viewpoints
@@ -29,7 +29,7 @@ from torch_radbp.boundary.terms.border import Borders, Lights, light_through, li
 from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, cut_off, glues, shadow_term, sharp_lights_later
 from torch_radbp.boundary.terms.spread_borders import spread_borders
 from torch_radbp.call.render_call import RenderCall, integrand_of
-from torch_radbp.path.direct_light import light_sent_back, scattered_light
+from torch_radbp.path.direct_light import light_sent_back
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import LaneKey
@@ -68,7 +68,7 @@ class BouncedShadows(ShadowTerm):
         here = course.at
         way = way_to(start, interpolated(corners_of(geometry, borders.receiver), here.x, here.y), scene.dtype)
         light = light_sent_on(call, integrand, borders, way, key)
-        beta = points.beta * scattered_light(integrand, path_of(call, points.ray, points.key), points.hit, way.ray.d)
+        beta = points.beta * scattered_towards(call, integrand, points, way.reach)
         light = light * torch.stack(tuple(beta)).double() * solid_angle(scene, borders.receiver, Ray(start, way.reach))
         return cut_off(points.place, course, light, ConnectedBorders(points, start, borders))
 

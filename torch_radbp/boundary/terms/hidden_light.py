@@ -87,7 +87,8 @@ class HiddenLight(ShadowTerm):
         return TermSize(paths * LOOKS * BYTES_OF_WAY, found, found)
 
     def applies(self) -> bool:
-        return glues(self.call) and (self.call.integrand.max_depth > 2 or any(Lights.uncovered(self.call)))
+        later = self.call.integrand.max_depth > (1 if self.call.scene.layout.scattering_media else 2)
+        return glues(self.call) and (later or any(Lights.uncovered(self.call)))
 
     def samples(self, number: int, amount: Amount = ALL) -> CutsOfView | None:
         return cuts_of_view(self.still, number, self.casting, amount, first=Lights.uncovered(self.still))
@@ -104,7 +105,7 @@ class HiddenLight(ShadowTerm):
                 continue
             cuts = rows(found.cuts, (rise_of(call, number, outline, found) > GRAZING).nonzero().squeeze(1))
             if len(cuts.edge):
-                standing = rows(found.points.hit.prim, cuts.viewpoint)
+                standing = rows(found.points.standing.prim, cuts.viewpoint)
                 names |= rendering.movers_at(outline.triangle(cuts.edge), standing, cuts.hit.prim)
                 names |= {*rendering.moving(view.sensor)}
         return names
@@ -148,7 +149,7 @@ def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, look
     hit = call.integrand.caster.intersect(passed.onwards)
     counts = hit.prim >= 0
     if call.scene.layout.surround is not None:
-        counts = counts | first.around | (rows(points.depth, passed.eye) > 0)
+        counts = counts | first.around | rows((points.depth > 0) | points.in_medium, passed.eye)
     passed, hit = rows((passed, hit), counts.nonzero().squeeze(1))
     passed, hit = rows((passed, hit), unhidden(call.integrand, passed))
     if not len(passed.edge):
@@ -212,7 +213,8 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
     lobes = ()
     if call.scene.layout.lights:
         lights = light_points(call.stages, call.scene, call.views[number], len(points.depth))
-        meant = torch.where(points.depth > 0, *(some.of(call.scene)[lights.kind] for some in (SOFT, first)))
+        later = (points.depth > 0) | points.in_medium
+        meant = torch.where(later, *(some.of(call.scene)[lights.kind] for some in (SOFT, first)))
         lobe = integrand.part(Ends.SURROUNDINGS).call(light_lobes, at, lights.draw)
         lobes = lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),
     return eyes_at(geometry_of(call.scene), points, at, lobes)
@@ -251,6 +253,7 @@ def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, bey
         found = trace(integrand, state, hit=met, depth=depth + 1)
         if depth == 0 and first != SOFT:
             straight = trace(integrand._replace(max_depth=2), state, hit=met, depth=1)
-            found = found - masked(torch.where(met.prim >= 0, not first.soft, not first.around), straight)
+            counted = torch.where(met.prim >= 0, not first.soft, not first.around) & ~rows(own.in_medium, lanes)
+            found = found - masked(counted, straight)
         L[:, lanes] = torch.stack(tuple(found)).double()
     return torch.stack(tuple(own.beta * beta)).double() * L * solid_angle(scene, beyond, Ray(start, reach))
