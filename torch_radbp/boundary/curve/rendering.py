@@ -204,10 +204,10 @@ def rendering_of(call: RenderCall, scene: Scene, sampling: str, cache: PackCache
     """
     looks = [(view, lens) for view in call.views for lens in view.camera.kind.lookouts(detached(view.camera.lens))]
     primary = primary and all(view.camera.kind.has_area for view in call.views)
-    # Behind boundaries of media the camera sees edges, but not by light from lamps; nobody else does.
-    through_media = call.scene.layout.traces_segments
-    primary = primary and not (through_media and light_paths == "all")
-    return Rendering(scene, call, looks, sampling, cache, primary, shadows and not through_media, max_depth, light_paths)
+    # Behind boundaries of media edges are not seen by light from lamps.
+    if call.scene.layout.traces_segments and light_paths == "all":
+        primary = shadows = False
+    return Rendering(scene, call, looks, sampling, cache, primary, shadows, max_depth, light_paths)
 
 
 def whole_sight(view: View, lens: Lens) -> CameraSight:

@@ -84,8 +84,9 @@ class Lights(NamedTuple):
 
     @staticmethod
     def covered(call: RenderCall) -> Lights:
-        """The lights whose borders `DirectShadows` samples; along single rays, which see no borders, those of none."""
-        if not films_have_area(call):
+        """The lights whose borders `DirectShadows` samples; along single rays, which see no borders, those of none, nor
+        through boundaries of media."""
+        if not films_have_area(call) or call.scene.layout.traces_segments:
             return Lights(False, False, False)
         emitters, lights, layout = call.module.emitters, call.scene.lights, call.scene.layout
         surfaces, around = (all(emitter.sampled_whole() for emitter in emitters if emitter.kind().surround == around)

@@ -31,6 +31,7 @@ from torch import Tensor
 from torch_radbp.boundary.curve.geometry import Between, Corners, Geometry, geometry_of
 from torch_radbp.boundary.curve.segments import Segments, height_above, heights_by, level_on_lines, place_of
 from torch_radbp.boundary.eye.deposit import Deposit, attached_geometry
+from torch_radbp.boundary.eye.past_edges import straight_past_edges
 from torch_radbp.boundary.eye.seen_edges import BESIDE, Passed, salted, unhidden
 from torch_radbp.boundary.eye.segment_tree import (
     SegmentTree,
@@ -124,7 +125,8 @@ class CrossedSurfaces(ShadowTerm):
         sheets = joined(list(call.stages(sheets_seen)(geometry, segments, at, passed, extent)))
         passed = joined([passed, passed])
         hit = hit_at(sheets, sheets.beside, integrand.proposal.dtype)
-        light = light_beyond(call, integrand, points, hit, passed, at, SOFT) * sheets.growth
+        past = straight_past_edges(call.scene, at, passed, hit)
+        light = light_beyond(call, integrand, points, at, passed, past, SOFT) * sheets.growth
         kept = ((light != 0) & torch.isfinite(light)).any(0).nonzero().squeeze(1)
         if not len(kept):
             return None

@@ -35,7 +35,8 @@ from torch_radbp.boundary.eye.deposit import Deposit
 from torch_radbp.boundary.eye.eyes import Eyes
 from torch_radbp.boundary.eye.light_points import light_lobes, light_points
 from torch_radbp.boundary.eye.lines_through_edges import scattered_towards, solid_angle
-from torch_radbp.boundary.eye.seen_edges import Casting, Passed, places_seen, salted, unhidden, uniform_numbers
+from torch_radbp.boundary.eye.past_edges import PastEdges, seen_past_edges
+from torch_radbp.boundary.eye.seen_edges import Casting, Passed, places_seen, salted, uniform_numbers
 from torch_radbp.boundary.eye.thinning import chances, thinned
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, eyes_at, path_of, vertex_at, viewpoints
 from torch_radbp.boundary.terms import split
@@ -56,9 +57,8 @@ from torch_radbp.call.view import View
 from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
-from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import SampleKey
-from torch_radbp.tensors.vec import Ray, Vec3, dot, masked, rows
+from torch_radbp.tensors.vec import Ray, Vec3, masked, rows
 
 SALT = 0x3C6EF372  # tells the random numbers of these places from others
 SHARE, MOST = 16, 1 << 16  # one path for so many of the image; and at most at once
@@ -75,6 +75,7 @@ class HiddenLight(ShadowTerm):
     """Light that edges occlude from vertices of paths, which see points that are glued to surfaces."""
 
     rank = 3
+    through_media = True
     is_split = True
 
     @classmethod
@@ -146,16 +147,16 @@ def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, look
                   first: Lights) -> CutsOfView | None:
     """Selects the edge samples at which light is occluded; None: there are none. Args as for `looks_at_edges`."""
     geometry, (points, at, passed) = geometry_of(call.scene), looks
-    hit = call.integrand.caster.intersect(passed.onwards)
-    counts = hit.prim >= 0
-    if call.scene.layout.surround is not None:
-        counts = counts | first.around | rows((points.depth > 0) | points.in_medium, passed.eye)
-    passed, hit = rows((passed, hit), counts.nonzero().squeeze(1))
-    passed, hit = rows((passed, hit), unhidden(call.integrand, passed))
+    layout, alone = call.scene.layout, torch.zeros_like(passed.edge, dtype=torch.bool)
+    if layout.scattering_media or layout.emitting_media:
+        alone = ~alone
+    elif layout.surround is not None:
+        alone = first.around | rows(points.depth > 0, passed.eye)
+    passed, past = seen_past_edges(call, integrand, casting.outline, points, at, passed, alone)
     if not len(passed.edge):
         return None
-    return cuts_that_matter(call.stages, geometry, casting, points, at, passed, hit,
-                            lambda cuts: light_beyond(call, integrand, points, cuts.hit, passed, at, first))
+    return cuts_that_matter(call.stages, geometry, casting, points, at, passed, past.fixed_to(call.scene),
+                            lambda cuts: light_beyond(call, integrand, points, at, passed, past, first))
 
 
 def fewer(found: CutsOfView, key: SampleKey, begun: int, most: int) -> CutsOfView:
@@ -230,30 +231,30 @@ def most_paths(call: RenderCall) -> int:
     return max(number_of_paths(call, view) for view in call.views)
 
 
-def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, beyond: Hit, passed: Passed, at: Vec3,
+def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, passed: Passed, past: PastEdges,
                  first: Lights) -> Tensor:
     """(3, N) float64 light past the edges that reaches the view, per unit of `cut_at`'s coordinates.
 
     Args:
         points, at: the viewpoints, and where they are.
-        beyond: (N,) what the light comes from, seen from the edges.
-        passed: (N,) these, as the viewpoints `passed.eye` see them.
+        passed: (N,) the edges, as the viewpoints `passed.eye` see them.
+        past: (N,) what the light comes from.
         first: what counts of the light that the first vertices of paths receive straight.
     """
     scene = integrand.proposal
     own, start = rows((points, at), passed.eye)
-    reach, key = passed.p - start, passed.key
+    reach = passed.p - start
     beta = scattered_towards(call, integrand, own, reach)
-    ray = Ray(start.map(lambda c: c.to(scene.dtype)), passed.onwards.d)
-    hit = beyond._replace(t=beyond.t + torch.sqrt(dot(reach, reach)).to(scene.dtype))
     L = torch.zeros(3, len(passed.edge), dtype=torch.float64, device=scene.device)
     for depth in own.depth.unique().tolist():
         lanes = (own.depth == depth).nonzero().squeeze(1)
-        state, met = path_of(call, *rows((ray, key), lanes)), rows(hit, lanes)
-        found = trace(integrand, state, hit=met, depth=depth + 1)
+        (ray, met, medium, flight), key = rows((past, passed.key), lanes)
+        state = path_of(call, ray, key)._replace(medium=medium)
+        found = trace(integrand, state, hit=met, depth=depth + 1, flight=flight)
         if depth == 0 and first != SOFT:
             straight = trace(integrand._replace(max_depth=2), state, hit=met, depth=1)
             counted = torch.where(met.prim >= 0, not first.soft, not first.around) & ~rows(own.in_medium, lanes)
             found = found - masked(counted, straight)
         L[:, lanes] = torch.stack(tuple(found)).double()
-    return torch.stack(tuple(own.beta * beta)).double() * L * solid_angle(scene, beyond, Ray(start, reach))
+    angle = solid_angle(scene, past.fixed_to(scene), Ray(start, reach))
+    return torch.stack(tuple(own.beta * beta)).double() * L * angle

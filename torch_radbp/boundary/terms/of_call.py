@@ -71,9 +71,10 @@ def edges_of_call(rendering: Rendering, seed: int) -> EdgesOfCall:
     casting = outlines.of_everything(rendering, seed) if casts else None
     # What casts rays comes last: the tree of a large mesh may still be built.
     in_view = outlines.of_views(rendering, seed) if rendering.primary and moves(call) else None
-    crossing = outlines.crossing(rendering, seed) if casts else None
+    segments = call.scene.layout.traces_segments  # through which nobody looks for these
+    crossing = outlines.crossing(rendering, seed) if casts and not segments else None
     lines = None
-    if rendering.shadows and rendering.max_depth > 1 and lines_slide(call):
+    if rendering.shadows and rendering.max_depth > 1 and lines_slide(call) and not segments:
         sliding, lines = outlines.sliding(rendering, seed)
         crossing = joined_segments([part for part in (crossing, sliding) if part is not None])
     return EdgesOfCall(in_view, casting, crossing, reflected_of(rendering, outlines), lines, lamps_are_slid_over(rendering))

@@ -83,12 +83,14 @@ class ShadowTerm(ABC):
     Attributes:
         rank: its place among the terms. Of the first all samples are taken.
         needs: what of the search there has to be.
+        through_media: it follows rays through boundaries of media.
         is_split: as many samples are taken as pay off beside the first term: `samples` takes a `split.Amount`, too, and they
             are `cuts.CutsOfView`.
     """
 
     rank: ClassVar[int]
     needs: ClassVar[tuple[str, ...]] = ("casting",)
+    through_media: ClassVar[bool] = False
     is_split: ClassVar[bool] = False
 
     def __init__(self, search: ShadowSearch) -> None:
@@ -140,7 +142,9 @@ def shadow_term(term: Term) -> Term:
 
 def terms_of(search: ShadowSearch) -> list[ShadowTerm]:
     """The terms that have a part in the derivative of a call."""
-    terms = [term(search) for term in SHADOW_TERMS if all(getattr(search, name) is not None for name in term.needs)]
+    segments = search.call.scene.layout.traces_segments
+    terms = [term(search) for term in SHADOW_TERMS
+             if all(getattr(search, name) is not None for name in term.needs) and (term.through_media or not segments)]
     return [term for term in terms if term.applies()]
 
 
