@@ -288,7 +288,7 @@ def test_derivatives_by_a_mask_that_moves_are_those_of_differences(air, half, na
 def test_a_warning_says_that_edges_of_panes_have_no_part_in_derivatives():
     scene = under_a_smooth_mask(DULL, 3.0)
     scene.pane.to_world.requires_grad_()
-    with pytest.warns(rb.SilhouetteWarning, match="`pane.to_world` lack what edges .* contribute, since rays pass"):
+    with pytest.warns(rb.SilhouetteWarning, match="`pane.to_world` lack what these .* edges of what light passes"):
         rb.render(scene, spp=1)
 
 

@@ -25,6 +25,7 @@ from torch_radbp.path.state import Flight
 from torch_radbp.path.through_media import free_flights
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import mapped
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Ray, Vec3, dot, normalize, rows, where
@@ -40,7 +41,7 @@ class PastEdges(NamedTuple):
     flight: Flight | None = None  # by which they come to `hit`; None: the first bounce says so
 
     def fixed_to(self, scene: SceneTensors) -> Hit:
-        """The surfaces to which directions are fixed; triangle -1: there is none, or an invisible boundary, and they stay."""
+        """The surfaces to which directions are fixed; triangle -1: there is none, or a boundary, and they stay."""
         if scene.boundaries is None:
             return self.hit
         return self.hit._replace(prim=torch.where(is_boundary(scene, self.hit.prim), -1, self.hit.prim))
@@ -78,8 +79,7 @@ def seen_past_edges(call: RenderCall, integrand: Integrand, outline: Outline, po
         passed, hit = rows((passed, hit), ((hit.prim >= 0) | alone).nonzero().squeeze(1))
         passed, hit = rows((passed, hit), unhidden(call.integrand, passed))
         return passed, straight_past_edges(call.scene, at, passed, hit)
-    # Invisible boundaries hide nothing, nor do their edges.
-    hides = ~integrand.part(Ends.SURROUNDINGS).call(of_boundary, outline.triangle(passed.edge))
+    hides = integrand.part(Ends.SURROUNDINGS).call(hides_all, outline.triangle(passed.edge))
     passed = rows(passed, hides.nonzero().squeeze(1))
     past = flown_past_edges(call, integrand, points, passed)
     reach = passed.onwards.o - past.ray.o
@@ -88,9 +88,18 @@ def seen_past_edges(call: RenderCall, integrand: Integrand, outline: Outline, po
 
 
 @stage("scene")
-def of_boundary(scene: SceneTensors, prim: Tensor) -> Tensor:
-    """(N,) bool: triangles of invisible boundaries of media; `scene`: any part of it, detached."""
-    return is_boundary(scene, prim)
+def hides_all(scene: SceneTensors, prim: Tensor) -> Tensor:
+    """(N,) bool: triangles that hide what is behind them, unlike boundaries of media and panes, which rays pass straight.
+
+    Args:
+        scene: any part of it, detached.
+        prim: (N,) int32.
+    """
+    passes = is_boundary(scene, prim)
+    appearance = lookup(scene.materials.appearance, lookup(scene.triangles.material, prim))
+    for number, _, _ in scene.layout.panes:
+        passes = passes | (appearance == number)
+    return ~passes
 
 
 def flown_past_edges(call: RenderCall, integrand: Integrand, points: Viewpoints, passed: Passed) -> PastEdges:

@@ -298,8 +298,8 @@ def vertex_at(call: RenderCall, geometry: Geometry, number: int, points: Viewpoi
 
 
 def flown_to(call: RenderCall, points: Viewpoints, ray: Ray) -> Vec3:
-    """Where flights end in media, (M,) world, attached, where they do: they keep their share of the way from the last boundary to the
-    surface ahead. Args as for `vertex_on`, which serves the others."""
+    """Where flights end in media, (M,) world, attached: they keep their share of the way from the last boundary to the
+    surface ahead. Of those alone that do; args as for `vertex_on`, which serves the others."""
     here, boundary, layout = points.in_medium, points.boundary, call.scene.layout
     flight = points.flight._replace(t=torch.where(here, points.flight.t, 0.0))
     if boundary is not None:

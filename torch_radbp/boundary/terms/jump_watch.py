@@ -20,6 +20,7 @@ from torch_radbp.boundary.curve.rendering import MOVE_LIGHTS, Rendering, listed
 from torch_radbp.boundary.curve.term import TERMS
 from torch_radbp.boundary.terms.shadows import shadows_left_out
 from torch_radbp.boundary.warning.caustics import Caustic, caustic_of
+from torch_radbp.boundary.warning.edges_in_media import left_out_in_media
 from torch_radbp.boundary.warning.inward import inward_faces
 from torch_radbp.boundary.warning.left_out import lines_left_out, silhouettes_left_out
 from torch_radbp.boundary.warning.panes_met import panes_met
@@ -60,7 +61,7 @@ class JumpWatch:
 
     def __init__(self) -> None:
         # Those that have not warned yet.
-        self.looks = [self.silhouettes_in_view, self.lines_in_view, self.shadows_in_view, self.edges_in_a_medium,
+        self.looks = [self.silhouettes_in_view, self.lines_in_view, self.shadows_in_view, self.edges_in_media,
                       self.jumps_of_a_bsdf, self.edges_slid_over, self.edges_far_off]
         self.said: dict[str, Warning] = {}  # by their messages
         # Looks at the image that are due: one at the first rendering is enough.
@@ -68,6 +69,7 @@ class JumpWatch:
         self.caustic: Caustic | None = None  # as of the first rendering
         self.viewed: set[int] = set()  # ids of the sensors whose rays have been looked at
         self.looked_at: set[str | tuple] = set()  # the moving parameters for which shadows of some kinds have been searched
+        self.in_media: set[frozenset[str]] = set()  # sets of them for which edges in media have been looked at
         self.placed: set[str] = set()  # those of which it is known how far from the origin they move things
 
     def look(self, rendering: Rendering) -> None:
@@ -81,8 +83,8 @@ class JumpWatch:
         if not sensors <= self.viewed:
             self.say(views_without_rays(rendering, self.viewed))
             self.viewed |= sensors
-        segments = rendering.call.scene.layout.traces_segments  # through media, where terms have edges in view alone
-        for look in [self.edges_in_a_medium] if segments else self.looks:
+        segments = rendering.call.scene.layout.traces_segments  # through media, where all are looked at together
+        for look in [self.edges_in_media] if segments else self.looks:
             warning = look(rendering)
             if warning is not None:
                 self.looks = [other for other in self.looks if other != look]  # not in place: other threads look too
@@ -125,18 +127,21 @@ class JumpWatch:
         return SilhouetteWarning(f"derivatives with respect to {listed(found)} lack the contribution of "
                                  f"{' and '.join(dict.fromkeys(found.values()))}: some move in view. {instead}")
 
-    def edges_in_a_medium(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """The warning about edges that a medium which scatters sees, where anything moves, or None: no term has them. Where
-        rays pass boundaries, nor has any those that surfaces see, or shadows."""
-        names, layout = moving_names(rendering), rendering.call.scene.layout
-        if not names or not (layout.traces_segments or (layout.scattering_media and rendering.max_depth > 1)):
+    def edges_in_media(self, rendering: Rendering) -> SilhouetteWarning | None:
+        """The warning about edges and shadows in media that no term has, where anything moves, or None.
+
+        They are looked for once for each set of parameters.
+        """
+        names = frozenset(moving_names(rendering))
+        if not names or names in self.in_media:
             return None
-        edges = "edges that the camera does not see itself, and shadows," if rendering.primary else "edges and shadows"
-        lack = (f"what {edges} contribute, since rays pass surfaces on ways through media, or these vary or emit"
-                if layout.traces_segments else "what edges and shadows contribute to the light that the medium scatters")
-        return SilhouetteWarning(f"derivatives with respect to {listed(sorted(names))} lack {lack}: check_gradient measures "
-                                 "how much that is. Those by extinction, albedo and phase function, by colours and by "
-                                 "lamps' powers lack nothing")
+        self.in_media.add(names)
+        found = left_out_in_media(rendering)
+        if not found:
+            return None
+        return SilhouetteWarning(f"derivatives with respect to {listed(sorted(names))} lack what these contribute, since "
+                                 f"light passes media: {'; '.join(found)}. check_gradient measures how much that is. Those "
+                                 "by extinction, albedo and phase function, by colours and by lamps' powers lack nothing")
 
     def shadows_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about shadow borders that move with a light, an occluder, a receiver or the camera, or None.

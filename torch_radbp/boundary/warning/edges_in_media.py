@@ -1,0 +1,31 @@
+"""What edges and shadows contribute in media that no boundary term has."""
+
+from __future__ import annotations
+
+from torch_radbp.boundary.curve.outline import outlines_of
+from torch_radbp.boundary.curve.rendering import Rendering
+from torch_radbp.boundary.terms.reflections import follows_mirrors
+from torch_radbp.boundary.terms.shadow_term import glues
+
+
+def left_out_in_media(rendering: Rendering) -> list[str]:
+    """What derivatives lack where something moves, in words; nothing if there are no media that scatter, nor boundaries of
+    media that rays pass."""
+    call, layout = rendering.call, rendering.call.scene.layout
+    later, segments = rendering.max_depth > 1, layout.traces_segments
+    if not segments and not (layout.scattering_media and later):
+        return []
+    found = ["edges in view"] if segments and not rendering.primary else []
+    if later and not (rendering.shadows and glues(call)):
+        return [*found, "edges that surfaces and media see, and shadows"]
+    if later and call.integrand.settings.nee and any(kind.delta for kind in layout.lights):
+        found.append("shadows of lights without extent" if segments else "shadows of lights without extent in the medium")
+    if segments and follows_mirrors(call):
+        found.append("edges that are seen in ideal mirrors and glass")
+    if segments and layout.panes:
+        found.append("edges of what light passes straight, such as panes and masks")
+    if segments and later and outlines_of(rendering.scene).crossing(rendering, 0) is not None:
+        found.append("curves along which surfaces pass through each other, as surfaces and media see them")
+    if layout.scattering_media and rendering.light_paths == "all":
+        found.append("edges that light of paths from lamps passes")
+    return found
