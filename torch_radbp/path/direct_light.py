@@ -102,10 +102,12 @@ def scattered(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3,
 
 
 @stage("scene", "arrival", "d")
-def scattered_by_medium(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3, medium: int) -> Vec3:
+def scattered_by_medium(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3, texture_values: tuple[()],
+                        medium: int) -> Vec3:
     """The same where flights end in a medium: scattering times the phase function.
 
     Args:
+        texture_values: none.
         medium: the number of the medium; the rest as for `scattered`.
     """
     arrival, d = rows((arrival, d), lanes)
@@ -114,7 +116,48 @@ def scattered_by_medium(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d:
     return scattered_at_end(scene, arrival, medium, t) * phase
 
 
-def light_sent_back(integrand: Integrand, state: PathState, hit: Hit, draw: LightDraw) -> Vec3:
+@stage("scene", "arrival", "draw")
+def direct_light_in_medium(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: LightDraw,
+                           texture_values: tuple[TextureValue, ...], medium: int) -> Vec3:
+    """The same where flights end in a medium; of scenes without boundaries that rays pass with what the medium lets through
+    on the way to the light.
+
+    Args:
+        medium: the number of the medium; the rest as for `direct_light`.
+    """
+    arrival, draw = rows((arrival, draw), lanes)
+    ray, t, kind, table = arrival.state.ray, arrival.flight.t, scene.layout.media[medium], scene.media[medium]
+    p = point_along(ray, t)
+    light = sample_light(scene, scene, p, draw.numbers, draw.picked, texture_values)
+    phase, _ = phase_to(kind, table, table, p, -ray.d, light.d)
+    there = (light.pdf > 0).to(light.pdf.dtype) / torch.where(light.pdf > 0, light.pdf, 1.0)
+    Ld = scattered_at_end(scene, arrival, medium, t) * phase * light.radiance * there
+    return attenuated(Ld, transmittance_to_light(scene, p, light))
+
+
+def places_in_medium(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: LightDraw) -> tuple[Place, ...]:
+    """The points at which `direct_light_in_medium`'s network textures are evaluated; args as there."""
+    arrival, draw = rows((arrival, draw), lanes)
+    if not scene.layout.lit:
+        return ()
+    p = point_along(arrival.state.ray, arrival.flight.t)
+    return sample_places(scene, light_aims(scene, scene, p, draw.numbers, draw.picked))
+
+
+class Asked(NamedTuple):
+    """What is asked of all vertices: a stage for those on surfaces, and one for the ends of flights in media."""
+
+    of_surface: Callable
+    places: Callable  # the points at which its network textures are evaluated
+    of_medium: Callable
+    places_in_medium: Callable
+
+
+SENT_BACK = Asked(direct_light, direct_light_places, direct_light_in_medium, places_in_medium)
+SCATTERED = Asked(scattered, scattered_places, scattered_by_medium, lambda *_: ())
+
+
+def light_sent_back(integrand: Integrand, state: PathState, hit: Hit, draw: LightDraw, flight: Flight | None = None) -> Vec3:
     """`direct_light` for all rays, each appearance by its own functions; 0 where nothing scatters.
 
     Args:
@@ -122,24 +165,26 @@ def light_sent_back(integrand: Integrand, state: PathState, hit: Hit, draw: Ligh
         state: of the rays, (N,).
         hit: what they meet.
         draw: the light samples.
+        flight: by which they come to `hit` through media; where it ends before the light is that of
+            `direct_light_in_medium`. None: straight, whatever media leave of the light.
     """
-    return of_surfaces(integrand, direct_light, Arrival(state, hit, None), draw, direct_light_places,
+    return of_vertices(integrand, SENT_BACK, Arrival(state, hit, None, flight=flight), draw,
                        Settings(sampling=integrand.settings.sampling))
 
 
 def scattered_light(integrand: Integrand, state: PathState, hit: Hit, d: Vec3, flight: Flight | None) -> Vec3:
     """`scattered` for all rays, as `light_sent_back`, and `scattered_by_medium` where their flights end before."""
-    return of_surfaces(integrand, scattered, Arrival(state, hit, None, flight=flight), d, scattered_places)
+    return of_vertices(integrand, SCATTERED, Arrival(state, hit, None, flight=flight), d)
 
 
-def of_surfaces(integrand: Integrand, stage: Callable, arrival: Arrival, asked, places_of: Callable, *more) -> Vec3:
-    """Runs a stage for all rays, (N,), each appearance by its own functions; 0 where nothing scatters.
+def of_vertices(integrand: Integrand, asked_of: Asked, arrival: Arrival, asked, *more) -> Vec3:
+    """Runs a stage for all rays, (N,), each event by its own functions; 0 where nothing scatters.
 
     Args:
+        asked_of: the stage.
         arrival: the rays and what they meet, sides aside.
         asked: of all N.
-        places_of: the points at which its network textures are evaluated.
-        more: its other arguments.
+        more: the other arguments on surfaces.
     """
     state, hit, _, _, flight = arrival
     front, order, queues = queued(integrand, state.ray, hit, False, flight=flight)
@@ -148,12 +193,11 @@ def of_surfaces(integrand: Integrand, stage: Callable, arrival: Arrival, asked, 
         if not queue.event.scatters:
             continue
         lanes, part = order[queue.first:queue.last], integrand.part(queue.event)
-        if isinstance(queue.event, FlightEnd):
-            put_rows(found, lanes, part.call(scattered_by_medium, arrival, lanes, asked, queue.event.medium))
-            continue
-        scatterer, places = integrand.scatterer(queue.event), ()
-        if part.proposal.layout.lit or scatterer.outside:
+        scatterer, places, inside = integrand.scatterer(queue.event), (), isinstance(queue.event, FlightEnd)
+        of_event = (queue.event.medium,) if inside else more
+        stage, places_of = asked_of[2:] if inside else asked_of[:2]
+        if part.proposal.layout.lit or scatterer is not None and scatterer.outside:
             places = places_of(part.proposal, arrival, lanes, asked)
         values = texture_values_at(integrand.proposal, scatterer, places)
-        put_rows(found, lanes, part.call(stage, arrival, lanes, asked, values, *more))
+        put_rows(found, lanes, part.call(stage, arrival, lanes, asked, values, *of_event))
     return found

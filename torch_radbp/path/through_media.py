@@ -29,6 +29,7 @@ from torch_radbp.path.shadow_passage import next_shadow_segment, shadow_ahead, s
 from torch_radbp.path.state import BoundaryCrossing, Flight, PathState, ShadowWay
 from torch_radbp.path.volume_emission import emission_begun, emission_on_segment
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.sampling.sampler import LaneKey
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import mapped
@@ -123,12 +124,26 @@ class BoundaryCrossings:
 
 def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[Tensor, ShadowWay | None]:
     """Which shadow rays are free, (N,) bool, and their ways through media; None: rays are not followed."""
+    return free_ways(integrand, vertex.shadow, vertex.shadow_distance, vertex.shadow_medium, vertex.next.key, depth)
+
+
+def free_ways(integrand: Integrand, shadow: Ray, distance: Tensor, medium: Tensor | None, key: LaneKey,
+              depth: int) -> tuple[Tensor, ShadowWay | None]:
+    """Which straight ways are free, (N,) bool, and what they are through media; None: rays are not followed.
+
+    Args:
+        integrand: the scene.
+        shadow, distance: (N,) the ways; distance 0: there is none.
+        medium: (N,) int32, numbers of the media in which they begin; None: rays are not followed.
+        key: (N,) of random numbers, of the paths.
+        depth: of the bounce.
+    """
     layout = integrand.proposal.layout
     if not layout.traces_segments:
-        return inverted(integrand.caster.occluded(vertex.shadow, vertex.shadow_distance)), None
-    part, shadow, distance = integrand.part(Ends.SURROUNDINGS), detached(vertex.shadow), vertex.shadow_distance
-    pick, crossings = integrand.stages(rows), BoundaryCrossings(integrand, vertex.shadow_medium)
-    passed, begins = part.call(shadow_begun, shadow, distance, vertex.shadow_medium, vertex.next.key, integrand.at(depth))
+        return inverted(integrand.caster.occluded(shadow, distance)), None
+    part, shadow = integrand.part(Ends.SURROUNDINGS), detached(shadow)
+    pick, crossings = integrand.stages(rows), BoundaryCrossings(integrand, medium)
+    passed, begins = part.call(shadow_begun, shadow, distance, medium, key, integrand.at(depth))
     passed = apart(passed)
 
     def next_passed(lanes: Tensor) -> Tensor:

@@ -119,8 +119,9 @@ def flown_past_edges(call: RenderCall, integrand: Integrand, points: Viewpoints,
 
 
 @stage("scene", "ray", "p")
-def leaving_towards(scene: SceneTensors, ray: Ray, hit: Hit, flight: Flight, p: Vec3) -> tuple[Ray, Tensor]:
-    """Rays from the vertices of paths to points p in the world, and the numbers of the media in which they begin, (N,) each.
+def leaving_towards(scene: SceneTensors, ray: Ray, hit: Hit, flight: Flight, p: Vec3) -> tuple[Ray, Tensor | None]:
+    """Rays from the vertices of paths to points p in the world, and the numbers of the media in which they begin, (N,) each;
+    None: rays are not followed through media.
 
     Args:
         scene: any part of it, detached.
@@ -130,5 +131,8 @@ def leaving_towards(scene: SceneTensors, ray: Ray, hit: Hit, flight: Flight, p: 
     inside = point_along(ray, torch.where(ends, flight.t, 0.0))
     d = p - where(ends, inside, si.p)
     o = where(ends, inside, si.offset(d))
+    leaving = Ray(o, normalize(p - o))
+    if flight.medium is None:
+        return leaving, None
     beyond = medium_beyond(scene, si.prim, dot(si.n, d), flight.medium)
-    return Ray(o, normalize(p - o)), torch.where(ends, flight.medium, beyond)
+    return leaving, torch.where(ends, flight.medium, beyond)

@@ -298,14 +298,26 @@ def vertex_at(call: RenderCall, geometry: Geometry, number: int, points: Viewpoi
 
 
 def flown_to(call: RenderCall, points: Viewpoints, ray: Ray) -> Vec3:
-    """Where flights end in media, (M,) world, attached: they keep their share of the way from the last boundary to the
-    surface ahead. Of those alone that do; args as for `vertex_on`, which serves the others."""
-    here, boundary, layout = points.in_medium, points.boundary, call.scene.layout
-    flight = points.flight._replace(t=torch.where(here, points.flight.t, 0.0))
+    """Where flights end in media, (M,) world, attached. Of those alone that do; args as for `vertex_on`, which serves the
+    others."""
+    flight, boundary = points.flight._replace(t=torch.where(points.in_medium, points.flight.t, 0.0)), points.boundary
     if boundary is not None:
         flight = flight._replace(crossings=(BoundaryCrossing(boundary, flight.medium, flight.medium),))
-    arrival, t = Arrival(path_of(call, ray, points.key), points.hit, None, flight=flight), flight.t
-    for medium in layout.scattering_media:
+    return flown_along(call, ray, points.key, points.hit, flight)
+
+
+def flown_along(call: RenderCall, ray: Ray, key: LaneKey, hit: Hit, flight: Flight) -> Vec3:
+    """Where flights end in media, (N,) world, float64, attached: they keep their share of the way from the last boundary to
+    the surface ahead.
+
+    Args:
+        call: attached.
+        ray, key: (N,) of the flights, attached.
+        hit: (N,) the surfaces ahead.
+        flight: (N,) all of which end before.
+    """
+    arrival, t = Arrival(path_of(call, ray, key), hit, None, flight=flight), flight.t
+    for medium in call.scene.layout.scattering_media:
         found, _ = FlightVertex(medium).distance_flown(call.scene, arrival, Settings(moving=True))
         t = found if flight.medium is None else torch.where(flight.medium == medium, found, t)
     o, d = (part.map(torch.Tensor.double) for part in ray)

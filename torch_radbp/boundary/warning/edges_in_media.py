@@ -19,7 +19,7 @@ def left_out_in_media(rendering: Rendering) -> list[str]:
     if later and not (rendering.shadows and glues(call)):
         return [*found, "edges that surfaces and media see, and shadows"]
     if later and call.integrand.settings.nee and any(kind.delta for kind in layout.lights):
-        found.append("shadows of lights without extent" if segments else "shadows of lights without extent in the medium")
+        found += ["shadows that lights without extent cast on surfaces"] if segments else []
     if segments and follows_mirrors(call):
         found.append("edges that are seen in ideal mirrors and glass")
     if segments and layout.panes:
