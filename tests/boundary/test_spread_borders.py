@@ -9,7 +9,8 @@ import torch_radbp as rb
 from tests.scenes import load, rectangle, sensor
 from tests.scenes.crossings import GREY
 from torch_radbp.boundary.curve.geometry import geometry_of
-from torch_radbp.boundary.eye.seen_edges import Passed, corners_of, crossed_at, onto_surfaces, point_of_edge
+from torch_radbp.boundary.eye.lit_behind import lit_surfaces
+from torch_radbp.boundary.eye.seen_edges import Passed, corners_of, crossed_at, point_of_edge
 from torch_radbp.boundary.terms import bounced
 from torch_radbp.boundary.terms.spread_borders import planes_met, spread_borders
 from torch_radbp.io.values.transform import rotate, scale, translate
@@ -107,4 +108,4 @@ def test_moved_places_lie_on_their_edges_beside_which_rays_pass(spread):
     assert torch.equal(p.stack(), moved.p.stack()) and ((moved.along >= 0) & (moved.along <= 1)).all()
     off = moved.onwards.o - p
     assert dot(off, off).max() < 1e-8
-    assert len(onto_surfaces(call.integrand, moved)[0].edge) > 100
+    assert len(lit_surfaces(call, outline, moved)[0]) > 100

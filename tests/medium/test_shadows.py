@@ -38,9 +38,13 @@ class Case(NamedTuple):
 
 
 def lamp_of(kind: str) -> dict[str, Any]:
-    """A panel above, or one that is before the camera."""
+    """A light from above, or all around."""
     if kind == "sky":
         return {"type": "constant", "radiance": rgb(0.6, 0.8, 1.0)}
+    if kind == "bulb":
+        return {"type": "point", "position": [0.1, 0.95, 0.0], "intensity": rgb(3, 3, 3)}
+    if kind == "sun":
+        return {"type": "directional", "direction": [0.3, -1.0, -0.2], "irradiance": rgb(3, 3, 3)}
     pose = torch.tensor([[0.4, 0, 0, 0.1], [0, 0, -1.0, 0.95], [0, 0.4, 0, 0], [0, 0, 0, 1]])
     return {"type": "rectangle", "to_world": pose, "bsdf": BLACK, "emitter": {"type": "area", "radiance": rgb(6, 5, 4)}}
 
@@ -85,10 +89,13 @@ def difference(render: Callable[[int], Tensor], pose: Tensor, seed: int) -> Tens
 
 @pytest.mark.parametrize("case", [
     Case("fog", "around", "panel", False, 2), Case("fog", "cube", "panel", False, 2, spp=768),
+    Case("fog", "around", "bulb", False, 2), Case("smoke", "cube", "sun", True, 2),
     *(pytest.param(case, marks=DEEP) for case in [
         Case("smoke", "cube", "panel", False, 2, spp=4096), Case("dye", "cube", "panel", True, 2, spp=1024),
         Case("clear", "cube", "panel", True, 2, spp=1024), Case("haze", "around", "panel", True, 4, spp=2048),
         Case("haze", "cube", "panel", True, 4, spp=2048), Case("fog", "cube", "sky", True, 3, spp=2048),
+        Case("dye", "cube", "bulb", True, 3, spp=2048), Case("fog", "around", "bulb", False, 3, spp=1024),
+        Case("haze", "cube", "bulb", True, 3, spp=4096), Case("smoke", "cube", "sun", False, 4, spp=2048),
         Case("fog", "cube", "panel", False, 3, "lamp"), Case("fog", "cube", "panel", False, 3, "camera"),
         Case("smoke", "cube", "panel", True, 3, "camera")])], ids=str)
 def test_shadows_in_media_have_the_derivatives_of_differences(case):

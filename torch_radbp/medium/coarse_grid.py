@@ -49,12 +49,12 @@ def bounds_of(volume: VolumeFunction) -> tuple[Tensor, Tensor, Tensor]:
         largest, least = volume.extremes()
         return largest.reshape(1, 1, 1), least.reshape(1, 1, 1), to_unit
     # Those of the cells between whose centres points of a coarse cell are, a half and the nudge beyond its borders.
-    bound, least = pooled(cells).amax(0), -pooled(-cells).amax(0)
+    bound, least = largest_nearby(cells).amax(0), -largest_nearby(-cells).amax(0)
     scale = torch.tensor([count / (COARSER * of) for count, of in zip(cells.shape[1:], bound.shape)]).flip(0)
     return bound, least, to_unit * scale.to(to_unit)[:, None]
 
 
-def pooled(cells: Tensor) -> Tensor:
+def largest_nearby(cells: Tensor) -> Tensor:
     """The largest values of (C, Z, Y, X) cells in and beside each coarse cell."""
     return max_pool3d(cells[:, None], COARSER + 2, stride=COARSER, padding=1, ceil_mode=True)[:, 0]
 

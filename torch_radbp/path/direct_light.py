@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.connection.light import light_aims, sample_light, sample_places
-from torch_radbp.connection.media import attenuated, transmittance, transmittance_to_light
+from torch_radbp.connection.media import attenuated, transmittance_to_light
 from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.event import FlightEnd
 from torch_radbp.path.flight import phase_to, point_along, scattered_at_end
@@ -58,7 +58,7 @@ def direct_light(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: Lig
     arrival, draw = rows((arrival, draw), lanes)
     si = surface_met(scene, arrival, Settings())
     of_material, _, of_sampled = shares_of(scene, texture_values)
-    material, through = material_at(scene, si, of_material), transmittance(scene, arrival.state.ray, si.t)
+    material, through = material_at(scene, si, of_material), way_through(scene, arrival, si.t)
     light = sample_light(scene, scene, si.p, draw.numbers, draw.picked, of_sampled)
     if sampling_at(material.kind, settings.sampling) == "attached":
         _, Ld = connected_to_light(scene, si.p, si.valid, partial(scattered_to, material, si), light, "attached")

@@ -41,7 +41,8 @@ from torch_radbp.tensors.differentiated import settled
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, both, max_component
 from torch_radbp.vertex.cone import Cone, cone_beyond
 from torch_radbp.vertex.interaction import corner_rows, is_met
-from torch_radbp.vertex.outgoing_ray import glued_direction
+from torch_radbp.vertex.nearby import Floor
+from torch_radbp.vertex.outgoing_ray import glued_direction, slide_of
 
 
 class FlightPlace(NamedTuple):
@@ -146,11 +147,12 @@ class FlightVertex(VertexKind):
         kind, table, p, _, wi, wo = terms.place
         if sampling == "attached":
             return terms.weight, Ray(p, wo)
-        # The direction follows the point of the surface that the ray would meet, as from a surface.
+        # The direction follows the point of the surface that the ray would meet, as from a surface; close to it less so.
         if there is None:
             there = at_corners(scene.triangles.vertices.p, corner_rows(scene, following))
         there = points_in_world(scene, following, there)
-        d, change = glued_direction(there, p, wo, following, is_met(scene, following))
+        slide = slide_of(scene, floor_in_medium(scene, p), there, wo, following)
+        d, change = glued_direction(there, p, wo, following, is_met(scene, following), slide)
         phase, _ = kind.phase(table, p, wi, d)
         fixed, _ = kind.phase(table, p, wi, wo)
         return terms.weight * (change * (1.0 + (phase - fixed) / fixed.detach())), Ray(p, d)
@@ -162,6 +164,12 @@ class FlightVertex(VertexKind):
 def point_along(ray: Ray, t: Tensor) -> Vec3:
     """The points at distances along rays."""
     return ray.o + ray.d * t
+
+
+def floor_in_medium(scene: SceneTensors, p: Vec3) -> Floor | None:
+    """No surface at vertices p in a medium, for `slide_of`."""
+    none = torch.zeros_like(p.x)
+    return None if scene.triangles.plain is None else Floor(p.map(settled), Vec3(none, none, none), none > 0, none)
 
 
 def scattered_at_end(scene: SceneTensors, arrival: Arrival, medium: int, t: Tensor) -> Vec3:

@@ -59,7 +59,9 @@ def attached_outgoing_ray(scene: SceneTensors, material: Material, si: SurfaceIn
         there = at_corners(scene.triangles.vertices.p, corner_rows(scene, following))
     there = points_in_world(scene, following, there)
     glued = chance & (sample.pdf > 0) & is_met(scene, following)
-    d, change = glued_direction(there, o, fixed, following, glued, slide_of(scene, si, there, fixed, following))
+    floor = None if scene.triangles.plain is None else Floor(
+        si.p.detach(), si.n.detach(), lookup(scene.triangles.plain, si.prim), si.clearance)
+    d, change = glued_direction(there, o, fixed, following, glued, slide_of(scene, floor, there, fixed, following))
     specular = ray if sampling == "hybrid" else Ray(o, fixed)
     if not material.kind.smooth:
         return sample.weight, specular
@@ -71,13 +73,13 @@ def attached_outgoing_ray(scene: SceneTensors, material: Material, si: SurfaceIn
     return where(chance, weight, sample.weight), Ray(where(chance, o, specular.o), where(chance, d, specular.d))
 
 
-def slide_of(scene: SceneTensors, si: SurfaceInteraction, there: Corners, d: Vec3, following) -> Slide | None:
-    """How much next vertices slide over their triangles; None: none does. Args as for the two functions here."""
-    plain = scene.triangles.plain
-    if plain is None:
+def slide_of(scene: SceneTensors, floor: Floor | None, there: Corners, d: Vec3, following) -> Slide | None:
+    """How much next vertices slide over their triangles; None: none does. `floor`: of this vertex, None where all materials
+    are none that points slide over; the other args as for the two functions here."""
+    if floor is None:
         return None
-    near = Nearby(there, following.u, following.v, d, following.t, lookup(plain, following.prim.clamp_min(0)))
-    return slide_at(near, Floor(si.p.detach(), si.n.detach(), lookup(plain, si.prim), si.clearance))
+    plain = lookup(scene.triangles.plain, following.prim.clamp_min(0))
+    return slide_at(Nearby(there, following.u, following.v, d, following.t, plain), floor)
 
 
 def glued_direction(there: Corners, o: Vec3, d: Vec3, hit, glued: Tensor, slide: Slide | None = None) -> tuple[Vec3, Tensor]:

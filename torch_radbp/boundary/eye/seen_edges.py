@@ -234,12 +234,6 @@ def uniform_numbers(key: SampleKey, lane: Tensor, counter: Tensor | int, dtype: 
     return uniform(bounce_key(LaneKey(hash32(lane + key.seed), torch.zeros_like(lane)), counter), 0, dtype)
 
 
-def onto_surfaces(integrand: Integrand, passed: Passed) -> tuple[Passed, Hit]:
-    """Selects samples with a surface right beyond the edge, with the hits; edges may be hidden from the viewpoints."""
-    hit = integrand.caster.intersect(passed.onwards)
-    return rows((passed, hit), (hit.prim >= 0).nonzero().squeeze(1))
-
-
 def unhidden(integrand: Integrand, passed: Passed) -> Tensor:
     """The indices of samples on edges that nothing hides from the viewpoints, (K,) int64."""
     return (~integrand.caster.occluded(passed.back, passed.distance)).nonzero().squeeze(1)

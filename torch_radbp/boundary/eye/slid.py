@@ -46,8 +46,8 @@ def what_slides(call: RenderCall, number: int, geometry: Geometry, points: Viewp
     """
     if geometry.triangles.plain is None:
         return torch.zeros_like(points.hit.prim[:0], dtype=torch.int64), place.map(lambda c: c[:0])
-    share, d = share_of_slide(geometry_of(detached(call.scene)), points.hit, start, met, place)
-    near = ((share > 0.0) & ~points.in_medium).nonzero().squeeze(1)
+    share, d = share_of_slide(geometry_of(detached(call.scene)), points.standing, start, met, place)
+    near = (share > 0.0).nonzero().squeeze(1)
     points, met, share, d = rows((points, met, share, d), near)
     fixed = crossed_at(corners_of(geometry, met), Ray(vertex_at(call, geometry, number, points), d))
     return near, fixed.map(lambda way: share * (way - primal(way)))
@@ -57,7 +57,7 @@ def share_of_slide(geometry: Geometry, standing: Hit, start: Vec3, met: Hit, pla
     """The share of sliding of points, (N,), and the unit directions in which they are seen; all detached.
 
     Args:
-        standing: the triangles of the vertices, which lie at `start`.
+        standing: the triangles of the vertices, which lie at `start`; -1: they are in a medium.
         met, place: the triangles of the points, and where on them these are.
     """
     corners, own = corners_of(geometry, met), corners_of(geometry, standing)

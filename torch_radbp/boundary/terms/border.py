@@ -34,6 +34,7 @@ from torch_radbp.boundary.curve.silhouette import crosses_view
 from torch_radbp.boundary.eye.edges_tried import edges_tried, eyes_for_each
 from torch_radbp.boundary.eye.eyes import Eyes
 from torch_radbp.boundary.eye.light_points import light_eyes, light_line, light_points
+from torch_radbp.boundary.eye.lit_behind import light_sent_past, lit_surfaces, sees_receivers
 from torch_radbp.boundary.eye.lit_sides import motion_of_surface
 from torch_radbp.boundary.eye.seen_edges import (
     BESIDE,
@@ -43,14 +44,12 @@ from torch_radbp.boundary.eye.seen_edges import (
     corners_of,
     course_of,
     crossed_at,
-    onto_surfaces,
     places_on,
     places_seen,
     point_of_edge,
     salted,
-    unhidden,
 )
-from torch_radbp.boundary.eye.seen_on_film import aperture_of, camera_sample, into_shade, seen_at, sees
+from torch_radbp.boundary.eye.seen_on_film import aperture_of, camera_sample, into_shade, seen_at
 from torch_radbp.boundary.eye.viewpoints import path_of
 from torch_radbp.boundary.eye.ways_down import lot_of_found
 from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, films_have_area, shadow_term
@@ -84,10 +83,11 @@ class Lights(NamedTuple):
 
     @staticmethod
     def covered(call: RenderCall) -> Lights:
-        """The lights whose borders `DirectShadows` samples; along single rays, which see no borders, those of none, nor
-        through boundaries of media."""
-        if not films_have_area(call) or call.scene.layout.traces_segments:
+        """The lights whose borders `DirectShadows` samples; along single rays, which see no borders, those of none."""
+        if not films_have_area(call):
             return Lights(False, False, False)
+        if call.scene.layout.traces_segments:  # others are seen by all vertices alike
+            return Lights(call.integrand.settings.nee, False, False)
         emitters, lights, layout = call.module.emitters, call.scene.lights, call.scene.layout
         surfaces, around = (all(emitter.sampled_whole() for emitter in emitters if emitter.kind().surround == around)
                             for around in (False, True))
@@ -156,6 +156,8 @@ class DirectShadows(ShadowTerm):
         samples = most_samples(call)
         return TermSize(samples * LOOKS * GROUP * BYTES_OF_TRIED[not call.stages.is_compiled], samples, samples)
 
+    through_media = True
+
     def applies(self) -> bool:
         return films_have_area(self.call)
 
@@ -171,17 +173,17 @@ class DirectShadows(ShadowTerm):
         on_border, course = integrand.part(Ends.SURROUNDINGS).call(border_course, geometry, outline, camera, borders,
                                                                    inwards, times, aperture)
         counted = ((course.normal.x != 0.0) | (course.normal.y != 0.0)).nonzero().squeeze(1)
-        own, course, on_border, key = rows((BordersInView(borders, aperture), course, on_border, passed.key), counted)
-        sample = camera_sample(call, view, course.at, own.aperture, key)
-        shown = sees(integrand, sample.ray, own.borders.receiver, on_border).nonzero().squeeze(1)
-        own, course, on_border, key, sample = rows((own, course, on_border, key, sample), shown)
-        in_shade = camera_sample(call, view, into_shade(camera, course.at, course.aside), own.aperture, key)
-        shown = sees(integrand, in_shade.ray, own.borders.receiver, on_border).nonzero().squeeze(1)
+        own, course, on_border, passed = rows((BordersInView(borders, aperture), course, on_border, passed), counted)
+        sample = camera_sample(call, view, course.at, own.aperture, passed.key)
+        shown, flight = sees_receivers(integrand, started(call, sample), own.borders.receiver, on_border, 0)
+        own, course, on_border, passed, sample, flight = rows((own, course, on_border, passed, sample, flight), shown)
+        in_shade = camera_sample(call, view, into_shade(camera, course.at, course.aside), own.aperture, passed.key)
+        shown, _ = sees_receivers(integrand, started(call, in_shade), own.borders.receiver, on_border, 0)
         if not len(shown):
             return None
-        own, course, on_border, sample = rows((own, course, on_border, sample), shown)
+        own, course, on_border, sample, flight, passed = rows((own, course, on_border, sample, flight, passed), shown)
         hit = seen_at(own.borders.receiver, sample.ray, on_border)
-        light = light_sent_back(integrand, started(call, sample), hit, own.borders.draw)
+        light = light_sent_past(integrand, started(call, sample), hit, flight, own.borders.draw, passed, 0)
         light = light if sample.weight is None else light * sample.weight
         return cut_off(course.at, course, torch.stack(tuple(light)).double(), own)
 
@@ -286,8 +288,8 @@ def borders_of(call: RenderCall, number: int, casting: Casting, lights: Lights, 
     lit = lit_edges(call, number, casting, lights, share)
     if lit is None:
         return None
-    found = onto_surfaces(call.integrand, lit.passed)
-    passed, receiver = rows(found, unhidden(call.integrand, found[0]))
+    kept, receiver = lit_surfaces(call, casting.outline, lit.passed)
+    passed = rows(lit.passed, kept)
     return shadows_cast(geometry_of(call.scene), lit, passed, receiver) if len(passed.edge) else None
 
 

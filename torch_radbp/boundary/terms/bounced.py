@@ -22,7 +22,9 @@ from torch import Tensor
 from torch_radbp.boundary.curve.geometry import Geometry, geometry_of
 from torch_radbp.boundary.curve.outline import Outline
 from torch_radbp.boundary.eye.lines_through_edges import scattered_towards, solid_angle
-from torch_radbp.boundary.eye.seen_edges import BEFORE, Casting, corners_of, course_of, crossed_at, unhidden, uniform_numbers
+from torch_radbp.boundary.eye.lit_behind import light_sent_past, lit_surfaces, sees_receivers
+from torch_radbp.boundary.eye.past_edges import leaving_towards
+from torch_radbp.boundary.eye.seen_edges import BEFORE, Casting, Passed, corners_of, course_of, crossed_at, uniform_numbers
 from torch_radbp.boundary.eye.slid import less_what_slides
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, path_of, vertex_at, viewpoints
 from torch_radbp.boundary.terms.border import Borders, Lights, light_through, lit_edges, shadows_cast
@@ -30,9 +32,9 @@ from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, cut_off, 
 from torch_radbp.boundary.terms.spread_borders import spread_borders
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.direct_light import light_sent_back
+from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.sampling.sampler import LaneKey
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, interpolated, rows
 
@@ -53,6 +55,7 @@ class BouncedShadows(ShadowTerm):
     """Borders of lights without extent on surfaces that paths meet after the first, glued to them."""
 
     rank = 5
+    through_media = True
 
     def applies(self) -> bool:
         return glues(self.call) and sharp_lights_later(self.call)
@@ -62,12 +65,12 @@ class BouncedShadows(ShadowTerm):
         pairs = pairs_of(call, number, casting, False)
         if pairs is None:
             return None
-        points, start, borders, inwards, times, key = pairs
+        points, start, borders, inwards, times, passed = pairs
         scene, geometry, integrand = call.scene, geometry_of(call.scene), integrand_of(call, call.integrand, number)
         course = course_of(partial(on_receiver, scene, geometry, casting.outline, borders), times, inwards)
         here = course.at
         way = way_to(start, interpolated(corners_of(geometry, borders.receiver), here.x, here.y), scene.dtype)
-        light = light_sent_on(call, integrand, borders, way, key)
+        light = light_sent_on(call, integrand, points, borders, way, passed)
         beta = points.beta * scattered_towards(call, integrand, points, way.reach)
         light = light * torch.stack(tuple(beta)).double() * solid_angle(scene, borders.receiver, Ray(start, way.reach))
         return cut_off(points.place, course, light, ConnectedBorders(points, start, borders))
@@ -92,7 +95,7 @@ class ConnectedPlaces(NamedTuple):
     borders: Borders
     inwards: Vec3  # as of `CastShadows`
     times: Tensor  # weight: edges per light sample times paths that a pair stands for
-    key: LaneKey  # of random numbers
+    passed: Passed  # the edges
 
 
 def pairs_of(call: RenderCall, number: int, casting: Casting, following: bool) -> ConnectedPlaces | None:
@@ -115,14 +118,12 @@ def pairs_of(call: RenderCall, number: int, casting: Casting, following: bool) -
     connected = (pick * len(points.depth)).long()
     start = rows(vertex_at(call, geometry, number, points), connected)
     passed = spread_borders(call, casting.outline, lit, start, choice, turn)
-    receiver = call.integrand.caster.intersect(passed.onwards)
-    kept = (receiver.prim >= 0).nonzero().squeeze(1)
-    kept = kept[unhidden(call.integrand, rows(passed, kept))]
+    kept, receiver = lit_surfaces(call, casting.outline, passed)
     if not len(kept):
         return None
-    borders, passed, inwards, times = shadows_cast(geometry, lit, *rows((passed, receiver), kept))
+    borders, passed, inwards, times = shadows_cast(geometry, lit, rows(passed, kept), receiver)
     return ConnectedPlaces(rows(points, connected[kept]), rows(start, kept), borders, inwards, times * len(points.depth),
-                           passed.key)
+                           passed)
 
 
 class Way(NamedTuple):
@@ -145,15 +146,26 @@ def way_to(start: Vec3, x: Vec3, dtype: torch.dtype) -> Way:
     return Way(ray, reach, distance)
 
 
-def light_sent_on(call: RenderCall, integrand: Integrand, borders: Borders, way: Way, key: LaneKey) -> Tensor:
+def light_sent_on(call: RenderCall, integrand: Integrand, points: Viewpoints, borders: Borders, way: Way,
+                  passed: Passed) -> Tensor:
     """(3, N) float64 radiance that path vertices receive from unshadowed points at borders.
 
     Args:
+        points: the vertices.
         borders: that they are connected to.
         way: to these.
-        key: (N,) of random numbers.
+        passed: the edges that light passes on its way there.
     """
-    dtype = integrand.proposal.dtype
+    dtype, key = integrand.proposal.dtype, passed.key
+    if integrand.proposal.layout.traces_segments:
+        p = way.ray.o.map(torch.Tensor.double) + way.reach
+        part, depth = integrand.part(Ends.SURROUNDINGS), int(points.depth.max()) + 1
+        ray, medium = part.call(leaving_towards, points.ray, points.hit, points.flight, p.map(lambda c: c.to(dtype)))
+        state = path_of(call, ray, key)._replace(medium=medium)
+        shown, flight = sees_receivers(integrand, state, borders.receiver, p, depth)
+        found = light_sent_past(integrand, state, way.meets(borders), flight, borders.draw, passed, depth)
+        return torch.zeros(3, len(p.x), dtype=torch.float64, device=p.x.device).index_copy(
+            1, shown, torch.stack(tuple(found)).double()[:, shown])
     o = (way.ray.o.map(torch.Tensor.double) + way.reach * BEFORE).map(lambda c: c.to(dtype).contiguous())
     free = ~integrand.caster.occluded(Ray(o, way.ray.d), (way.distance * (1.0 - 2.0 * BEFORE)).to(dtype))
     light = light_sent_back(integrand, path_of(call, way.ray, key), way.meets(borders), borders.draw)

@@ -51,15 +51,15 @@ class FollowedShadows(ShadowTerm):
         pairs = pairs_of(call, number, casting, True)
         if pairs is None:
             return None
-        points, start, borders, inwards, times, key = pairs
+        points, start, borders, inwards, times, passed = pairs
         scene, geometry, integrand = call.scene, geometry_of(call.scene), integrand_of(call, call.integrand, number)
         way = way_to(start, border(scene, geometry, casting.outline, borders), scene.dtype)
         basis = Frame.of(normalize(way.reach))[:2]
         course = course_of(partial(_sight_of, scene, geometry, casting.outline, start, borders, basis), times, inwards)
         eager = integrand.with_stages(EAGER)
-        found = drawn(eager, path_of(call, points.ray, key), points.hit, way.ray.d)
+        found = drawn(eager, path_of(call, points.ray, passed.key), points.hit, way.ray.d)
         beta = points.beta * found.scattered * found.share
-        light = light_sent_on(call, integrand, borders, way, key) * torch.stack(tuple(beta)).double()
+        light = light_sent_on(call, integrand, points, borders, way, passed) * torch.stack(tuple(beta)).double()
         return cut_off(points.place, course, light, FollowedBorders(points, borders, basis, found.numbers))
 
     def seen(self, number: int, geometry: Geometry, found: CutOff) -> Vec2:

@@ -18,9 +18,9 @@ from torch import Tensor
 
 from torch_radbp.boundary.curve.rendering import MOVE_LIGHTS, Rendering, listed
 from torch_radbp.boundary.curve.term import TERMS
+from torch_radbp.boundary.terms.edges_in_media import left_out_in_media
 from torch_radbp.boundary.terms.shadows import shadows_left_out
 from torch_radbp.boundary.warning.caustics import Caustic, caustic_of
-from torch_radbp.boundary.warning.edges_in_media import left_out_in_media
 from torch_radbp.boundary.warning.inward import inward_faces
 from torch_radbp.boundary.warning.left_out import lines_left_out, silhouettes_left_out
 from torch_radbp.boundary.warning.panes_met import panes_met

@@ -26,11 +26,12 @@ from torch_radbp.boundary.eye.lines_through_edges import scattered_towards
 from torch_radbp.boundary.eye.past_edges import leaving_towards
 from torch_radbp.boundary.eye.seen_edges import Casting, corners_of, salted, uniform_numbers
 from torch_radbp.boundary.eye.seen_on_film import aperture_of, camera_sample
-from torch_radbp.boundary.eye.shadow_sheets import SampledSheets, SheetPoints, sampled_sheets
 from torch_radbp.boundary.eye.slid import what_slides
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, flown_along, path_of, vertex_at, viewpoints
 from torch_radbp.boundary.terms.border import Lights, lit_edges, samples_of, share_of
+from torch_radbp.boundary.terms.shadow_sheets import SampledSheets, SheetPoints, sampled_sheets
 from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, films_have_area, glues, shadow_term
+from torch_radbp.boundary.terms.spread_borders import spread_sheets
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.path.direct_light import light_sent_back
 from torch_radbp.path.event import Ends
@@ -146,9 +147,11 @@ def seen_by_vertices(call: RenderCall, number: int, casting: Casting) -> ShaftsI
         return None
     # Pair each place on an edge with a vertex.
     place = torch.arange(count, dtype=torch.int32, device=call.scene.device)
-    pick = uniform_numbers(salted(view, SALT), place, SALT, torch.float64)
+    pick, choice, turn = (uniform_numbers(salted(view, SALT), place, SALT + which, torch.float64) for which in range(3))
     own, paths = rows(points, (pick * len(points.depth)).long()), len(points.depth)
-    sheets = sampled_sheets(call, number, casting, lit, vertex_at(call, geometry_of(call.scene), number, own))
+    start = vertex_at(call, geometry_of(call.scene), number, own)
+    lit = lit._replace(passed=spread_sheets(call, casting.outline, lit, start, choice, turn))
+    sheets = sampled_sheets(call, number, casting, lit, start)
     if sheets is None:
         return None
     own = rows(own, sheets.number)

@@ -35,7 +35,7 @@ from torch_radbp.boundary.terms.border import LitEdges
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.path.direct_light import LightDraw
 from torch_radbp.scene.tables.scene_tensors import SceneTensors, extent_of
-from torch_radbp.tensors.vec import Ray, Vec3, cross, dot, rows
+from torch_radbp.tensors.vec import Frame, Ray, Vec3, cross, dot, normalize, rows
 
 ENDS = 0.02, 0.98  # shares of the way along an edge at which it is asked where its shadow falls
 
@@ -84,10 +84,26 @@ def spread_borders(call: RenderCall, outline: Outline, lit: LitEdges, start: Vec
         start: (N,) world, the vertices of paths that they are connected to.
         choice, turn: (N,) uniform numbers.
     """
-    geometry, passed = geometry_of(call.scene), lit.passed
+    planes = planes_met(call, geometry_of(call.scene), outline, lit)
+    return spread_on_planes(call, outline, lit, planes, start, (choice, turn))
+
+
+def spread_sheets(call: RenderCall, outline: Outline, lit: LitEdges, start: Vec3, choice: Tensor, turn: Tensor) -> Passed:
+    """The same towards those behind which light ends close to path vertices, wherever there: on planes through these, across
+    the light. Args as for `spread_borders`."""
+    frame = Frame.of(normalize(lit.passed.onwards.d.map(torch.Tensor.double)))
+    plane = (start, start + frame.s, start + frame.t), torch.ones_like(lit.passed.edge, dtype=torch.bool)
+    return spread_on_planes(call, outline, lit, [plane], start, (choice, turn))
+
+
+def spread_on_planes(call: RenderCall, outline: Outline, lit: LitEdges, planes: list[tuple[Corners, Tensor]], start: Vec3,
+                     numbers: tuple[Tensor, Tensor]) -> Passed:
+    """Moves samples along their edges by the shadows of these on planes, as of `planes_met`; `numbers`: `choice` and `turn`.
+    The other args as for `spread_borders`."""
+    geometry, passed, (choice, turn) = geometry_of(call.scene), lit.passed, numbers
     draw = rows(lit.draw, passed.eye)
     light = light_of_edges(call.scene, geometry, outline, passed, draw)
-    spans = [span_on(corners, exists, light, start) for corners, exists in planes_met(call, geometry, outline, lit)]
+    spans = [span_on(corners, exists, light, start) for corners, exists in planes]
     along, place = passed.along, torch.floor(choice * (1 + len(spans)))
     for number, span in enumerate(spans):
         along = torch.where((place == number + 1.0) & span.exists, span.along(turn), along)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch_radbp.boundary.curve.outline import outlines_of
 from torch_radbp.boundary.curve.rendering import Rendering
 from torch_radbp.boundary.terms.reflections import follows_mirrors
-from torch_radbp.boundary.terms.shadow_term import glues
+from torch_radbp.boundary.terms.shadow_term import follows, glues
 
 
 def left_out_in_media(rendering: Rendering) -> list[str]:
@@ -18,8 +18,8 @@ def left_out_in_media(rendering: Rendering) -> list[str]:
     found = ["edges in view"] if segments and not rendering.primary else []
     if later and not (rendering.shadows and glues(call)):
         return [*found, "edges that surfaces and media see, and shadows"]
-    if later and call.integrand.settings.nee and any(kind.delta for kind in layout.lights):
-        found += ["shadows that lights without extent cast on surfaces"] if segments else []
+    if segments and later and follows(call):
+        found.append("edges over which directions slide that carry derivatives, such as those of rough glass")
     if segments and follows_mirrors(call):
         found.append("edges that are seen in ideal mirrors and glass")
     if segments and layout.panes:

@@ -35,7 +35,7 @@ class SheetPoints(NamedTuple):
     share: Tensor  # (N,) float64, k
 
     def at(self, scene: SceneTensors, geometry: Geometry, outline: Outline, step: float = 0.0) -> Vec3:
-        """Where they are, (N,) world, attached; `step`: share of the edges' lengths by which others lie off, which are meant."""
+        """Where they are, (N,) world, attached; `step`: by which share of the edges' lengths others lie off, to be taken."""
         return point_of(self.line(scene, geometry, outline, step), self.share)
 
     def line(self, scene: SceneTensors, geometry: Geometry, outline: Outline, step: float = 0.0) -> Ray:
