@@ -15,10 +15,13 @@ from tests.deep import deep, deep_but
 from tests.gradients import cotangent, image_and_gradients, relative_error, unwarned_renderer
 from tests.jit.emulated import Emulated
 from tests.jit.interpreter import interpreted, needs_interpreter
+from tests.medium.test_boundaries import GLASS
+from tests.medium.test_emission import flame
+from tests.medium.test_panes import PANES
 from tests.rendering.host import exchanges
 from tests.rendering.on_gpu import render_on
 from tests.rendering.taped import SCENES, SETTINGS, rendered, singly
-from tests.scenes import CASES, cornell, load
+from tests.scenes import CASES, cornell, load, media, overhead, rectangle, rgb, smoke
 from tests.scenes.closed_box import closed_box
 from tests.scenes.mirrors import BALL, CUBE, MIRROR, SKY, VIEWED
 from tests.scenes.networks import room
@@ -107,6 +110,57 @@ def test_memory_is_planned_for_all_lanes_of_a_bounce(gpu, monkeypatch):
     assert shares() == [1.0] * SMALL["max_depth"]
     singly(monkeypatch)
     assert shares()[-1] < 1.0
+
+
+MEDIA = {"boundaries": (lambda: media.room(media.NULL), media), "glass": (lambda: media.room(GLASS), media),
+         "panes": (lambda: media.room(PANES["thin"]), media), "smoke": (lambda: smoke.room(smoke.varied(3)), smoke),
+         "flame": (lambda: smoke.room(flame(kind="heterogeneous")), smoke)}
+
+
+@pytest.mark.parametrize("settings", [{}, *map(deep, [{"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)},
+                                                      {"share_samples": True}, {"adjoint": rb.MemoizedAdjoint(2)}])], ids=str)
+@pytest.mark.parametrize("moving", [False, True], ids=["still", "moving"])
+@pytest.mark.parametrize("name", deep_but(["boundaries", "smoke"], MEDIA))
+def test_ways_through_media_have_the_bits_of_single_calls(name, moving, settings, gpu, monkeypatch):
+    """In sequences of launches, of which the host finds out in the end whether rays have passed all boundaries. Where these
+    move, sequences have room for more of them than single calls, in other functions: there digits differ by rounding."""
+    build, of = MEDIA[name]
+    names, before = [*of.NAMES, *(of.MOVING if moving else [])], gpu.launcher.sequences
+    image, gradients = rendered(build().to(torch.float32), names, **SMALL | settings)
+    assert gpu.launcher.sequences - before >= 3 * SMALL["max_depth"] - 1  # of the image, of the derivative, and back
+    singly(monkeypatch)
+    before = gpu.launcher.sequences
+    expected, others = rendered(build().to(torch.float32), names, **SMALL | settings)
+    assert gpu.launcher.sequences == before and expected.std() > 0 and torch.equal(image, expected)
+    assert gradients.keys() == others.keys() == set(names)
+    for each, other in others.items():
+        assert torch.isfinite(other).all() and other.abs().max() > 1e-4, each
+        assert relative_error(gradients[each], other) <= (1e-6 if moving else 0.0), each
+
+
+def test_boundaries_that_are_not_passed_in_time_are_passed_in_a_second_try(gpu, monkeypatch):
+    """A stack of slabs takes more repetitions than there are at first; then they are known."""
+    air = media.haze((0.1, 0.2, 0.3), (0.5, 0.5, 0.5))
+    slabs = {f"slab_{number}": media.slab(0.3 * (1 + number), 0.1, interior=air) for number in range(6)}
+    scene = load(torch.float32, camera=overhead(4, 4.0, 1.0), floor=rectangle((0, 0, 0), 3.0),
+                 bulb={"type": "point", "position": [0.0, 0.0, 3.0], "intensity": rgb(9, 8, 7)}, **slabs)
+    floor = scene.get_parameter("floor.bsdf.reflectance.value").requires_grad_()
+    renderer = unwarned_renderer(scene, **SMALL | {"max_depth": 2, "compile": True})
+
+    def both_passes() -> tuple[torch.Tensor, torch.Tensor, int, int]:
+        before = gpu.launcher.sequences
+        image = renderer(seed=1)
+        between = gpu.launcher.sequences
+        gradient, = torch.autograd.grad(image, floor, cotangent(image.detach()))
+        return image.detach(), gradient, between - before, gpu.launcher.sequences - between
+
+    first, again = both_passes(), both_passes()
+    assert renderer.repetitions.most == 15 and first[2] == 3 * again[2] and first[3] == again[3] > 0
+    singly(monkeypatch)
+    expected = both_passes()
+    assert expected[2:] == (0, 0) and expected[0].std() > 0 and expected[1].abs().min() > 1e-3
+    for found in (first, again):
+        assert torch.equal(found[0], expected[0]) and torch.equal(found[1], expected[1])
 
 
 def test_networks_are_asked_by_the_host_and_bounces_without_them_still_recorded(gpu, monkeypatch):

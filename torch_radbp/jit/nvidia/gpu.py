@@ -94,7 +94,7 @@ class Gpu(AnyDevice):
         launcher: of the device.
     """
 
-    counts_stay = loads_ahead = True
+    counts_stay = loads_ahead = repeats = True
 
     def __init__(self, launcher: Launcher):
         super().__init__()

@@ -39,6 +39,7 @@ class RecordedLaunches(RecordedResults):
         if any(isinstance(operation, Repeated) for operation in recording.operations):
             raise NotRecordable("the host decides whether something is repeated")
         super().__init__(recording, given, results)
+        self.left = recording.left
         self.gpu, self.device = gpu, recording.reserve.device
         self.of = DeviceRecording(gpu.kernel, recording.operations, recording.made, self.layout, len(given),
                                   1 + recording.given_counts)
