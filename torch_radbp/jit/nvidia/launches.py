@@ -8,13 +8,14 @@ of an address and a distance, and are computed together.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import torch
 
 from torch_radbp.jit.nvidia.nvptx import BLOCK
-from torch_radbp.jit.nvidia.nvptx_lanes import counts_text, move_text, put_text, scatter_text
+from torch_radbp.jit.nvidia.nvptx_lanes import copy_text, counts_text, move_text, put_text, scatter_text
 from torch_radbp.jit.nvidia.nvptx_order import GROUP, MOST_QUEUES, RUN, count_text, place_text, sum_text
 from torch_radbp.jit.recording.lane_operations import (
     Chosen,
@@ -100,6 +101,13 @@ class DeviceRecording(NamedTuple):
         return self.first_length + self.given
 
 
+def done_together(operation: Operation) -> tuple:
+    """The same for operations that one launch does if they follow each other."""
+    if isinstance(operation, Put):
+        return Put, operation.place, operation.lanes
+    return (Copy, operation.lanes) if isinstance(operation, Copy) else (type(operation),)
+
+
 class Launches:
     """The launches of a recording for so many lanes.
 
@@ -118,8 +126,12 @@ class Launches:
             *[Word(of.first_count + place, 0) for place in range(2 * of.known)]])
         write = {RecordedLoop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put,
                  Inverted: self.inverted, Copy: self.copy, Scattered: self.scattered}
-        for operation in of.operations:
-            write[type(operation)](operation)
+        for kind, run in itertools.groupby(of.operations, done_together):
+            if kind[0] in (Copy, Put):
+                write[kind[0]](list(run))
+            else:
+                for operation in run:
+                    write[type(operation)](operation)
         self.blocks = torch.tensor([word.block for word in self.words], dtype=torch.int64, device="cpu")
         self.distances = torch.tensor([word.distance for word in self.words], dtype=torch.int64, device="cpu")
 
@@ -233,24 +245,25 @@ class Launches:
         self.of_threads("place", (queues, flags, levels), place_text, runs, [
             read, total, self.of_span(order, lanes), self.literal(runs), self.counts(count), *sums])
 
-    def put(self, operation: Put) -> None:
-        place, lanes, pairs = operation
-        words = [self.of_span(place, lanes)]
-        for entry, target in pairs:
+    def put(self, run: Sequence[Put]) -> None:
+        place, lanes, _ = run[0]
+        words, case = [self.of_span(place, lanes)], []
+        for entry, target in itertools.chain.from_iterable(operation.pairs for operation in run):
             words += (self.of_span(entry, lanes), self.whole(target))
-        case = (OF_SIZE[pairs[0][0].size],) * len(pairs)
-        self.over(self.of.kernel("put", case, put_text), lanes, words)
-
-    def moved(self, name: str, size: int, source: MemoryPlace, target: MemoryPlace, lanes: LaneSpan) -> None:
-        self.over(self.of.kernel(name, (name, size), move_text), lanes, [
-            self.of_span(source, lanes), self.of_span(target, lanes)])
+            case.append(OF_SIZE[entry.size])
+        self.over(self.of.kernel("put", tuple(case), put_text), lanes, words)
 
     def inverted(self, operation: Inverted) -> None:
         flags, lanes, result = operation
-        self.moved("clear" if flags is None else "invert", 1, flags or result, result, lanes)
+        name = "clear" if flags is None else "invert"
+        self.over(self.of.kernel(name, (name,), move_text), lanes, [
+            self.of_span(flags or result, lanes), self.of_span(result, lanes)])
 
-    def copy(self, operation: Copy) -> None:
-        self.moved("copy", operation.target.size, operation.source, operation.target, operation.lanes)
+    def copy(self, run: Sequence[Copy]) -> None:
+        words = [word for source, target, lanes in run
+                 for word in (self.of_span(source, lanes), self.of_span(target, lanes))]
+        sizes = tuple(operation.target.size for operation in run)
+        self.over(self.of.kernel("copy", sizes, copy_text), run[0].lanes, words)
 
     def scattered(self, operation: Scattered) -> None:
         words, case = [], []
