@@ -14,7 +14,7 @@ from torch_radbp.path.texture_networks import Asking, Given, asked_outside, bank
 from torch_radbp.scene.tables.appearance import Appearance
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.vec import Vec2, Vec3
-from torch_radbp.texture.module_bank import ModuleBank
+from torch_radbp.texture.module_bank import ModuleBank, Sorted
 
 HELD = 1 << 17  # lanes that have reached a bounce, whose adjoints are held back at the most, but for one bounce
 
@@ -98,9 +98,9 @@ def moving_values_of(banks: Sequence[int], scene: SceneTensors, given: Given) ->
     return of_banks(banks, scene, given, channels_that_move)
 
 
-def channels_that_move(bank: ModuleBank, row: Tensor, at: Vec2 | Vec3) -> list[Tensor]:
+def channels_that_move(bank: ModuleBank, row: Tensor, at: Vec2 | Vec3, lanes: Sorted) -> list[Tensor]:
     """The values of a network's texture and their derivatives by its arguments, channel by channel, in one list."""
-    return [channel for values in bank.values_and_slopes(row, at) for channel in values]
+    return [channel for values in bank.values_and_slopes(row, at, lanes) for channel in values]
 
 
 def triples(channels: Sequence[Tensor]) -> list[Vec3]:

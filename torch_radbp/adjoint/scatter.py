@@ -138,7 +138,7 @@ def gradients_of(workers: Sequence[Gradients], repetitions: Repetitions | None =
     count = max(1, min(threads(), size // PIECE))  # a thread that is woken for less takes longer than the work
     together(lambda task: written.extend(starmap(take_over, until_none_is_left(left))), count)
     finite = [torch.isfinite(torch.cat(written)).all()] if written else []
-    return results, all(read_together(finite, repetitions))  # the host waits for the device once
+    return results, read_together(finite, repetitions)  # the host waits for the device once
 
 
 def take_over(rows: Tensor, totals: Sequence[Tensor], place: Tensor) -> Tensor:

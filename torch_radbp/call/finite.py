@@ -43,7 +43,7 @@ def all_finite(tensors: list[Tensor], repetitions: Repetitions | None = None) ->
     """
     # The extremes of a tensor are infinite or NaN if any value is, and are found in one pass over it.
     extremes = [torch.stack(tensor.detach().aminmax()).double() for tensor in tensors if tensor.numel()]
-    return all(read_together([torch.isfinite(torch.cat(extremes)).all()] if extremes else [], repetitions))
+    return read_together([torch.isfinite(torch.cat(extremes)).all()] if extremes else [], repetitions)
 
 
 def count_of_bad(tensor: Tensor) -> str:

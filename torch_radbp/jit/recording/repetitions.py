@@ -14,6 +14,8 @@ from typing import NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
+from torch_radbp.tensors.asked_later import Question, answered, asked_together
+
 Result = TypeVar("Result")
 
 
@@ -26,10 +28,7 @@ class Repetitions(NamedTuple):
 
     most: int
     left: list[Tensor]  # (1,) int64 each, of the lanes that went on after the last; added to
-
-    def none_is_left(self) -> Tensor | None:
-        """() bool on the device, whether none went on; None: nothing was repeated."""
-        return torch.cat(self.left).sum() == 0 if self.left else None
+    waiting: list[Question]  # that are asked when the host waits
 
 
 @dataclass
@@ -43,20 +42,22 @@ class LearntRepetitions:
         while True:
             most = self.most
             try:
-                return work(Repetitions(most, []))
+                with asked_together() as waiting:
+                    return work(Repetitions(most, [], waiting))
             except TooFewRepetitions:
                 self.most = max(self.most, 2 * most + 1)
 
 
-def read_together(flags: Sequence[Tensor], repetitions: Repetitions | None = None) -> list[bool]:
-    """Flags, () bool each on one device, which is waited for once; and whether what was repeated has come to its end.
+def read_together(flags: Sequence[Tensor], repetitions: Repetitions | None = None) -> bool:
+    """True if all flags, () each on one device, are; waits for the device once, for all that it is asked.
 
     Raises:
-        TooFewRepetitions: if it has not.
+        TooFewRepetitions: if what was repeated has not come to its end.
     """
-    finished = None if repetitions is None else repetitions.none_is_left()
-    found = [*flags, *([] if finished is None else [finished])]
-    answers = torch.stack(found).tolist() if len(found) > 1 else [bool(flag) for flag in found]
-    if finished is not None and not answers.pop():
+    if repetitions is None:
+        return all(answered([], flags))
+    left = [torch.cat(repetitions.left).sum()] if repetitions.left else []
+    *found, unfinished = answered(repetitions.waiting, [*flags, *left]) + ([] if left else [0.0])
+    if unfinished:
         raise TooFewRepetitions
-    return answers
+    return all(found)
