@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.interface.texture import Place, TextureValue
+from torch_radbp.jit.recording.lane_count import LaneCount
 from torch_radbp.path.texture_networks import Asking, Given, asked_outside, banks_asked, coordinates, module_banks, of_banks
 from torch_radbp.scene.tables.appearance import Appearance
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
@@ -26,6 +27,17 @@ class ModuleAdjoint(NamedTuple):
     row: Tensor  # (N,) int32, index of the module in the bank; -1: none
     at: Vec2 | Vec3  # (N,) inputs of the module
     adjoint: Vec3  # (N,) of the values there
+    # Where only a device knows how many there are, those that count; None: all.
+    first: int | LaneCount | None = None
+    last: int | LaneCount | None = None
+
+    def asked(self) -> ModuleAdjoint:
+        """The same with row -1 where there is nothing."""
+        if not isinstance(self.last, LaneCount):
+            return self
+        place = torch.arange(len(self.row), device=self.row.device)
+        first = self.first.alone if isinstance(self.first, LaneCount) else self.first
+        return self._replace(row=torch.where((place >= first) & (place < self.last.alone), self.row, -1))
 
 
 class ModuleGradients:
@@ -68,7 +80,7 @@ class ModuleGradients:
     def hold(self, adjoints: Sequence[ModuleAdjoint], lanes: int) -> None:
         """Queues the adjoints of a bounce with `lanes` lanes, until modules run on many at once."""
         if adjoints:
-            self.held += adjoints
+            self.held += [adjoint.asked() for adjoint in adjoints]
             self.lanes += lanes
 
     def add_held(self) -> None:

@@ -142,12 +142,14 @@ class Tape:
         """
         varying = self.varying(arguments)
         blank = without_contents if blank is None else blank
-        taped = self.kept(key, arguments, varying, name, partial(self.record, step, arguments, blank, len(counts)))
+        in_place = any([isinstance(border, LaneCount) for border in counts])  # see `Recording`
+        taped = self.kept((*key, in_place), arguments, varying, name,
+                          partial(self.record, step, arguments, blank, len(counts), in_place))
         if taped is None:
             self.rest()
             return None
         if isinstance(taped.recorded, RecordedLaunches):
-            results, numbers = taped.recorded(varying, self.tables, count, counts, self.caster, waits)
+            results, numbers = taped.recorded(varying, self.tables, count, counts, self.caster, waits, self.contexts)
             if self.repetitions is not None:
                 self.repetitions.left.extend([numbers[place].alone for place in taped.recorded.left])
         else:
@@ -181,14 +183,15 @@ class Tape:
                 self.kinds[name] = kind
         return RECORDINGS.of((kind, varying.pattern, *key), make)
 
-    def record(self, step: Step, arguments: tuple, blank: Callable, counts: int) -> Taped | None:
-        """Records such a step."""
+    def record(self, step: Step, arguments: tuple, blank: Callable, counts: int, in_place: bool) -> Taped | None:
+        """Records such a step; `in_place`: as of `Recording`."""
         reserve = Reserve(self.device)
         borders = Recording([]).borders(counts + 1, ALL)[1:-1] if counts else []
         arguments = blank(arguments, reserve, borders) if counts else blank(arguments, reserve)
         try:
             listener, given, played = self.listened(step, arguments, reserve, borders)
             results = values_and_tangents(played.results) if inside_dual_level() else played.results
+            listener.in_place = in_place
             counts = tuple([listener.points[count] for count in played.counts])
             return Taped(self.target.recorded(listener, given, results), counts, played.constant, inside_dual_level())
         except NotRecordable:

@@ -9,8 +9,8 @@ from torch import Tensor
 
 
 def sorted_by_torch(number: Tensor, queues: int) -> tuple[Tensor, Tensor]:
-    """As `partition_by_torch`, but (queues,) int64 where each queue ends, on the device, in the place of the numbers of lanes:
-    waits for nothing."""
+    """As `partition_by_torch`, but with (queues,) int64 on the device, where each queue ends, in the place of the numbers of
+    lanes: waits for nothing."""
     dtype = torch.uint8 if queues <= 256 else torch.int32  # a radix sort takes a turn for each byte
     numbers, order = number.to(dtype).sort(stable=True)
     queue = torch.arange(queues, dtype=dtype, device=number.device)

@@ -25,6 +25,7 @@ from torch_radbp.jit.recording.lane_operations import (
     MemoryPlace,
     NewTensor,
     Operation,
+    Outside,
     Partition,
     Put,
     RecordedLoop,
@@ -77,6 +78,14 @@ class Launch(NamedTuple):
     last: int
 
 
+class Part(NamedTuple):
+    """Launches that follow each other without the host."""
+
+    launches: Sequence[Launch]
+    words: slice  # theirs, of those of all launches
+    outside: Outside | None  # what is done afterwards; None: nothing
+
+
 class DeviceRecording(NamedTuple):
     """What launches are made of."""
 
@@ -84,7 +93,7 @@ class DeviceRecording(NamedTuple):
     operations: Sequence[Operation]
     made: Sequence[NewTensor]
     layout: ResultLayout
-    given: int  # tensors and addresses
+    given: Sequence[LaneSpan | None]  # tensors and addresses, with the lanes for which tensors have entries; None: unknown
     known: int  # counts that are known before the first launch, that of all lanes among them
 
     @property
@@ -94,11 +103,11 @@ class DeviceRecording(NamedTuple):
 
     @property
     def first_length(self) -> int:
-        return self.first_given + self.given
+        return self.first_given + len(self.given)
 
     @property
     def first_count(self) -> int:
-        return self.first_length + self.given
+        return self.first_length + len(self.given)
 
 
 def done_together(operation: Operation) -> tuple:
@@ -121,17 +130,19 @@ class Launches:
         self.sequence: list[Launch] = []
         self.words: list[Word] = []
         self.scratch = 0  # bytes
+        self.parts: list[Part] = []
         self.add(of.kernel("counts", (of.known,), counts_text), 1, [
             self.literal(1), *[Word(0, 0)] * 2, self.counts(0),
             *[Word(of.first_count + place, 0) for place in range(2 * of.known)]])
         write = {RecordedLoop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put,
-                 Inverted: self.inverted, Copy: self.copy, Scattered: self.scattered}
+                 Inverted: self.inverted, Copy: self.copy, Scattered: self.scattered, Outside: self.part}
         for kind, run in itertools.groupby(of.operations, done_together):
             if kind[0] in (Copy, Put):
                 write[kind[0]](list(run))
             else:
                 for operation in run:
                     write[type(operation)](operation)
+        self.part(None)
         self.blocks = torch.tensor([word.block for word in self.words], dtype=torch.int64, device="cpu")
         self.distances = torch.tensor([word.distance for word in self.words], dtype=torch.int64, device="cpu")
 
@@ -145,6 +156,12 @@ class Launches:
     def counts(number: int) -> Word:
         """Where a count stands."""
         return Word(BLOCKS.index("counts"), 8 * number)
+
+    def part(self, outside: Outside | None) -> None:
+        """Ends a part of the launches, behind which something is done outside."""
+        known = sum(len(part.launches) for part in self.parts)
+        words = slice(self.parts[-1].words.stop if self.parts else 0, len(self.words))
+        self.parts.append(Part(self.sequence[known:], words, outside))
 
     def place(self, place: MemoryPlace) -> Word:
         """Where a tensor begins."""
@@ -171,7 +188,8 @@ class Launches:
 
     def first_of(self, place: MemoryPlace) -> int:
         """The count at which the entries of a place begin in the room for all lanes."""
-        before = self.of.made[place.tensor].lanes.first if place.made else 0
+        lanes = self.of.made[place.tensor].lanes if place.made else self.of.given[place.tensor]
+        before = 0 if lanes is None else lanes.first
         if before and place.first:
             raise NotRecordable("a part of what belongs to a part of the lanes")
         return before or place.first

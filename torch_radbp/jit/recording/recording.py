@@ -87,6 +87,7 @@ class Recording:
     def __init__(self, given: Sequence[Tensor | int], counts: Sequence[int] = (), reserve: Reserve | None = None,
                  contexts: Sequence[Any] = (), most: int | None = None):
         self.reserve, self.contexts, self.most = reserve or Reserve(), contexts, most
+        self.in_place = False  # whether what is given for a part of the lanes stands where this does, in room for all
         self.left: list[int] = []  # indices of the counts of lanes that go on after the last repetition
         self.given: dict[int, int] = {}  # numbers of what is given, by address
         for number, item in enumerate(given):
@@ -359,10 +360,11 @@ def outside(work: Callable, context: Any, given: Sequence[Sequence[Tensor]],
     """Runs `work(context, given)`, which no function of lanes can do, such as a neural network.
 
     It is not recorded but done each time, if there are lanes, and the context is then one that what was recorded is told.
+    Where only a device knows how many lanes there are, N is as many as there may be, and nothing is asked of others.
 
     Args:
         work: what it does depends on nothing but what it is given.
-        given: for each of some queues of lanes, (N,) each; N may be 0 for some.
+        given: for each of some queues of lanes, (N,) each; N may be 0 for some. The first is int32; -1: nothing is asked.
         results: how many tensors are returned for each, (N,), of the dtype of the last that is given.
     """
     listener = recording()
