@@ -94,5 +94,5 @@ def test_ptx_goes_on_likewise():
 
 def test_what_is_not_returned_anew_cannot_be_repeated():
     height, factor, walk, *rest = given()
-    with pytest.raises(ValueError, match="walked returns 6 tensors in the place of 6 of 'walk', which must all be different"):
+    with pytest.raises(ValueError, match="returns 6 tensors in the place of 6 of 'walk', which must all be different"):
         repeated(emulated())(height, factor, walk._replace(before=walk.place), *rest)

@@ -24,7 +24,7 @@ from tests.rendering.taped import SCENES, SETTINGS, rendered, singly
 from tests.scenes import CASES, cornell, load, media, overhead, rectangle, rgb, smoke
 from tests.scenes.closed_box import closed_box
 from tests.scenes.mirrors import BALL, CUBE, MIRROR, SKY, VIEWED
-from tests.scenes.networks import room
+from tests.scenes.networks import lit_room, room
 from torch_radbp.adjoint.function import RenderFunction
 from torch_radbp.jit.nvidia.gpu import Gpu
 from torch_radbp.jit.run import LaneFunction
@@ -117,8 +117,9 @@ MEDIA = {"boundaries": (lambda: media.room(media.NULL), media), "glass": (lambda
          "flame": (lambda: smoke.room(flame(kind="heterogeneous")), smoke)}
 
 
-@pytest.mark.parametrize("settings", [{}, *map(deep, [{"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)},
-                                                      {"share_samples": True}, {"adjoint": rb.MemoizedAdjoint(2)}])], ids=str)
+@pytest.mark.parametrize("settings", [{}, *map(deep, [
+    {"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)}, {"share_samples": True}, {"adjoint": rb.MemoizedAdjoint("log")}])],
+                         ids=str)
 @pytest.mark.parametrize("moving", [False, True], ids=["still", "moving"])
 @pytest.mark.parametrize("name", deep_but(["boundaries", "smoke"], MEDIA))
 def test_ways_through_media_have_the_bits_of_single_calls(name, moving, settings, gpu, monkeypatch):
@@ -163,8 +164,25 @@ def test_boundaries_that_are_not_passed_in_time_are_passed_in_a_second_try(gpu, 
         assert torch.equal(found[0], expected[0]) and torch.equal(found[1], expected[1])
 
 
-def test_networks_are_asked_by_the_host_and_bounces_without_them_still_recorded(gpu, monkeypatch):
-    assert_same_bits(lambda: room(dtype=torch.float32), gpu, monkeypatch, max_depth=3)
+@pytest.mark.parametrize("build", deep_but([room], [room, lit_room]))
+@pytest.mark.parametrize("moving", [False, True], ids=["still", "moving"])
+@pytest.mark.parametrize("settings", [{}, deep({"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)}),
+                                      deep({"share_samples": True})], ids=str)
+def test_networks_are_asked_between_sequences_of_launches(settings, moving, build, gpu, monkeypatch):
+    """Two of each bounce forwards; one backwards, unless slopes are asked, too, which is done from Python."""
+    names = [name for name, _ in build().named_parameters()
+             if "module" in name or name.endswith("reflectance.value") or (moving and name.endswith("to_world"))]
+    settings, before = SMALL | settings, gpu.launcher.sequences
+    image, gradients = rendered(build(dtype=torch.float32), names, **settings)
+    assert gpu.launcher.sequences - before >= (2 if moving or len(settings) > len(SMALL) else 3) * SMALL["max_depth"] - 2
+    singly(monkeypatch)
+    before = gpu.launcher.sequences
+    expected, others = rendered(build(dtype=torch.float32), names, **settings)
+    assert gpu.launcher.sequences == before and expected.std() > 0 and torch.equal(image, expected)
+    assert gradients.keys() == others.keys() and sum("module" in name for name in others) >= 8
+    for name, other in others.items():
+        assert torch.isfinite(other).all() and torch.equal(gradients[name], other), name
+        assert other.abs().max() > 1e-4 or "module" not in name, name
 
 
 @pytest.mark.parametrize("sampling", deep_but(["attached"], ["detached", "attached"]))

@@ -123,7 +123,8 @@ class RenderFunction(torch.autograd.Function):
         def sweep_again(finding: FirstNonFinite) -> None:
             for index in range(len(call.wavefronts)):
                 if finding.depth is None:
-                    swept(call, integrand, index, Gradients(leaves), lambda *arguments: nullcontext(CheckedSweep(finding, *arguments)))
+                    swept(call, integrand, index, Gradients(leaves),
+                          lambda *arguments: nullcontext(CheckedSweep(finding, *arguments)))
 
         def differentiate_share(call: RenderCall, integrand: Integrand, share: Iterable[int]) -> Gradients:
             gradients = Gradients((*leaves, *of_source), call.memory)

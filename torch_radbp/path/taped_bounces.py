@@ -58,7 +58,7 @@ def recordable(integrand: Integrand) -> bool:
 
 def keeps_all_lanes(integrand: Integrand) -> bool:
     """True if what is kept of a bounce has room for all lanes, since only the device knows how many reach it."""
-    return recordable(repeating(integrand, Repetitions(0, [], []))) and integrand.target.counts_stay
+    return recordable(repeating(integrand, Repetitions(0, []))) and integrand.target.counts_stay
 
 
 def repeating(integrand: Integrand, repetitions: Repetitions) -> Integrand:

@@ -36,28 +36,28 @@ def asked_later(numbers: Tensor, then: Callable[[list[float]], None]) -> None:
 
 
 @contextmanager
-def asked_together() -> Iterator[list[Question]]:
+def asked_together() -> Iterator[None]:
     """A context in which questions of this thread wait; those that nobody has answered meanwhile are asked at its end."""
     before, HERE.waiting = HERE.waiting, []
     try:
-        yield HERE.waiting
-        answered(HERE.waiting)
+        yield
+        answered()
     finally:
         HERE.waiting = before
 
 
-def answered(waiting: list[Question], more: Sequence[Tensor] = ()) -> list[float]:
-    """Fetches numbers by one transfer, and does with those that are waiting what is to be done; none waits afterwards.
+def answered(more: Sequence[Tensor] = (), counts: Callable[[list[float]], bool] = lambda numbers: True) -> list[float]:
+    """Fetches numbers by one transfer, and does with those that wait what is to be done; none waits afterwards.
 
     Args:
-        waiting: the questions.
         more: other numbers, () each; they are returned.
+        counts: of these, whether the others are of any use.
     """
-    parts = [*(number.reshape(1) for number in more), *(question.numbers for question in waiting)]
+    questions, HERE.waiting = HERE.waiting or [], None if HERE.waiting is None else []
+    parts = [*(number.reshape(1) for number in more), *(question.numbers for question in questions)]
     numbers = torch.cat([part.double() for part in parts]).tolist() if parts else []
     given, numbers = numbers[:len(more)], numbers[len(more):]
-    questions, waiting[:] = list(waiting), []
-    for asked, then in questions:
+    for asked, then in questions if counts(given) else ():
         then(numbers[:len(asked)])
         numbers = numbers[len(asked):]
     return given

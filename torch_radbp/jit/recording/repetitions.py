@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
-from torch_radbp.tensors.asked_later import Question, answered, asked_together
+from torch_radbp.tensors.asked_later import answered, asked_together
 
 Result = TypeVar("Result")
 
@@ -28,7 +28,6 @@ class Repetitions(NamedTuple):
 
     most: int
     left: list[Tensor]  # (1,) int64 each, of the lanes that went on after the last; added to
-    waiting: list[Question]  # that are asked when the host waits
 
 
 @dataclass
@@ -42,22 +41,20 @@ class LearntRepetitions:
         while True:
             most = self.most
             try:
-                with asked_together() as waiting:
-                    return work(Repetitions(most, [], waiting))
+                with asked_together():
+                    return work(Repetitions(most, []))
             except TooFewRepetitions:
                 self.most = max(self.most, 2 * most + 1)
 
 
 def read_together(flags: Sequence[Tensor], repetitions: Repetitions | None = None) -> bool:
-    """True if all flags, () each on one device, are; waits for the device once, for all that it is asked.
+    """True if all flags, () each on one device, are; waits for the device once, for all that it is to be asked.
 
     Raises:
         TooFewRepetitions: if what was repeated has not come to its end.
     """
-    if repetitions is None:
-        return all(answered([], flags))
-    left = [torch.cat(repetitions.left).sum()] if repetitions.left else []
-    *found, unfinished = answered(repetitions.waiting, [*flags, *left]) + ([] if left else [0.0])
-    if unfinished:
+    left = [torch.cat(repetitions.left).sum()] if repetitions is not None and repetitions.left else []
+    found = answered([*flags, *left], lambda numbers: not left or not numbers[-1])
+    if left and found.pop():
         raise TooFewRepetitions
     return all(found)
