@@ -112,6 +112,8 @@ def test_memory_is_planned_for_all_lanes_of_a_bounce(gpu, monkeypatch):
     assert shares()[-1] < 1.0
 
 
+NETWORKS = ["floor.bsdf.reflectance.module.0.weight", "ball.bsdf.alpha.module.2.weight",
+            "box.bsdf.reflectance.module.0.weight"]
 MEDIA = {"boundaries": (lambda: media.room(media.NULL), media), "glass": (lambda: media.room(GLASS), media),
          "panes": (lambda: media.room(PANES["thin"]), media), "smoke": (lambda: smoke.room(smoke.varied(3)), smoke),
          "flame": (lambda: smoke.room(flame(kind="heterogeneous")), smoke)}
@@ -276,14 +278,17 @@ def test_the_host_waits_for_nothing_between_bounces(taped, adjoint, gpu, monkeyp
 
 
 @needs_interpreter
-def test_ptx_renders_what_torch_does(monkeypatch):
+@pytest.mark.parametrize("name", ["box", deep("smoke"), deep("networks")])
+def test_ptx_renders_what_torch_does(name, monkeypatch):
     monkeypatch.setenv("RADBP_KERNEL_CACHE", "off")
-    device, names = Gpu(interpreted().launcher), CASES["cornell"].parameters
-    settings = {"spp": 2, "max_depth": 3, "rr_depth": 2, "caster": "warp"}
-    expected, gradients = image_and_gradients(cornell(torch.float32, 8), names, compile=False, **settings)
+    build, names, depth = {"box": (lambda: cornell(torch.float32, 8), CASES["cornell"].parameters, 3),
+                           "smoke": (lambda: smoke.room(smoke.varied(3)).float(), smoke.NAMES, 2),
+                           "networks": (lambda: room(dtype=torch.float32), NETWORKS, 3)}[name]
+    device, settings = Gpu(interpreted().launcher), {"spp": 2, "max_depth": depth, "rr_depth": 2, "caster": "warp"}
+    expected, gradients = image_and_gradients(build(), names, compile=False, **settings)
     render_on(device, monkeypatch, taped=True)
-    image, found = image_and_gradients(cornell(torch.float32, 8), names, compile=True, **settings)
-    assert relative_error(image, expected) < 1e-5
-    for name, gradient, wanted in zip(names, found, gradients):
-        assert relative_error(gradient, wanted) < 1e-4, name
+    image, found = image_and_gradients(build(), names, compile=True, **settings)
+    assert expected.std() > 0 and relative_error(image, expected) < 1e-5
+    for each, gradient, wanted in zip(names, found, gradients):
+        assert wanted.abs().max() > 0 and relative_error(gradient, wanted) < 1e-4, each
     assert {"counts", "count", "sum", "place", "lanes", "put", "scatter"} <= set(device.launcher.driver.launches)

@@ -184,14 +184,14 @@ class Tape:
         return RECORDINGS.of((kind, varying.pattern, *key), make)
 
     def record(self, step: Step, arguments: tuple, blank: Callable, counts: int, in_place: bool) -> Taped | None:
-        """Records such a step; `in_place`: as of `Recording`."""
+        """Records such a step; `in_place`: what is given stands where its lanes do, see `Recording`."""
         reserve = Reserve(self.device)
         borders = Recording([]).borders(counts + 1, ALL)[1:-1] if counts else []
         arguments = blank(arguments, reserve, borders) if counts else blank(arguments, reserve)
         try:
             listener, given, played = self.listened(step, arguments, reserve, borders)
             results = values_and_tangents(played.results) if inside_dual_level() else played.results
-            listener.in_place = in_place
+            listener.in_place = len(given) - len(self.tables.items) if in_place else 0
             counts = tuple([listener.points[count] for count in played.counts])
             return Taped(self.target.recorded(listener, given, results), counts, played.constant, inside_dual_level())
         except NotRecordable:

@@ -45,13 +45,14 @@ class RecordedLaunches(RecordedResults):
     """
 
     def __init__(self, gpu, recording: Recording, given: Sequence[Tensor | int], results: Any):
-        self.in_place = recording.in_place
+        self.in_place = recording.in_place > 0
         if any(isinstance(operation, Repeated) for operation in recording.operations):
             raise NotRecordable("the host decides whether something is repeated")
         super().__init__(recording, given, results)
         self.left = recording.left
         self.gpu, self.device = gpu, recording.reserve.device
-        spans = [recording.spans.get(item.numel()) if self.in_place and isinstance(item, Tensor) else None for item in given]
+        spans = [recording.spans.get(item.numel()) if number < recording.in_place and isinstance(item, Tensor) else None
+                 for number, item in enumerate(given)]
         self.of = DeviceRecording(gpu.kernel, recording.operations, recording.made, self.layout, spans,
                                   1 + recording.given_counts)
         self.launches: dict[int, Launches] = {}

@@ -87,7 +87,8 @@ class Recording:
     def __init__(self, given: Sequence[Tensor | int], counts: Sequence[int] = (), reserve: Reserve | None = None,
                  contexts: Sequence[Any] = (), most: int | None = None):
         self.reserve, self.contexts, self.most = reserve or Reserve(), contexts, most
-        self.in_place = False  # whether what is given for a part of the lanes stands where this does, in room for all
+        # So many tensors that are given, the first, stand where their lanes do, in room for all, if these are a part of all.
+        self.in_place = 0
         self.left: list[int] = []  # indices of the counts of lanes that go on after the last repetition
         self.given: dict[int, int] = {}  # numbers of what is given, by address
         for number, item in enumerate(given):
