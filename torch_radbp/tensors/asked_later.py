@@ -53,9 +53,12 @@ def answered(more: Sequence[Tensor] = (), counts: Callable[[list[float]], bool] 
         more: other numbers, () each; they are returned.
         counts: of these, whether the others are of any use.
     """
-    questions, HERE.waiting = HERE.waiting or [], None if HERE.waiting is None else []
+    questions = HERE.waiting
+    if not questions:
+        return torch.stack([each.double() for each in more]).tolist() if len(more) > 1 else [each.item() for each in more]
+    HERE.waiting = []
     parts = [*(number.reshape(1) for number in more), *(question.numbers for question in questions)]
-    numbers = torch.cat([part.double() for part in parts]).tolist() if parts else []
+    numbers = torch.cat([part.double() for part in parts]).tolist()
     given, numbers = numbers[:len(more)], numbers[len(more):]
     for asked, then in questions if counts(given) else ():
         then(numbers[:len(asked)])
