@@ -15,9 +15,6 @@ from tests.deep import deep, deep_but
 from tests.gradients import cotangent, image_and_gradients, relative_error, unwarned_renderer
 from tests.jit.emulated import Emulated
 from tests.jit.interpreter import interpreted, needs_interpreter
-from tests.medium.test_boundaries import GLASS
-from tests.medium.test_emission import flame
-from tests.medium.test_panes import PANES
 from tests.rendering.host import exchanges
 from tests.rendering.on_gpu import render_on
 from tests.rendering.taped import SCENES, SETTINGS, rendered, singly
@@ -114,9 +111,10 @@ def test_memory_is_planned_for_all_lanes_of_a_bounce(gpu, monkeypatch):
 
 NETWORKS = ["floor.bsdf.reflectance.module.0.weight", "ball.bsdf.alpha.module.2.weight",
             "box.bsdf.reflectance.module.0.weight"]
+GLASS, PANE = {"type": "dielectric", "int_ior": 1.3}, {"type": "thindielectric", "int_ior": 1.4}
 MEDIA = {"boundaries": (lambda: media.room(media.NULL), media), "glass": (lambda: media.room(GLASS), media),
-         "panes": (lambda: media.room(PANES["thin"]), media), "smoke": (lambda: smoke.room(smoke.varied(3)), smoke),
-         "flame": (lambda: smoke.room(flame(kind="heterogeneous")), smoke)}
+         "panes": (lambda: media.room(PANE), media), "smoke": (lambda: smoke.room(smoke.varied(3)), smoke),
+         "flame": (lambda: smoke.room(smoke.varied(3) | {"emission": rgb(0.5, 1.0, 0.7)}), smoke)}
 
 
 @pytest.mark.parametrize("settings", [{}, *map(deep, [
