@@ -162,7 +162,7 @@ def lanes_of(column: Tensor):
     return wp.from_torch(column, return_ctype=True, requires_grad=False)
 
 
-class Mesh(NamedTuple):
+class MeshExtremes(NamedTuple):
     """What a device is asked of a mesh, at once."""
 
     finite: bool  # in float32
@@ -170,7 +170,7 @@ class Mesh(NamedTuple):
     extent: float  # the greatest, along an axis
 
 
-def asked_of_mesh(vertices: Tensor, faces: Tensor) -> Mesh | None:
+def asked_of_mesh(vertices: Tensor, faces: Tensor) -> MeshExtremes | None:
     """Asks the device for all that is to be known of a mesh; None if that is none: who checks it will say why."""
     if vertices.ndim != 2 or faces.ndim != 2 or not vertices.numel() or not faces.numel() or faces.is_complex():
         return None
@@ -178,7 +178,7 @@ def asked_of_mesh(vertices: Tensor, faces: Tensor) -> Mesh | None:
     low, high = points.amin(0), points.amax(0)
     parts = [torch.isfinite(low + high).all(), *faces.aminmax(), (high - low).amax()]
     finite, least, greatest, extent = torch.stack([part.double() for part in parts]).tolist()
-    return Mesh(bool(finite), (int(least), int(greatest)), extent)
+    return MeshExtremes(bool(finite), (int(least), int(greatest)), extent)
 
 
 def in_units(vertices: Tensor, faces: Tensor, extent: float) -> tuple[Tensor, float]:

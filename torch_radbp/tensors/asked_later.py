@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 
-class Question(NamedTuple):
+class Inquiry(NamedTuple):
     """Numbers that are to be fetched, and what is done with them then, which may raise."""
 
     numbers: Tensor  # (K,) on a device
@@ -21,7 +21,7 @@ class Question(NamedTuple):
 class _ThreadState(threading.local):
     """Thread-local state: the questions that wait; None: they are asked at once."""
 
-    waiting: list[Question] | None = None
+    waiting: list[Inquiry] | None = None
 
 
 HERE = _ThreadState()
@@ -32,7 +32,7 @@ def asked_later(numbers: Tensor, then: Callable[[list[float]], None]) -> None:
     if numbers.is_cpu or HERE.waiting is None:
         then(numbers.tolist())
     else:
-        HERE.waiting.append(Question(numbers, then))
+        HERE.waiting.append(Inquiry(numbers, then))
 
 
 @contextmanager
