@@ -110,7 +110,7 @@ def test_memory_is_planned_for_all_lanes_of_a_bounce(gpu, monkeypatch):
 
 
 NETWORKS = ["floor.bsdf.reflectance.module.0.weight", "ball.bsdf.alpha.module.2.weight",
-            "box.bsdf.reflectance.module.0.weight"]
+            "box.bsdf.reflectance.module.0.weight", "light.emitter.radiance.value"]
 GLASS, PANE = {"type": "dielectric", "int_ior": 1.3}, {"type": "thindielectric", "int_ior": 1.4}
 MEDIA = {"boundaries": (lambda: media.room(media.NULL), media), "glass": (lambda: media.room(GLASS), media),
          "panes": (lambda: media.room(PANE), media), "smoke": (lambda: smoke.room(smoke.varied(3)), smoke),
