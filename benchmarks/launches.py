@@ -38,6 +38,7 @@ from tests.gradients import cotangent
 from tests.jit.emulated import Emulated
 from tests.rendering.host import exchanges
 from tests.rendering.on_gpu import render_on
+from tests.scenes import media, networks, smoke
 from torch_radbp.adjoint.function import RenderFunction
 from torch_radbp.jit.nvidia.gpu import Gpu
 from torch_radbp.jit.run import LaneFunction
@@ -200,19 +201,36 @@ def driven_of_benchmark(name: str) -> list[Driven]:
             True, terms=PRB, caster="warp"), scene.parameters)
 
 
+def driven_of_rarer(name: str) -> list[Driven]:
+    """What the host does for a small scene of `RARER`, whose parameters change between calls."""
+    make, parameters = RARER[name]
+
+    def renderer(depth: int) -> rb.Renderer:
+        scene = make().float()
+        for parameter in parameters:
+            scene.get_parameter(parameter).requires_grad_()
+        return rb.Renderer(scene, spp=QUICK.spp, max_depth=depth, rr_depth=100, caster="warp", terms=PRB)
+
+    return driven(name, renderer, parameters)
+
+
+# Scenes that bounces do more for: boundaries of media that are passed, media that vary in space, and networks as textures.
+RARER = {"boundaries": (media.room, ["ball.interior.sigma_t.value.value"]),
+         "smoke": (lambda: smoke.room(smoke.varied(3)), ["box.interior.sigma_t.data"]),
+         "networks": (networks.room, [f"{name}.bsdf.reflectance.module.0.weight" for name in ("floor", "wall", "box")])}
 HEADER = f"""| scene | pass | a bounce: {' | '.join(COUNTED)} | a call: {' | '.join(COUNTED)} |
 |{'---|' * (2 + 2 * len(COUNTED))}"""
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", choices=ALL, nargs="+", default=list(SCENES))
+    parser.add_argument("--scene", choices=[*ALL, *RARER], nargs="+", default=[*SCENES, *RARER])
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     options = parser.parse_args()
     print(HEADER, flush=True)
     results = []
     for name in options.scene:
-        for found in driven_of_benchmark(name):
+        for found in driven_of_rarer(name) if name in RARER else driven_of_benchmark(name):
             results.append(found)
             print(found.row(), flush=True)
     if options.json:

@@ -77,8 +77,8 @@ OF_FEW_EDGES = {"edge_tried"}  # few beside the samples
 OF_EDGES = {"boxes_around", "contour_length", "contour_place", "crosses", "edge_bounds", "edge_place", "edge_weight",
             "in_sight", "merged_bounds", "paths_beside", "ray_along_edge", "rays_beside"}
 OF_WAYS = {"emission_begun", "emission_on_segment", "hides_all", "is_tracked_in", "let_through", "next_segment",
-           "next_shadow_segment", "on_boundary", "shadow_ahead", "shadow_begun", "surface_ahead", "tracking_begun", "tracking_on",
-           "way_begun"}  # through media
+           "next_shadow_segment", "no_crossing", "on_boundary", "shadow_ahead", "shadow_begun", "surface_ahead",
+           "tracking_begun", "tracking_on", "way_begun"}  # through media
 OF_MEDIA = {"direct_light_in_medium", "free_flight", "leaving_towards", "scattered_by_medium", *OF_WAYS}  # that scatter
 OF_LAMPS = {"sample_lamps", "shining", "splats"}  # of paths from lamps, which begin at no network
 # Stages that a scene does without.

@@ -3,9 +3,8 @@
 import pytest
 import torch
 
-from torch_radbp.scene.cache.same_bits import PART, SMALL, equal_on_device, same_bits
-from torch_radbp.scene.modules.parameters import SMALL as FEW
-from torch_radbp.scene.modules.parameters import numbers_on_host
+from torch_radbp.scene.cache.same_bits import MOST_FETCHED as FEW
+from torch_radbp.scene.cache.same_bits import PART, SMALL, equal_on_device, numbers_on_host, same_bits
 
 LARGE = (9 << 20) + 5  # numbers
 
@@ -51,8 +50,8 @@ def test_many_are_compared_at_once(changed):
     copies = [tensor.contiguous().clone() for tensor in tensors]
     for place in changed:
         copies[place].view(-1).view(torch.uint8)[-1] ^= 1
-    assert equal_on_device(tensors, copies) == [place not in changed for place in range(len(tensors))]
-    assert equal_on_device([], []) == []
+    assert equal_on_device(tensors, copies)[0] == [place not in changed for place in range(len(tensors))]
+    assert equal_on_device([], []) == ([], [])
 
 
 def test_numbers_of_many_are_fetched_at_once():

@@ -23,7 +23,9 @@ from torch_radbp.call.pixels import weighted
 from torch_radbp.call.render_call import RenderCall, integrand_of_wavefront, start_paths, started
 from torch_radbp.call.sink import SinkValues
 from torch_radbp.call.wavefronts import Wavefront
+from torch_radbp.jit.recording.repetitions import Repetitions
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.taped_bounces import repeating
 from torch_radbp.path.trace import trace
 from torch_radbp.public_call import public_call
 from torch_radbp.raycast.protocol import Hit
@@ -71,7 +73,8 @@ class RenderFunction(torch.autograd.Function):
         wanted = any(ctx.needs_input_grad)
 
         def images(call: RenderCall) -> tuple[RenderCall, SinkValues]:
-            return call, render_images(call, integrand, record=wanted and (call.shares_samples or call.together))
+            return call, call.repetitions.enough(lambda some: render_images(
+                call, repeating(integrand, some), record=wanted and (call.shares_samples or call.together)))
 
         ctx.call, (values, filters, records) = again_in_pieces(call, images)
         call = ctx.call
@@ -104,7 +107,8 @@ class RenderFunction(torch.autograd.Function):
         adj_sums, all_wanted = call.sink.adj_sums(call, gradient, ctx.filters), (*wanted, *wanted_of_source)
         start_counts = bool(of_source) or call.sink.at_vertices
 
-        def swept(call: RenderCall, index: int, gradients: Gradients, sweep_of: Callable = sweep_of) -> Sweep:
+        def swept(call: RenderCall, integrand: Integrand, index: int, gradients: Gradients,
+                  sweep_of: Callable = sweep_of) -> Sweep:
             wavefront, record = call.wavefronts[index], None if call is not ctx.call else records[index]
             if record is None:
                 record = record_wavefront(call, integrand, wavefront)
@@ -119,12 +123,13 @@ class RenderFunction(torch.autograd.Function):
         def sweep_again(finding: FirstNonFinite) -> None:
             for index in range(len(call.wavefronts)):
                 if finding.depth is None:
-                    swept(call, index, Gradients(leaves), lambda *arguments: nullcontext(CheckedSweep(finding, *arguments)))
+                    swept(call, integrand, index, Gradients(leaves),
+                          lambda *arguments: nullcontext(CheckedSweep(finding, *arguments)))
 
-        def differentiate_share(call: RenderCall, share: Iterable[int]) -> Gradients:
+        def differentiate_share(call: RenderCall, integrand: Integrand, share: Iterable[int]) -> Gradients:
             gradients = Gradients((*leaves, *of_source), call.memory)
             for index in share:
-                sweep = swept(call, index, gradients)
+                sweep = swept(call, integrand, index, gradients)
                 adj_start = adj_of_start(sweep) if start_counts else None
                 del sweep  # and with it the states of its paths
                 for chunk, *lanes in call.wavefronts[index].parts() if start_counts else ():
@@ -132,13 +137,19 @@ class RenderFunction(torch.autograd.Function):
                         gradients.add_whole(k, adjoint)
             return gradients
 
-        def differentiate(call: RenderCall) -> list[Gradients]:
-            return in_turns(len(call.wavefronts), call.workers, partial(differentiate_share, call))
+        def differentiate(some: Repetitions, call: RenderCall) -> tuple[list[Tensor], bool]:
+            share_of = partial(differentiate_share, call, repeating(integrand, some))
+            shares = in_turns(len(call.wavefronts), call.workers, share_of)
+            found = gradients_of(shares, some)
+            call.memory.give_back(rows for share in shares for rows in share.rows)
+            return found
+
+        def differentiated(call: RenderCall) -> tuple[list[Tensor], bool]:
+            return call.repetitions.enough(lambda some: differentiate(some, call))
 
         # Without a caster what was recorded cannot be traced again.
-        shares = again_in_pieces(call, differentiate) if integrand.caster is not None else differentiate(call)
-        results, are_finite = gradients_of(shares)
-        call.memory.give_back(rows for share in shares for rows in share.rows)
+        again = integrand.caster is not None
+        results, are_finite = again_in_pieces(call, differentiated) if again else differentiated(call)
         if not are_finite:
             radiance = call.sink.radiance(gradient)
             if not all_finite([radiance]):

@@ -12,7 +12,7 @@ from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.sink import SinkValues
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.integrand import Integrand
-from torch_radbp.path.taped_bounces import Bounce
+from torch_radbp.path.taped_bounces import Bounce, repeating
 from torch_radbp.path.wavefront import bounced
 
 
@@ -35,7 +35,7 @@ def render_images(call: RenderCall, integrand: Integrand, record: bool,
 
 def _check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None:
     """Raises NonFiniteError if a pixel is NaN or infinite."""
-    if all_finite([images]):
+    if all_finite([images], integrand.repetitions):
         return
 
     def trace_again(integrand: Integrand, finding: FirstNonFinite) -> None:
@@ -52,4 +52,5 @@ def render_detached(call: RenderCall) -> Tensor:
     """Renders images and AOVs without derivatives."""
     call = call.still()
     with torch.no_grad():
-        return render_images(call, call.integrand, record=False).values
+        return call.repetitions.enough(lambda some: render_images(
+            call, repeating(call.integrand, some), record=False)).values

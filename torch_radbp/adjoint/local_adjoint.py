@@ -47,6 +47,7 @@ class LocalAdjoint(NamedTuple):
     scatterer: Appearance | None  # None: the paths end here
     places: tuple[Place, ...]  # (M,) each, at which textures are read outside
     lane: Tensor  # (M,) int32, places in the chunk
+    queue: Queue
     # If no bounce aims at what these lanes meet, of the three leaves of vertex positions and the integrand; else None.
     seen_first: tuple[Sequence[int], Integrand] | None
 
@@ -114,7 +115,7 @@ class LocalAdjoints:
             lanes = step.order[here]
             verdict = rows_between(verdict_of(step), queue.first, queue.last) if queue.event.scatters else None
             yield LocalAdjoint(self.of_event(queue.event), (reached, lanes, verdict, chunk, at, settings, values),
-                               scatterer, places, integrand.stages(rows)(state.lane, lanes),
+                               scatterer, places, integrand.stages(rows)(state.lane, lanes), queue,
                                (self.of_positions, integrand) if depth == 0 else None)
 
     def texture_values(self, queues: Sequence[tuple[Queue, tuple[TextureValue, ...] | None]],

@@ -10,11 +10,12 @@ from torch import Tensor
 
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.interface.texture import Place, TextureValue
+from torch_radbp.jit.recording.lane_count import LaneCount
 from torch_radbp.path.texture_networks import Asking, Given, asked_outside, banks_asked, coordinates, module_banks, of_banks
 from torch_radbp.scene.tables.appearance import Appearance
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.vec import Vec2, Vec3
-from torch_radbp.texture.module_bank import ModuleBank
+from torch_radbp.texture.module_bank import ModuleBank, Sorted
 
 HELD = 1 << 17  # lanes that have reached a bounce, whose adjoints are held back at the most, but for one bounce
 
@@ -26,6 +27,17 @@ class ModuleAdjoint(NamedTuple):
     row: Tensor  # (N,) int32, index of the module in the bank; -1: none
     at: Vec2 | Vec3  # (N,) inputs of the module
     adjoint: Vec3  # (N,) of the values there
+    # Where only a device knows how many there are, those that count; None: all.
+    first: int | LaneCount | None = None
+    last: int | LaneCount | None = None
+
+    def asked(self) -> ModuleAdjoint:
+        """The same with row -1 where there is nothing."""
+        if not isinstance(self.last, LaneCount):
+            return self
+        place = torch.arange(len(self.row), device=self.row.device)
+        first = self.first.alone if isinstance(self.first, LaneCount) else self.first
+        return self._replace(row=torch.where((place >= first) & (place < self.last.alone), self.row, -1))
 
 
 class ModuleGradients:
@@ -68,7 +80,7 @@ class ModuleGradients:
     def hold(self, adjoints: Sequence[ModuleAdjoint], lanes: int) -> None:
         """Queues the adjoints of a bounce with `lanes` lanes, until modules run on many at once."""
         if adjoints:
-            self.held += adjoints
+            self.held += [adjoint.asked() for adjoint in adjoints]
             self.lanes += lanes
 
     def add_held(self) -> None:
@@ -98,9 +110,9 @@ def moving_values_of(banks: Sequence[int], scene: SceneTensors, given: Given) ->
     return of_banks(banks, scene, given, channels_that_move)
 
 
-def channels_that_move(bank: ModuleBank, row: Tensor, at: Vec2 | Vec3) -> list[Tensor]:
+def channels_that_move(bank: ModuleBank, row: Tensor, at: Vec2 | Vec3, lanes: Sorted) -> list[Tensor]:
     """The values of a network's texture and their derivatives by its arguments, channel by channel, in one list."""
-    return [channel for values in bank.values_and_slopes(row, at) for channel in values]
+    return [channel for values in bank.values_and_slopes(row, at, lanes) for channel in values]
 
 
 def triples(channels: Sequence[Tensor]) -> list[Vec3]:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.recording.repetitions import Repetitions, read_together
 from torch_radbp.jit.scatter import MOST_TABLES, PAGE_BITS, Addition, Sums, copies, scatter_add
 from torch_radbp.threads.team import threads, together, until_none_is_left
 from torch_radbp.threads.zeroed_memory import ZeroedMemory, zeros
@@ -112,13 +113,16 @@ class Gradients:
         self.touched[entries].fill_(True)
 
 
-def gradients_of(workers: Sequence[Gradients]) -> tuple[list[Tensor], bool]:
+def gradients_of(workers: Sequence[Gradients], repetitions: Repetitions | None = None) -> tuple[list[Tensor], bool]:
     """Sums all workers' gradients in a fixed order, in the tables' shapes and dtypes.
 
     Those of columns of the same rows are such columns, too. The workers' totals are zero afterwards.
 
     Returns:
         The gradients; and whether all are finite.
+
+    Raises:
+        TooFewRepetitions: if what was repeated has not come to its end.
     """
     tables, results, pieces, size = workers[0].tables, [], [], 0
     touched = {entries: pages_touched([worker.touched[entries] for worker in workers]) for entries in workers[0].touched}
@@ -133,7 +137,8 @@ def gradients_of(workers: Sequence[Gradients]) -> tuple[list[Tensor], bool]:
     left, written = deque(pieces), []
     count = max(1, min(threads(), size // PIECE))  # a thread that is woken for less takes longer than the work
     together(lambda task: written.extend(starmap(take_over, until_none_is_left(left))), count)
-    return results, not written or bool(torch.isfinite(torch.cat(written)).all())  # the host waits for the device once
+    finite = [torch.isfinite(torch.cat(written)).all()] if written else []
+    return results, read_together(finite, repetitions)  # the host waits for the device once
 
 
 def take_over(rows: Tensor, totals: Sequence[Tensor], place: Tensor) -> Tensor:

@@ -113,7 +113,8 @@ class Sweep:
             here, adj_reads, adj_values = local.vector_jacobian_product()
             # dloss/dtheta += adj_k (dE_k/dtheta + dF_k/dtheta L_{k+1}): in tables by entries, in networks by values.
             self.gradients.add(local.contributions(here, adj_reads))
-            adj_modules += self.modules.adjoints(local.scatterer, local.places, adj_values)
+            adj_modules += tuple(adjoint._replace(first=local.queue.first, last=local.queue.last) for adjoint in
+                                 self.modules.adjoints(local.scatterer, local.places, adj_values))
             # L_k = E_k + F_k L_{k+1} stands in the memo for the bounce above.
             put_rows(memo, local.lane, here)
         return adj_modules

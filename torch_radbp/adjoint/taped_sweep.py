@@ -114,14 +114,19 @@ class TapedSweep(Sweep):
             return *without_contents(lanes, reserve), in_queues(step, queues, reserve), at
 
         def differentiated(state: PathState, memo: Memo, adj_L: Vec3, step: Step, at: Position) -> Played:
-            return Played(super(TapedSweep, self).differentiate(state, step, memo, adj_L, depth))
+            adjoints = super(TapedSweep, self).differentiate(state, step, memo, adj_L, depth)
+            return Played(tuple([adjoint._replace(first=None, last=None) for adjoint in adjoints]),
+                          [border for adjoint in adjoints for border in (adjoint.first, adjoint.last)])
 
         arguments = (state._replace(number=None), memo, adj_L, step._replace(queues=(), texture_values=values),
                      integrand.at(depth))
         name = step.front is None, *[of_queue is None for of_queue in values]
         played = self.tape.play(integrand.kind_at(depth), differentiated, arguments, state.count, blank, name, borders,
                                 waits=False)
-        return super().differentiate(state, step, memo, adj_L, depth) if played is None else played.results
+        if played is None:
+            return super().differentiate(state, step, memo, adj_L, depth)
+        borders = zip(played.counts[::2], played.counts[1::2])
+        return tuple([adjoint._replace(first=first, last=last) for adjoint, (first, last) in zip(played.results, borders)])
 
     def kinds(self, step: Step, depth: int) -> tuple[QueueKind, ...]:
         """The queues that there may be at a bounce, in the order of their lanes, beside those that there are."""

@@ -12,6 +12,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.recording.repetitions import Repetitions, read_together
 from torch_radbp.path.bounce import bounce, ending
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import Arrival, Position
@@ -34,11 +35,15 @@ class NonFiniteError(FloatingPointError):
     """
 
 
-def all_finite(tensors: list[Tensor]) -> bool:
-    """True if every value of all tensors is finite."""
+def all_finite(tensors: list[Tensor], repetitions: Repetitions | None = None) -> bool:
+    """True if every value of all tensors is finite; waits for the device once.
+
+    Raises:
+        TooFewRepetitions: if what was repeated has not come to its end.
+    """
     # The extremes of a tensor are infinite or NaN if any value is, and are found in one pass over it.
     extremes = [torch.stack(tensor.detach().aminmax()).double() for tensor in tensors if tensor.numel()]
-    return not extremes or bool(torch.isfinite(torch.cat(extremes)).all())  # the host waits for the device once
+    return read_together([torch.isfinite(torch.cat(extremes)).all()] if extremes else [], repetitions)
 
 
 def count_of_bad(tensor: Tensor) -> str:

@@ -12,6 +12,7 @@ from torch_radbp.call.sink import Sink
 from torch_radbp.call.source import Cameras, PathSource
 from torch_radbp.call.view import View
 from torch_radbp.call.wavefronts import Wavefront
+from torch_radbp.jit.recording.repetitions import LearntRepetitions
 from torch_radbp.path.camera_rays import CameraSample, sample_camera
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState, start_path
@@ -47,6 +48,7 @@ class RenderCall(NamedTuple):
     together: bool  # the derivative's own samples are traced together with those of the image, in half as many calls
     workers: int  # number of threads that trace wavefronts
     memory: ZeroedMemory  # for the totals of gradients
+    repetitions: LearntRepetitions  # in sequences of launches
     following: bool = False  # see `Settings.following`
     module: Scene | None = None  # the scene's module; gives names to errors
     parameters: dict[str, Tensor] = {}  # parameters that require a gradient, by name

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import operator
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import copy
 from functools import partial
 
@@ -14,7 +14,7 @@ from torch import Tensor
 from torch_radbp.jit import compiled as compiled_functions
 from torch_radbp.jit.arguments import Arguments, Parameter, PreparedArgument
 from torch_radbp.jit.compiled import Compiled, Interface
-from torch_radbp.jit.lane.graph import LANES, Program
+from torch_radbp.jit.lane.graph import LANES, Program, Repetition
 from torch_radbp.jit.lane.refusal import UnknownOperation
 from torch_radbp.jit.lane.trace import traced_program
 from torch_radbp.jit.recording.recording import recording, unguarded
@@ -39,6 +39,7 @@ class LaneFunction:
         function: in plain torch.
         tables: names of its parameters that hold tables.
         target: what to compile for; None: the device that the tensors of a call lie on.
+        repeats: as for `tensors.stage.stage`.
 
     Raises:
         UnknownOperation: when called, if the function comes down to an operation that is not one of lanes.
@@ -49,8 +50,9 @@ class LaneFunction:
 
     compiling = threading.Lock()
 
-    def __init__(self, function: Callable, tables: tuple[str, ...] = (), target: Target | None = None):
-        self.function, self.tables, self.target = function, tables, target
+    def __init__(self, function: Callable, tables: tuple[str, ...] = (), target: Target | None = None,
+                 repeats: str | None = None):
+        self.function, self.tables, self.target, self.repeats = function, tables, target, repeats
         self.name = getattr(function, "__name__", repr(function))
         names = list(inspect.signature(function).parameters)
         unknown = sorted(set(tables) - set(names))
@@ -168,14 +170,14 @@ class LaneFunction:
         """The function for arguments of this structure: read from disk, or traced and compiled; or the reason why not."""
         try:
             if self.target is not None:  # asked for by name, to look at what it does: always compiled
-                program, interface = self.traced(given)
+                program, interface = self.traced(given, self.target.repeats)
                 return Compiled(interface, Later(partial(self.target.compile, program)) if program.outputs else None)
             target = target_of(given.device)
             name = compiled_functions.code_name(self.function, self.tables, given, target)
             found = None if name is None else compiled_functions.read_compiled(name, target)
             if found is not None:
                 return found
-            program, interface = self.traced(given)
+            program, interface = self.traced(given, target.repeats)
         except UnknownOperation as error:
             return str(error)
         return compiled_functions.compiled_program(name, interface, program, target)
@@ -184,20 +186,26 @@ class LaneFunction:
         """Traces the function for such arguments."""
         return self.traced(Arguments(self.parameters, arguments))[0]
 
-    def traced(self, given: Arguments) -> tuple[Program, Interface]:
+    def traced(self, given: Arguments, repeating: bool = False) -> tuple[Program, Interface]:
         """Traces the function for arguments of this structure.
+
+        Args:
+            given: the arguments.
+            repeating: what can be repeated by a kernel is.
 
         Raises:
             UnknownOperation: if it comes down to an operation that is not one of lanes.
         """
-        returned, structure = None, []
+        returned, structure, running = None, [], 0
 
         def flat(*tensors: Tensor) -> list[Tensor]:
-            nonlocal returned
+            nonlocal returned, running
             stand_ins = iter(tensors)
             results: list[Tensor] = []
             returned = self.function(*with_other_leaves(given.given, lambda: next(stand_ins)))
             flatten(returned, results, structure)
+            if self.repeats is not None:
+                running = next(number for number, result in enumerate(results) if result is returned.running)
             return results
 
         program = traced_program(flat, [leaf.dtype for leaf in given.leaves], given.kinds, given.firsts)
@@ -206,7 +214,28 @@ class LaneFunction:
         outputs = tuple(dict.fromkeys(value for value, whole in zip(program.outputs, passed) if not whole))
         results = tuple(~value.static if whole else outputs.index(value) for value, whole in zip(program.outputs, passed))
         program = program._replace(outputs=outputs)
+        if repeating and self.repeats is not None:
+            program = program._replace(repetition=self.repetition(given, results, running))
         inputs = tuple(value.static for value in program.inputs)
         dtypes = tuple(value.dtype for value in outputs)
         shape = with_other_leaves(returned, Leaf)
         return program, Interface(inputs, program.searched, dtypes, results, shape, of_lanes(structure))
+
+    def repetition(self, given: Arguments, results: Sequence[int], running: int) -> Repetition:
+        """How the function is repeated: which tables its outputs are of the next turn.
+
+        Args:
+            given: its arguments.
+            results: the output that each result is.
+            running: the number of the result that tells whether lanes go on.
+
+        Raises:
+            ValueError: if what it returns does not have the structure of the argument, or leaves of that are the same.
+        """
+        number = list(self.named).index(self.repeats)
+        first = sum(len(form.kinds) for form in given.forms[:number])
+        places = range(first, first + len(given.forms[number].kinds))
+        if len(places) != len(results) or not {place for place, _ in given.shared}.isdisjoint(places):
+            raise ValueError(f"{self.name} returns {len(results)} tensors in the place of {len(places)} of {self.repeats!r}"
+                             ", which must all be different ones")
+        return Repetition(results[running], tuple(zip(places, results)))

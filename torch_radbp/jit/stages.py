@@ -14,7 +14,7 @@ from torch_radbp.jit.lane.refusal import UnknownOperation
 from torch_radbp.jit.run import LaneFunction
 from torch_radbp.jit.target import Target, target_of
 from torch_radbp.tensors.differentiated import any_differentiated
-from torch_radbp.tensors.stage import DECLARED, write
+from torch_radbp.tensors.stage import DECLARED, REPEATED, write
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.threads.allocator import keep_freed_memory
 from torch_radbp.threads.made_once import made_once
@@ -34,7 +34,7 @@ class CompiledStage:
     is_compiled = True
 
     def __init__(self, function: Callable, tables: tuple[str, ...], target: Target | None = None):
-        self.function, self.fused = function, LaneFunction(function, tables, target)
+        self.function, self.fused = function, LaneFunction(function, tables, target, REPEATED.get(function))
         self.dual = DualFunction(function, tables, target)
         self.told: list[str] = []  # why it could not be compiled, once said; one list for all copies
 

@@ -26,6 +26,7 @@ from torch_radbp.jit.dual import dual, tangents_and_tensors, values_and_tangents
 from torch_radbp.jit.nvidia.recorded_launches import RecordedLaunches
 from torch_radbp.jit.recording.lane_count import LaneCount
 from torch_radbp.jit.recording.recording import ALL, NotRecordable, Recording, Reserve, listening
+from torch_radbp.jit.recording.repetitions import Repetitions
 from torch_radbp.jit.recording.results import RecordedInputs
 from torch_radbp.jit.recording.structure import flatten
 from torch_radbp.jit.target import Target, target_of
@@ -103,16 +104,20 @@ class Tape:
         board: of the helpers; None: on the CPU nothing is played, only recorded.
         caster: of the rays; None: none are cast.
         target: on which steps are played; None: that of the device of the tables.
+        repetitions: in sequences of launches; None: what is repeated is recorded as such.
     """
 
     def __init__(self, tables: Sequence[Tensor | int], kind: Sequence[Hashable] = (), contexts: Sequence[Any] = (),
-                 board: Board | None = None, caster: Any = None, target: Target | None = None):
+                 board: Board | None = None, caster: Any = None, target: Target | None = None,
+                 repetitions: Repetitions | None = None):
+        self.repetitions = repetitions
         self.tables, self.contexts, self.board, self.caster = RecordedInputs(tables), contexts, board, caster
         tensors = [table for table in tables if isinstance(table, Tensor)]
         self.device = tensors[0].device if tensors else torch.device("cpu")
         self.target = target_of(self.device) if target is None else target
         deterministic = torch.are_deterministic_algorithms_enabled()  # by which targets may add numbers otherwise
-        self.kind = RECORDINGS.kind(*kind, self.target, deterministic, self.tables.pattern, lying(tensors))
+        self.kind = RECORDINGS.kind(*kind, self.target, deterministic, self.tables.pattern, lying(tensors),
+                                    None if repetitions is None else repetitions.most)
         self.kinds: dict[Hashable, int] = {}  # of arguments, by their names
 
     def rest(self) -> None:
@@ -137,12 +142,16 @@ class Tape:
         """
         varying = self.varying(arguments)
         blank = without_contents if blank is None else blank
-        taped = self.kept(key, arguments, varying, name, partial(self.record, step, arguments, blank, len(counts)))
+        in_place = any([isinstance(border, LaneCount) for border in counts])  # see `Recording`
+        taped = self.kept((*key, in_place), arguments, varying, name,
+                          partial(self.record, step, arguments, blank, len(counts), in_place))
         if taped is None:
             self.rest()
             return None
         if isinstance(taped.recorded, RecordedLaunches):
-            results, numbers = taped.recorded(varying, self.tables, count, counts, self.caster, waits)
+            results, numbers = taped.recorded(varying, self.tables, count, counts, self.caster, waits, self.contexts)
+            if self.repetitions is not None:
+                self.repetitions.left.extend([numbers[place].alone for place in taped.recorded.left])
         else:
             results, numbers = taped.recorded(varying, self.tables, count, self.board, counts, self.contexts)
             if self.caster is not None:
@@ -174,14 +183,15 @@ class Tape:
                 self.kinds[name] = kind
         return RECORDINGS.of((kind, varying.pattern, *key), make)
 
-    def record(self, step: Step, arguments: tuple, blank: Callable, counts: int) -> Taped | None:
-        """Records such a step."""
+    def record(self, step: Step, arguments: tuple, blank: Callable, counts: int, in_place: bool) -> Taped | None:
+        """Records such a step; `in_place`: what is given stands where its lanes do, see `Recording`."""
         reserve = Reserve(self.device)
         borders = Recording([]).borders(counts + 1, ALL)[1:-1] if counts else []
         arguments = blank(arguments, reserve, borders) if counts else blank(arguments, reserve)
         try:
             listener, given, played = self.listened(step, arguments, reserve, borders)
             results = values_and_tangents(played.results) if inside_dual_level() else played.results
+            listener.in_place = len(given) - len(self.tables.items) if in_place else 0
             counts = tuple([listener.points[count] for count in played.counts])
             return Taped(self.target.recorded(listener, given, results), counts, played.constant, inside_dual_level())
         except NotRecordable:
@@ -201,7 +211,8 @@ class Tape:
                  borders: Sequence[int] = ()) -> tuple[Recording, list[Tensor | int], Played]:
         """Runs a step on arguments without contents: the recording, its inputs, and the step's results."""
         given = [*self.varying(arguments).items, *self.tables.items]
-        listener = Recording(given, borders, reserve, self.contexts)
+        most = None if self.repetitions is None else self.repetitions.most
+        listener = Recording(given, borders, reserve, self.contexts, most)
         with torch.no_grad(), listening(listener):
             return listener, given, step(*arguments)
 

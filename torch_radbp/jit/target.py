@@ -45,10 +45,12 @@ class Target(Protocol):
         counts_stay: numbers of lanes that a recording finds stay on the device, which runs it as launches for all lanes;
             else recordings may be run one after the other tile by tile, see `tiles.py`.
         loads_ahead: code is loaded in the background as soon as it is made, and not at the first run.
+        repeats: code goes on with a lane by itself where a stage may be repeated, see `tensors.stage.stage`.
     """
 
     counts_stay: bool
     loads_ahead: bool
+    repeats: bool
 
     def text(self, program: Program) -> str:
         """The LLVM IR of a program."""

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.interface.texture import Place
+from torch_radbp.jit.recording.repetitions import Repetitions
 from torch_radbp.jit.target import Target
 from torch_radbp.path.bounce import places
 from torch_radbp.path.event import Ends, Event, events_of
@@ -58,6 +59,8 @@ class Integrand(NamedTuple):
     # () int32: so many lanes of the chunk, the first, are of the derivative alone, the others of the image alone. None: all
     # are of both.
     differentiated: Tensor | None = None
+    # How often sequences of launches repeat what is repeated for lanes, and what was left; None: the host decides.
+    repetitions: Repetitions | None = None
 
     def with_stages(self, stages: Stages) -> Integrand:
         """The same integrand with another way to run stages."""
@@ -67,6 +70,11 @@ class Integrand(NamedTuple):
     def target(self) -> Target:
         """What stages are compiled for."""
         return self.stages.target_on(self.proposal.lights.choice.pmf.device)
+
+    @property
+    def kernels_repeat(self) -> bool:
+        """True if kernels go on with a lane by themselves, see `tensors.stage.stage`."""
+        return self.stages.is_compiled and self.target.repeats
 
     @property
     def attached(self) -> bool:

@@ -107,10 +107,10 @@ def is_tracked_in(scene: SceneTensors, tracking: Tracking, medium: Tensor, numbe
     return tracking.running & (medium == number)
 
 
-@stage("scene", "ahead", "segment", "v", "tracking")
+@stage("scene", "ahead", "segment", "v", "tracking", repeats="tracking")
 def tracking_on(scene: SceneTensors, ahead: Ray, segment: Tensor, v: Tensor, tracking: Tracking, lanes: Tensor, number: int,
                 flies: bool) -> Tracking:
-    """Follows some rays by some steps, (M,); see `MediumKind.track`.
+    """Follows some rays by some steps, (M,), or, on a GPU, to the end; see `MediumKind.track`.
 
     Args:
         scene: detached; any part of it.
@@ -267,6 +267,14 @@ def medium_beyond(scene: SceneTensors, prim: Tensor, cosine: Tensor, medium: Ten
     row = lookup(scene.triangles.boundary, prim)
     side = torch.where(cosine > 0, lookup(scene.boundaries.outside, row), lookup(scene.boundaries.inside, row))
     return torch.where(side == SAME, medium, side)
+
+
+@stage("scene")
+def no_crossing(scene: SceneTensors, like: Tensor) -> BoundaryCrossing:
+    """A boundary that no ray passes, (N,). `scene`: any part of it; `like`: (N,) tells the dtype of distances."""
+    none, number = torch.zeros_like(like), torch.zeros_like(like, dtype=torch.int32)
+    instance = None if scene.triangles.instances is None else number
+    return BoundaryCrossing(Hit(number - 1, none, none, none, instance), number, number)
 
 
 def moved_ways(scene: SceneTensors, ray: Ray, ways: tuple[MediumWay, ...], crossings: tuple[BoundaryCrossing, ...],

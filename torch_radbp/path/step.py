@@ -54,12 +54,15 @@ def cut_to_count(state: PathState, step: Step | None) -> tuple[PathState, Step |
     if step is None or not isinstance(step.queues[-1].last, LaneCount):
         return state, step
     counts = step.queues[-1].last.counts.tolist()
-    found = [(queue._replace(first=counts[queue.first.number], last=counts[queue.last.number]), values)
-             for queue, values in zip(step.queues, step.texture_values)]
+    borders = [(counts[queue.first.number], counts[queue.last.number]) for queue in step.queues]
+    found = [(queue._replace(first=first, last=last), rows_between(values, first, last))
+             for queue, values, (first, last) in zip(step.queues, step.texture_values, borders)]
     queues, values = zip(*([each for each in found if each[0].first < each[0].last] or [(EMPTY, ())]))
     hit, front, picked, flight = rows_between((step.hit, step.front, step.picked, step.flight), 0, len(state.lane))
+    of_scattered = step.visible, step.survives, step.shadow_way
     step = Step(hit, front, step.order[:queues[-1].last], queues, step.visible, step.survives, picked, flight, values)
-    return state, step._replace(visible=step.visible[:step.scattered], survives=step.survives[:step.scattered])
+    visible, survives, shadow_way = rows_between(of_scattered, 0, step.scattered)
+    return state, step._replace(visible=visible, survives=survives, shadow_way=shadow_way)
 
 
 def survivors(integrand: Integrand, state: PathState, step: Step) -> PathState:

@@ -12,6 +12,7 @@ from torch_radbp.jit.cpu.board import Board, board
 from torch_radbp.jit.dual import tangents_and_tensors, values_and_tangents
 from torch_radbp.jit.recording.lane_count import LaneCount
 from torch_radbp.jit.recording.recording import ALL, Reserve
+from torch_radbp.jit.recording.repetitions import Repetitions
 from torch_radbp.jit.tape import Played, Tape, without_contents
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import EMPTY
@@ -45,17 +46,26 @@ def bounces_taken(integrand: Integrand, dtype: torch.dtype, bounce: Bounce = bou
 
 def recordable(integrand: Integrand) -> bool:
     """True if bounces may be recorded: those of compiled stages, which autograd does not record. Where rays pass boundaries
-    of media they are on a processor, if nothing moves. Who is asked outside is told no tangents."""
+    of media they are on a processor, if nothing moves, and on a GPU, if the caller finds out whether they have passed all
+    (`Integrand.repetitions`). Who is asked outside is told no tangents."""
     layout = integrand.proposal.layout
     return (integrand.stages.is_compiled and not (integrand.attached and torch.is_grad_enabled())
-            and not (layout.traces_segments and (integrand.settings.moving or integrand.target.counts_stay))
+            and not (layout.traces_segments and integrand.repetitions is None
+                     and (integrand.settings.moving or integrand.target.counts_stay))
             and not (layout.reads_outside and inside_dual_level())
             and (integrand.caster is None or integrand.caster.recorded_as is not None))
 
 
 def keeps_all_lanes(integrand: Integrand) -> bool:
     """True if what is kept of a bounce has room for all lanes, since only the device knows how many reach it."""
-    return recordable(integrand) and integrand.target.counts_stay
+    return recordable(repeating(integrand, Repetitions(0, []))) and integrand.target.counts_stay
+
+
+def repeating(integrand: Integrand, repetitions: Repetitions) -> Integrand:
+    """The integrand for a caller who will find out whether so many repetitions were enough; the same where there are none
+    of which the host does not know."""
+    asks = integrand.proposal.layout.traces_segments and integrand.stages.is_compiled and integrand.target.counts_stay
+    return integrand._replace(repetitions=repetitions) if asks else integrand
 
 
 def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None, more: tuple = (),
@@ -76,7 +86,7 @@ def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None
     casts = None if caster is None else caster.recorded_as
     # Stages have the code that recordings call.
     kind = integrand.stages, integrand.proposal.layout, casts, *present, moving_leaves(integrand), *kind
-    return Tape(tables, kind, (integrand.scene,), board, caster, integrand.target)
+    return Tape(tables, kind, (integrand.scene,), board, caster, integrand.target, integrand.repetitions)
 
 
 def played(bounce: Bounce, integrand: Integrand, tape: Tape, waits: bool, onward: Onward, depth: int,

@@ -16,8 +16,9 @@ from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.jit.recording.recording import outside
 from torch_radbp.scene.tables.appearance import Appearance
 from torch_radbp.scene.tables.scene_tensors import Layout, SceneTensors
+from torch_radbp.tensors.partition import sorted_by_torch
 from torch_radbp.tensors.vec import Vec2, Vec3
-from torch_radbp.texture.module_bank import ModuleBank
+from torch_radbp.texture.module_bank import ModuleBank, Sorted
 
 Asking = tuple[Appearance | None, tuple[Place, ...]]  # of some lanes, as for `texture_values_at`
 Given = Sequence[Sequence[Tensor]]  # the rows and the coordinates of places, see `outside`
@@ -78,17 +79,32 @@ def of_banks(banks: Sequence[int], scene: SceneTensors, given: Given, find: Call
 
     Args:
         banks: as for `values_of`.
-        find: from a bank, rows and places to tensors, (N,) each.
+        find: from a bank, rows, places, and lanes sorted by module to tensors, (N,) each.
     """
     answers: dict[int, Sequence[Tensor]] = {}
-    for bank in dict.fromkeys(banks):
-        asking = [number for number, other in enumerate(banks) if other == bank]
-        row, *at = (channels[0] if len(asking) == 1 else torch.cat(channels)
-                    for channels in zip(*(given[number] for number in asking)))
-        found = find(module_banks(scene)[bank], row, coordinates(at))
+    asked = {bank: [number for number, other in enumerate(banks) if other == bank] for bank in dict.fromkeys(banks)}
+    joined = {bank: [channels[0] if len(asking) == 1 else torch.cat(channels)
+                     for channels in zip(*(given[number] for number in asking))] for bank, asking in asked.items()}
+    for (bank, asking), lanes in zip(asked.items(), sorted_by_module(
+            [module_banks(scene)[bank] for bank in joined], [row for row, *_ in joined.values()])):
+        row, *at = joined[bank]
+        found = find(module_banks(scene)[bank], row, coordinates(at), lanes)
         parts = [channel.split([len(given[number][0]) for number in asking]) for channel in found]
         answers.update(zip(asking, zip(*parts)))
     return [answers[number] for number in range(len(banks))]
+
+
+def sorted_by_module(banks: Sequence[ModuleBank], rows: Sequence[Tensor]) -> list[Sorted]:
+    """The lanes of several tables of modules, sorted by module; a device is waited for once.
+
+    Args:
+        banks: the tables.
+        rows: of the lanes of each, as for `ModuleBank.sorted`.
+    """
+    orders, ends = zip(*(sorted_by_torch(row + 1, len(bank.functions) + 1) for bank, row in zip(banks, rows)))
+    numbers = iter((ends[0] if len(ends) == 1 else torch.cat(ends)).tolist())
+    return [bank.divided(row, order, [next(numbers) for _ in range(len(end))])
+            for bank, row, order, end in zip(banks, rows, orders, ends)]
 
 
 def coordinates(at: Sequence[Tensor]) -> Vec2 | Vec3:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from torch_radbp.connection.media import transmittance_of
@@ -20,6 +19,7 @@ from torch_radbp.path.passage import (
     is_tracked_in,
     moved_ways,
     next_segment,
+    no_crossing,
     surface_ahead,
     tracking_begun,
     tracking_on,
@@ -68,7 +68,7 @@ def free_flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -
             on = on._replace(flight=on.flight._replace(emission=emission))
         return hit, on, passes
 
-    lanes, crossings = all_lanes(hit.prim), BoundaryCrossings(integrand, state.medium)
+    lanes, crossings = all_lanes(hit.prim), BoundaryCrossings(integrand, state.ray)
     hit, way, passes = flown(hit, lanes)
     crossings.add(lanes, hit, state.medium, way.flight.medium, passes)
     lanes = chosen(passes)
@@ -91,27 +91,23 @@ class BoundaryCrossings:
 
     Args:
         integrand: the scene.
-        like: (N,) int32, any numbers of the rays.
+        rays: (N,) those that cross.
     """
 
-    def __init__(self, integrand: Integrand, like: Tensor):
+    def __init__(self, integrand: Integrand, rays: Ray):
         self.kept: list[BoundaryCrossing] | None = [] if integrand.settings.moving else None
-        self.like, self.instanced = like, integrand.proposal.triangles.instances is not None
-        self.dtype = integrand.proposal.dtype
+        self.part, self.pick, self.rays = integrand.part(Ends.SURROUNDINGS), integrand.stages(rows), rays
 
     def none(self) -> BoundaryCrossing:
         """A crossing that no ray makes."""
-        number = torch.zeros_like(self.like, dtype=self.dtype)
-        zero = torch.zeros_like(self.like)
-        hit = Hit(zero - 1, number.clone(), number.clone(), number.clone(), zero.clone() if self.instanced else None)
-        return BoundaryCrossing(hit, zero.clone(), zero.clone())
+        return apart(self.part.call(no_crossing, self.rays.o.x))
 
     def add(self, lanes: Tensor, hit: Hit, before: Tensor, after: Tensor, passes: Tensor) -> None:
         """Adds the next crossings of some rays, (M,): what they meet, the media on both sides, and whether they pass."""
         crossed = chosen(passes)
         if self.kept is not None and len(crossed):
             self.kept.append(self.none())
-            put_rows(self.kept[-1], rows(lanes, crossed), rows(BoundaryCrossing(hit, before, after), crossed))
+            put_rows(self.kept[-1], self.pick(lanes, crossed), self.pick(BoundaryCrossing(hit, before, after), crossed))
 
     def in_turn(self) -> tuple[BoundaryCrossing, ...] | None:
         """The crossings, as many as a power of 2, so that few kinds of functions are compiled; None: they were not asked
@@ -142,7 +138,7 @@ def free_ways(integrand: Integrand, shadow: Ray, distance: Tensor, medium: Tenso
     if not layout.traces_segments:
         return inverted(integrand.caster.occluded(shadow, distance)), None
     part, shadow = integrand.part(Ends.SURROUNDINGS), detached(shadow)
-    pick, crossings = integrand.stages(rows), BoundaryCrossings(integrand, medium)
+    pick, crossings = integrand.stages(rows), BoundaryCrossings(integrand, shadow)
     passed, begins = part.call(shadow_begun, shadow, distance, medium, key, integrand.at(depth))
     passed = apart(passed)
 
@@ -184,7 +180,11 @@ def tracking_ended(integrand: Integrand, ahead: Ray, medium: Tensor, seed: Tenso
             put_rows(tracking, lanes, on)
             return pick(lanes, chosen(on.running))
 
-        repeated(chosen(part.call(is_tracked_in, tracking, medium, number)), next_steps)
+        lanes = chosen(part.call(is_tracked_in, tracking, medium, number))
+        if not integrand.kernels_repeat:
+            repeated(lanes, next_steps)
+        elif len(lanes):
+            put_rows(tracking, lanes, part.call(tracking_on, ahead, length, v, tracking, lanes, number, flies))
     return tracking
 
 

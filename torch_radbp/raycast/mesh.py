@@ -12,12 +12,13 @@ from torch_radbp.raycast.protocol import Ray
 DTYPES = (torch.float32, torch.float64)
 
 
-def checked_vertices(vertices: Tensor, device: torch.device | None = None) -> Tensor:
+def checked_vertices(vertices: Tensor, device: torch.device | None = None, finite: bool | None = None) -> Tensor:
     """A detached, contiguous copy of the vertices in their own dtype.
 
     Args:
         vertices: (V, 3).
         device: where they must be; None allows any.
+        finite: whether all are in float32, if it is known.
 
     Raises:
         ValueError: not (V, 3) float32 or float64, none at all, not finite in float32, or not as demanded.
@@ -30,8 +31,9 @@ def checked_vertices(vertices: Tensor, device: torch.device | None = None) -> Te
         raise ValueError(f"this ray caster works on {device}, got vertices on {vertices.device}; use another one")
     if len(vertices) == 0:
         raise ValueError("a ray caster needs a mesh with at least one triangle, got no vertices")
-    broken = ~torch.isfinite(vertices.detach().float()).all(dim=1)
-    if broken.any():
+    finite = bool(torch.isfinite(vertices.detach().float()).all()) if finite is None else finite
+    if not finite:
+        broken = ~torch.isfinite(vertices.detach().float()).all(dim=1)
         first = int(broken.nonzero()[0])
         raise ValueError(
             f"vertices must be finite in float32, got {int(broken.sum())} that are not, "
@@ -40,8 +42,15 @@ def checked_vertices(vertices: Tensor, device: torch.device | None = None) -> Te
     return vertices.detach().clone(memory_format=torch.contiguous_format)
 
 
-def checked_faces(faces: Tensor, vertex_count: int, device: torch.device | None = None) -> Tensor:
+def checked_faces(faces: Tensor, vertex_count: int, device: torch.device | None = None,
+                  extremes: tuple[int, int] | None = None) -> Tensor:
     """A contiguous int32 copy of the faces.
+
+    Args:
+        faces: (F, 3).
+        vertex_count: V.
+        device: where they must be; None allows any.
+        extremes: the least and the greatest index, if they are known.
 
     Raises:
         ValueError: not (F, 3) integers, none at all, not on `device`, or an index outside of [0, vertex_count).
@@ -54,7 +63,7 @@ def checked_faces(faces: Tensor, vertex_count: int, device: torch.device | None 
         raise ValueError(f"this ray caster works on {device}, got faces on {faces.device}; use another one")
     if len(faces) == 0:
         raise ValueError("a ray caster needs a mesh with at least one triangle, got no faces")
-    lowest, highest = int(faces.min()), int(faces.max())
+    lowest, highest = (int(faces.min()), int(faces.max())) if extremes is None else extremes
     if lowest < 0 or highest >= vertex_count:
         raise ValueError(f"faces must index {vertex_count} vertices, got indices from {lowest} to {highest}")
     return faces.to(torch.int32, copy=True).contiguous()

@@ -13,6 +13,7 @@ from collections.abc import Hashable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import repeat
 from threading import Lock
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -58,14 +59,15 @@ class Warp:
         if vertices.device.type not in DEVICES:
             raise ValueError(f"the ray caster 'warp' works on CUDA and on the CPU, got vertices on {vertices.device}; "
                              "move the scene, or use 'brute'")
-        self.vertices = checked_vertices(vertices)
-        self.faces = checked_faces(faces, len(self.vertices), device=self.vertices.device)
+        known = asked_of_mesh(vertices, faces)
+        self.vertices = checked_vertices(vertices, None, known and known.finite)
+        self.faces = checked_faces(faces, len(self.vertices), self.vertices.device, known and known.indices)
         self.balls = balls
         self._rays, self._counting = 0, Lock()
         self._rays_counted = torch.zeros(1, dtype=torch.int64, device=self.vertices.device)  # of which only the device knows
         self._device = _started(self.vertices.device)
         self._streams: set[torch.cuda.Stream] = set()
-        corners, self._unit = in_units(self.vertices, self.faces)
+        corners, self._unit = in_units(self.vertices, self.faces, 0.0 if known is None else known.extent)
         warp_few = few_kernels(self.vertices.device)
         few = warp_few.few_faces(corners)
         if few is not None:
@@ -160,14 +162,32 @@ def lanes_of(column: Tensor):
     return wp.from_torch(column, return_ctype=True, requires_grad=False)
 
 
-def in_units(vertices: Tensor, faces: Tensor) -> tuple[Tensor, float]:
+class MeshExtremes(NamedTuple):
+    """What a device is asked of a mesh, at once."""
+
+    finite: bool  # in float32
+    indices: tuple[int, int]  # the least and the greatest
+    extent: float  # the greatest, along an axis
+
+
+def asked_of_mesh(vertices: Tensor, faces: Tensor) -> MeshExtremes | None:
+    """Asks the device for all that is to be known of a mesh; None if that is none: who checks it will say why."""
+    if vertices.ndim != 2 or faces.ndim != 2 or not vertices.numel() or not faces.numel() or faces.is_complex():
+        return None
+    points = vertices.detach().float().double()
+    low, high = points.amin(0), points.amax(0)
+    parts = [torch.isfinite(low + high).all(), *faces.aminmax(), (high - low).amax()]
+    finite, least, greatest, extent = torch.stack([part.double() for part in parts]).tolist()
+    return MeshExtremes(bool(finite), (int(least), int(greatest)), extent)
+
+
+def in_units(vertices: Tensor, faces: Tensor, extent: float) -> tuple[Tensor, float]:
     """The corners of triangles, (F, 3, 3) float32, scaled to about unit extent, and the power of two that they were scaled
-    by.
+    by; `extent`: the greatest of the mesh along an axis.
 
     That is a power of two, which rounds nothing. Triangles without area are points, of which Warp is sure.
     """
     vertices = vertices.to(torch.float32)
-    extent = float((vertices.amax(dim=0).double() - vertices.amin(dim=0).double()).max())
     exponent = math.frexp(extent)[1] if extent > 0 else 0
     unit = 2.0 ** max(-120, min(120, -exponent))
     corners = (vertices * unit)[faces.long()]

@@ -22,6 +22,7 @@ from torch_radbp.call.pixels import Films
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.source import Cameras
 from torch_radbp.call.view import OF_NO_SENSOR, Shot, view_of
+from torch_radbp.jit.recording.repetitions import LearntRepetitions
 from torch_radbp.jit.stages import compiled
 from torch_radbp.jit.target import COMPILED
 from torch_radbp.path.integrand import Integrand
@@ -141,11 +142,10 @@ class Renderer(nn.Module):
         self.sampling, self.compile_stages, self.caster_name = sampling, compile, caster
         self.light_choice, self.terms, self.share_samples = light_choice, terms, share_samples
         self.light_paths = defaults.light_paths if light_paths is None else light_paths
-        self.adjoint = MemoizedAdjoint() if adjoint is None else adjoint
-        self.adjoint_is_chosen = adjoint is not None
+        self.adjoint, self.adjoint_is_chosen = adjoint or MemoizedAdjoint(), adjoint is not None
         self.casters, self.cache, self.cache_for_aovs = KeptCaster(), PackCache(), PackCache()
         self.jump_watch, self.gradient_watch, self.noise_watch = JumpWatch(), GradientWatch(), NoiseWatch()
-        self.planner, self.memory = MemoryPlanner(), ZeroedMemory()
+        self.planner, self.memory, self.repetitions = MemoryPlanner(), ZeroedMemory(), LearntRepetitions()
         check_settings(self)
 
     @property
@@ -364,7 +364,7 @@ class Renderer(nn.Module):
         integrand = make_integrand(detached(scene))
         call = RenderCall(scene, caster, make_integrand, integrand, stages, self.adjoint, Cameras(views), Films(),
                           wavefronts_of(views, plan, spp, workers), spp, seeds[0] == seeds[1], record_bytes, plan.together,
-                          workers, self.memory, settings.following, self.scene, parameters)
+                          workers, self.memory, self.repetitions, settings.following, self.scene, parameters)
         if self.memory_budget is None:
             return call
         within = self.plan(call)

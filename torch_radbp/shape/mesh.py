@@ -159,8 +159,8 @@ class Mesh(Surface):
     def motion(self) -> Tensor:
         """The (4, 4) transform from the pose at loading to the current one; exactly the identity while they are equal."""
         motion = (self.to_world.double() @ matrix_inverse(self.loaded_to_world.double())).to(self.to_world.dtype)
-        moved = not torch.equal(self.to_world.detach(), self.loaded_to_world)
-        return motion if moved else attached(torch.eye(4, dtype=motion.dtype, device=motion.device), motion)
+        rests = (self.to_world.detach() == self.loaded_to_world).all()
+        return torch.where(rests, attached(torch.eye(4, dtype=motion.dtype, device=motion.device), motion), motion)
 
 
 def has_area(positions: Tensor, faces: Tensor) -> bool:

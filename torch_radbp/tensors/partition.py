@@ -2,8 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
+
+
+def sorted_by_torch(number: Tensor, queues: int) -> tuple[Tensor, Tensor]:
+    """As `partition_by_torch`, but with (queues,) int64 on the device, where each queue ends, in the place of the numbers of
+    lanes: waits for nothing."""
+    dtype = torch.uint8 if queues <= 256 else torch.int32  # a radix sort takes a turn for each byte
+    numbers, order = number.to(dtype).sort(stable=True)
+    queue = torch.arange(queues, dtype=dtype, device=number.device)
+    return order.to(torch.int32), torch.searchsorted(numbers, queue, right=True)
 
 
 def partition_by_torch(number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
@@ -15,8 +26,10 @@ def partition_by_torch(number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
     Returns:
         (N,) int32 the lanes, and the number of lanes of each queue.
     """
-    dtype = torch.uint8 if queues <= 256 else torch.int32  # a radix sort takes a turn for each byte
-    numbers, order = number.to(dtype).sort(stable=True)
-    queue = torch.arange(queues, dtype=dtype, device=number.device)
-    ends = torch.searchsorted(numbers, queue, right=True).tolist()
-    return order.to(torch.int32), [end - first for first, end in zip([0, *ends], ends)]
+    order, ends = sorted_by_torch(number, queues)
+    return order, lengths(ends.tolist())
+
+
+def lengths(ends: Sequence[int]) -> list[int]:
+    """The numbers of lanes of queues that end at these places, one behind the other."""
+    return [end - first for first, end in zip([0, *ends], ends)]

@@ -14,9 +14,10 @@ from torch_radbp.tensors.record import leaves_of
 Function = TypeVar("Function", bound=Callable)
 
 DECLARED: dict[Callable, tuple[str, ...]] = {}  # each stage that is imported, with the names of its tables
+REPEATED: dict[Callable, str] = {}  # stages that a kernel of a GPU repeats by itself, with the name of what they return anew
 
 
-def stage(*tables: str) -> Callable[[Function], Function]:
+def stage(*tables: str, repeats: str | None = None) -> Callable[[Function], Function]:
     """Declares a function as a stage, which runs in plain torch or is compiled to one loop over lanes.
 
     It stays an ordinary function of torch, and other stages may call it. Depth and seed are tensors, so that bounces,
@@ -25,9 +26,14 @@ def stage(*tables: str) -> Callable[[Function], Function]:
     Args:
         tables: names of the arguments that are read at indices, of any length; tensors of shape (N,) in the others have a
             value for each lane.
+        repeats: the name of the table that the stage returns anew, of its lanes, as it is a turn later: a record with a flag
+            `running`. Where kernels repeat by themselves (`Target.repeats`) a call goes on until the flag of each lane is
+            false; elsewhere it takes one turn. None: the stage is none of these.
     """
     def declare(function: Function) -> Function:
         DECLARED[function] = tables
+        if repeats is not None:
+            REPEATED[function] = repeats
         return function
 
     return declare

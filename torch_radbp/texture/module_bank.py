@@ -14,7 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.tensors.partition import partition_by_torch
+from torch_radbp.tensors.partition import lengths, sorted_by_torch
 from torch_radbp.tensors.vec import Vec2, Vec3, rows
 from torch_radbp.texture.module_function import ModuleFunction
 from torch_radbp.threads.team import each, threads
@@ -78,21 +78,22 @@ class ModuleBank(NamedTuple):
     functions: tuple[ModuleFunction, ...]
     parameters: tuple[tuple[Tensor, ...], ...]  # of each; attached
 
-    def values(self, row: Tensor, at: Vec2 | Vec3) -> Vec3:
+    def values(self, row: Tensor, at: Vec2 | Vec3, lanes: Sorted | None = None) -> Vec3:
         """(N,) values of the modules at the lanes' points, attached. Each module runs on its own lanes.
 
         Args:
             row: (N,) int32, which of the modules gives each lane its value; -1: none, and the value is 0.
             at: (N,) where.
+            lanes: of `sorted`, if it is known.
         """
         functions = ModuleCopies(self.functions, self.parameters)
 
         def of_batch(module: int, place: Tensor) -> Tensor:
             return functions.of(module)(place)
 
-        return Vec3(*self.per_batch(row, at, of_batch, (3,)))
+        return Vec3(*self.per_batch(lanes or self.sorted(row), at, of_batch, (3,)))
 
-    def values_and_slopes(self, row: Tensor, at: Vec2 | Vec3) -> tuple[Vec3, ...]:
+    def values_and_slopes(self, row: Tensor, at: Vec2 | Vec3, lanes: Sorted | None = None) -> tuple[Vec3, ...]:
         """(N,) values, and their derivatives by each coordinate of the points; detached. Args as for `values`.
 
         Each value must depend on its own place only.
@@ -105,7 +106,7 @@ class ModuleBank(NamedTuple):
                 values = functions.of(module)(place)
             return torch.stack([values.detach(), *_slopes(values, place)], 1)
 
-        return tuple(Vec3(*part) for part in self.per_batch(row, at, of_batch, (1 + len(at), 3)))
+        return tuple(Vec3(*part) for part in self.per_batch(lanes or self.sorted(row), at, of_batch, (1 + len(at), 3)))
 
     def gradients(self, wanted: Sequence[Sequence[bool]], row: Tensor, at: Vec2 | Vec3,
                   adjoint: Vec3) -> Iterator[tuple[int, int, Tensor]]:
@@ -139,22 +140,21 @@ class ModuleBank(NamedTuple):
                 if parts:
                     yield module, number, torch.stack(parts).sum(0, dtype=torch.float64)
 
-    def per_batch(self, row: Tensor, at: Vec2 | Vec3, of_batch: Callable[[int, Tensor], Tensor],
+    def per_batch(self, lanes: Sorted, at: Vec2 | Vec3, of_batch: Callable[[int, Tensor], Tensor],
                   shape: tuple[int, ...]) -> Tensor:
         """(*shape, N) results of `of_batch` for each lane, batch by batch; 0 for lanes of no module.
 
         Args:
-            row, at: as for `values`.
+            lanes: of `sorted`.
+            at: as for `values`.
             of_batch: from a module and M places, (M, 2) or (M, 3), to (M, *shape).
         """
-        lanes = self.sorted(row)
-
         def columns(batch: ModuleBatch) -> Tensor:
             return of_batch(batch.module, lanes.part(at, batch)).movedim(0, -1).contiguous()
 
-        nothing = lanes.batches[0].first if lanes.batches else len(row)
+        nothing = lanes.batches[0].first if lanes.batches else len(at[0])
         none = [at[0].new_zeros(*shape, nothing)] if nothing or not lanes.batches else []
-        parts = [*none, *each(columns, lanes.batches, threads_for(row))]
+        parts = [*none, *each(columns, lanes.batches, threads_for(at[0]))]
         return lanes.back(parts[0] if len(parts) == 1 else torch.cat(parts, -1))
 
     def sorted(self, row: Tensor, parameters: float = torch.inf) -> Sorted:
@@ -164,7 +164,12 @@ class ModuleBank(NamedTuple):
             row: as for `values`.
             parameters: a place that a batch may have at the most.
         """
-        order, counts = partition_by_torch(row + 1, len(self.functions) + 1)
+        order, ends = sorted_by_torch(row + 1, len(self.functions) + 1)
+        return self.divided(row, order, ends.tolist(), parameters)
+
+    def divided(self, row: Tensor, order: Tensor, ends: Sequence[int], parameters: float = torch.inf) -> Sorted:
+        """Lanes in batches, of those sorted by module; args as for `sorted` and as it is told by `sorted_by_torch`."""
+        counts = lengths(ends)
         batches, first = [], counts[0]
         for module, count in enumerate(counts[1:]):
             size, last = length_of_batches(count, self.size(module, row.device, parameters)), first + count

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from torch_radbp.interface.texture import LUMINANCE
 from torch_radbp.plugin.domain import LEEWAY, Domain
+from torch_radbp.tensors.asked_later import asked_later
 
 SMOOTH = "keep square roots, norms, logarithms and quotients in the module away from 0"
 OUTSIDE = "; let it end with a function onto that range, such as nn.Sigmoid()"
@@ -66,10 +67,15 @@ class ModuleFunction:
             raise ValueError(f"the heights that the module of the texture {self.use.name!r} returns do not depend on what "
                              f"it gets, as far as autograd can tell, so that they have no slope: compute them from the "
                              f"place, without .detach() and torch.no_grad(), or leave the bumpmap out")
-        if not checked and not bool(torch.isfinite(slopes).all()):
-            bad = int((~torch.isfinite(slopes)).sum())
-            raise ValueError(f"the slopes of the texture {self.use.name!r}, derivatives of its module by the place, have "
-                             f"{bad} of {slopes.numel()} values that are NaN or infinite; {SMOOTH}")
+        if not checked:
+            count = slopes.numel()
+
+            def told(numbers: list[float]) -> None:
+                if numbers[0]:
+                    raise ValueError(f"the slopes of the texture {self.use.name!r}, derivatives of its module by the place, "
+                                     f"have {int(numbers[0])} of {count} values that are NaN or infinite; {SMOOTH}")
+
+            asked_later((~torch.isfinite(slopes.detach())).sum().reshape(1), told)
         return torch.cat([slopes, slopes.new_zeros(len(slopes), 3 - slopes.shape[1])], 1)
 
     def values(self, place: Tensor, checked: bool) -> Tensor:
@@ -107,7 +113,23 @@ class ModuleFunction:
         if (values.dtype, values.device) != (place.dtype, place.device):
             raise TypeError(f"the module of {name} must return {place.dtype} on {place.device}, as the scene is, got "
                             f"{values.dtype} on {values.device}")
-        least, greatest = torch.stack(values.detach().aminmax()).tolist()
+        extremes = values.detach().aminmax()
+        if values.is_cpu:
+            self.check_range(name, values, *torch.stack(extremes).tolist())
+            return
+        bad = (~torch.isfinite(values.detach())).sum().to(values.dtype)
+        count = values.numel()
+
+        def told(numbers: list[float]) -> None:
+            least, greatest, found = numbers  # of values that are gone by now
+            like = torch.zeros(count if found else 1)
+            like[:int(found)] = torch.nan
+            self.check_range(name, like, least, greatest)
+
+        asked_later(torch.stack([*extremes, bad]), told)
+
+    def check_range(self, name: str, values: Tensor, least: float, greatest: float) -> None:
+        """Raises ValueError unless values with these extremes are in the domains of all uses."""
         for domain in self.use.domains:
             finite = abs(greatest - least) < torch.inf
             domain.check_range(name, values, least, greatest, LEEWAY, OUTSIDE if finite else f"; {SMOOTH}")

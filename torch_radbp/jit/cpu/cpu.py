@@ -40,7 +40,7 @@ class Cpu:
             waits for one entry after the other, and two vectors wait together: float32 takes two too where it searches.
     """
 
-    counts_stay = loads_ahead = False
+    counts_stay = loads_ahead = repeats = False
 
     def __init__(self, width: int | None = None):
         self.width = width

@@ -38,6 +38,7 @@ from torch_radbp.jit.lane.instructions import (
     scalar_suffix,
 )
 from torch_radbp.jit.lane.loops import SEARCH
+from torch_radbp.jit.lane.repeated import RepeatedText
 from torch_radbp.jit.lane.row_reads import RowReading, in_rows
 from torch_radbp.jit.lane.schedule import few_alive
 from torch_radbp.jit.lane.window import TableWindow, WindowReading, at_one_index
@@ -69,6 +70,8 @@ class ProgramText:
 
     def instructions(self) -> Body:
         """Emits all instructions of the program."""
+        if self.program.repetition is not None:
+            return RepeatedText(self, self.program.repetition).instructions()
         waiting: dict[Value, list[int]] = {}  # the outputs that each value is
         for number, value in enumerate(value for value in self.program.outputs if value is not None):
             waiting.setdefault(value, []).append(number)
@@ -81,6 +84,10 @@ class ProgramText:
                 self.store(value, waiting.pop(value, ()))
         for value, numbers in waiting.items():
             self.store(value, numbers)
+        return self.text()
+
+    def text(self) -> Body:
+        """What has been emitted."""
         return Body(self.program, self.entry, self.body, tuple(self.declared.values()), self.names)
 
     # -- Types and constants --------------------------------------------------------------------------------------------

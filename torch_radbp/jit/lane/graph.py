@@ -50,6 +50,13 @@ class Value:
         return f"v{self.order} = {self.operation}{static}({arguments}): {self.kind} {str(self.dtype).removeprefix('torch.')}"
 
 
+class Repetition(NamedTuple):
+    """How a program is repeated for a lane: what it reads of some tables is the output of the turn before."""
+
+    running: int  # the output that tells whether the lane goes on
+    state: tuple[tuple[int, int], ...]  # of each of these tables its place among the arguments, and the output
+
+
 class Program(NamedTuple):
     """A function of lanes as a sequence of values, without those that no output needs."""
 
@@ -57,6 +64,7 @@ class Program(NamedTuple):
     values: tuple[Value, ...]  # inputs included
     outputs: tuple[Value | None, ...]  # in the order of the function's results; None where it returns None
     columns: Mapping[int, Any] = {}  # column layouts of tables by index of the argument; see `jit/arguments.py`
+    repetition: Repetition | None = None  # None: it is computed once
 
     def column(self, table: Value) -> Any:
         """The column layout of a table; None if it is contiguous."""

@@ -29,7 +29,7 @@ def without_library(given: Program) -> Program:
     made = inlined(builder, given._replace(values=(*given.inputs, *given.values)), {})  # what no value needs among them
     lowered = program(tuple(None if value is None else made[value] for value in given.outputs))
     inputs = tuple(made[value] for value in given.inputs)  # in the same order, all of them
-    return lowered._replace(inputs=inputs, columns=given.columns)
+    return lowered._replace(inputs=inputs, columns=given.columns, repetition=given.repetition)
 
 
 def inlined(builder: Builder, given: Program, made: dict[Value, Value]) -> dict[Value, Value]:

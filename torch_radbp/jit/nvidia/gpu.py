@@ -20,7 +20,7 @@ from torch_radbp.jit.lane.emit import emit
 from torch_radbp.jit.lane.graph import Program
 from torch_radbp.jit.lane.lowered import without_library
 from torch_radbp.jit.nvidia.driver import NoDriver, driver_of
-from torch_radbp.jit.nvidia.launches import Caster, Launch, RayQuery
+from torch_radbp.jit.nvidia.launches import Caster, Part, RayQuery
 from torch_radbp.jit.nvidia.nvptx import BLOCK, kernel_module
 from torch_radbp.jit.nvidia.nvptx_lanes import COPIES, SMALL, put_text, scatter_text
 from torch_radbp.jit.nvidia.recorded_launches import RecordedLaunches
@@ -94,7 +94,7 @@ class Gpu(AnyDevice):
         launcher: of the device.
     """
 
-    counts_stay = loads_ahead = True
+    counts_stay = loads_ahead = repeats = True
 
     def __init__(self, launcher: Launcher):
         super().__init__()
@@ -136,18 +136,18 @@ class Gpu(AnyDevice):
         """See `Target`."""
         return RecordedLaunches(self, recording, given, results)
 
-    def launch_all(self, launches: Sequence[Launch], words: Tensor, lanes: int, caster: Caster | None) -> None:
+    def launch_all(self, part: Part, words: Tensor, lanes: int, caster: Caster | None) -> None:
         """Starts kernels, one after the other, and waits for none.
 
         Args:
-            launches: in this order.
-            words: of all, int64 on the CPU.
+            part: the launches.
+            words: theirs, int64 on the CPU.
             lanes: as many as there may be.
             caster: of rays.
         """
-        address = words.data_ptr()
+        address = words.data_ptr() - 8 * part.words.start
         with self.launcher.together() as launch:
-            for kernel, blocks, first, last in launches:
+            for kernel, blocks, first, last in part.launches:
                 if isinstance(kernel, RayQuery):
                     caster.launch(kernel.kernel, lanes, *(ctypes.c_int64 * (last - first)).from_address(address + 8 * first))
                 else:

@@ -8,13 +8,14 @@ of an address and a distance, and are computed together.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import torch
 
 from torch_radbp.jit.nvidia.nvptx import BLOCK
-from torch_radbp.jit.nvidia.nvptx_lanes import counts_text, move_text, put_text, scatter_text
+from torch_radbp.jit.nvidia.nvptx_lanes import copy_text, counts_text, move_text, put_text, scatter_text
 from torch_radbp.jit.nvidia.nvptx_order import GROUP, MOST_QUEUES, RUN, count_text, place_text, sum_text
 from torch_radbp.jit.recording.lane_operations import (
     Chosen,
@@ -24,6 +25,7 @@ from torch_radbp.jit.recording.lane_operations import (
     MemoryPlace,
     NewTensor,
     Operation,
+    Outside,
     Partition,
     Put,
     RecordedLoop,
@@ -76,6 +78,14 @@ class Launch(NamedTuple):
     last: int
 
 
+class Part(NamedTuple):
+    """Launches that follow each other without the host."""
+
+    launches: Sequence[Launch]
+    words: slice  # theirs, of those of all launches
+    outside: Outside | None  # what is done afterwards; None: nothing
+
+
 class DeviceRecording(NamedTuple):
     """What launches are made of."""
 
@@ -83,7 +93,7 @@ class DeviceRecording(NamedTuple):
     operations: Sequence[Operation]
     made: Sequence[NewTensor]
     layout: ResultLayout
-    given: int  # tensors and addresses
+    given: Sequence[LaneSpan | None]  # tensors and addresses, with the lanes for which tensors have entries; None: unknown
     known: int  # counts that are known before the first launch, that of all lanes among them
 
     @property
@@ -93,11 +103,18 @@ class DeviceRecording(NamedTuple):
 
     @property
     def first_length(self) -> int:
-        return self.first_given + self.given
+        return self.first_given + len(self.given)
 
     @property
     def first_count(self) -> int:
-        return self.first_length + self.given
+        return self.first_length + len(self.given)
+
+
+def done_together(operation: Operation) -> tuple:
+    """The same for operations that one launch does if they follow each other."""
+    if isinstance(operation, Put):
+        return Put, operation.place, operation.lanes
+    return (Copy, operation.lanes) if isinstance(operation, Copy) else (type(operation),)
 
 
 class Launches:
@@ -113,13 +130,19 @@ class Launches:
         self.sequence: list[Launch] = []
         self.words: list[Word] = []
         self.scratch = 0  # bytes
+        self.parts: list[Part] = []
         self.add(of.kernel("counts", (of.known,), counts_text), 1, [
             self.literal(1), *[Word(0, 0)] * 2, self.counts(0),
             *[Word(of.first_count + place, 0) for place in range(2 * of.known)]])
         write = {RecordedLoop: self.loop, Partition: self.partition, Chosen: self.chosen, Put: self.put,
-                 Inverted: self.inverted, Copy: self.copy, Scattered: self.scattered}
-        for operation in of.operations:
-            write[type(operation)](operation)
+                 Inverted: self.inverted, Copy: self.copy, Scattered: self.scattered, Outside: self.part}
+        for kind, run in itertools.groupby(of.operations, done_together):
+            if kind[0] in (Copy, Put):
+                write[kind[0]](list(run))
+            else:
+                for operation in run:
+                    write[type(operation)](operation)
+        self.part(None)
         self.blocks = torch.tensor([word.block for word in self.words], dtype=torch.int64, device="cpu")
         self.distances = torch.tensor([word.distance for word in self.words], dtype=torch.int64, device="cpu")
 
@@ -133,6 +156,12 @@ class Launches:
     def counts(number: int) -> Word:
         """Where a count stands."""
         return Word(BLOCKS.index("counts"), 8 * number)
+
+    def part(self, outside: Outside | None) -> None:
+        """Ends a part of the launches, behind which something is done outside."""
+        known = sum(len(part.launches) for part in self.parts)
+        words = slice(self.parts[-1].words.stop if self.parts else 0, len(self.words))
+        self.parts.append(Part(self.sequence[known:], words, outside))
 
     def place(self, place: MemoryPlace) -> Word:
         """Where a tensor begins."""
@@ -159,7 +188,8 @@ class Launches:
 
     def first_of(self, place: MemoryPlace) -> int:
         """The count at which the entries of a place begin in the room for all lanes."""
-        before = self.of.made[place.tensor].lanes.first if place.made else 0
+        lanes = self.of.made[place.tensor].lanes if place.made else self.of.given[place.tensor]
+        before = 0 if lanes is None else lanes.first
         if before and place.first:
             raise NotRecordable("a part of what belongs to a part of the lanes")
         return before or place.first
@@ -233,24 +263,25 @@ class Launches:
         self.of_threads("place", (queues, flags, levels), place_text, runs, [
             read, total, self.of_span(order, lanes), self.literal(runs), self.counts(count), *sums])
 
-    def put(self, operation: Put) -> None:
-        place, lanes, pairs = operation
-        words = [self.of_span(place, lanes)]
-        for entry, target in pairs:
+    def put(self, run: Sequence[Put]) -> None:
+        place, lanes, _ = run[0]
+        words, case = [self.of_span(place, lanes)], []
+        for entry, target in itertools.chain.from_iterable(operation.pairs for operation in run):
             words += (self.of_span(entry, lanes), self.whole(target))
-        case = (OF_SIZE[pairs[0][0].size],) * len(pairs)
-        self.over(self.of.kernel("put", case, put_text), lanes, words)
-
-    def moved(self, name: str, size: int, source: MemoryPlace, target: MemoryPlace, lanes: LaneSpan) -> None:
-        self.over(self.of.kernel(name, (name, size), move_text), lanes, [
-            self.of_span(source, lanes), self.of_span(target, lanes)])
+            case.append(OF_SIZE[entry.size])
+        self.over(self.of.kernel("put", tuple(case), put_text), lanes, words)
 
     def inverted(self, operation: Inverted) -> None:
         flags, lanes, result = operation
-        self.moved("clear" if flags is None else "invert", 1, flags or result, result, lanes)
+        name = "clear" if flags is None else "invert"
+        self.over(self.of.kernel(name, (name,), move_text), lanes, [
+            self.of_span(flags or result, lanes), self.of_span(result, lanes)])
 
-    def copy(self, operation: Copy) -> None:
-        self.moved("copy", operation.target.size, operation.source, operation.target, operation.lanes)
+    def copy(self, run: Sequence[Copy]) -> None:
+        words = [word for source, target, lanes in run
+                 for word in (self.of_span(source, lanes), self.of_span(target, lanes))]
+        sizes = tuple(operation.target.size for operation in run)
+        self.over(self.of.kernel("copy", sizes, copy_text), run[0].lanes, words)
 
     def scattered(self, operation: Scattered) -> None:
         words, case = [], []

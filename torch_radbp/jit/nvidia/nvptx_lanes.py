@@ -42,8 +42,13 @@ ADD = """\
 %to{k}.{t} = getelementptr double, ptr %totals{k}.{t}, i64 %place{k}
 %before{k}.{t} = atomicrmw fadd ptr %to{k}.{t}, double %wide{k}.{t} syncscope("device") monotonic, align 8"""
 
-# What becomes of an entry, by the name of the kernel.
-MOVED = {"copy": "add {type} %found, 0", "invert": "xor {type} %found, 1", "clear": "add {type} 0, 0"}
+COPY = """\
+%from{k}.at = getelementptr {type}, ptr %from{k}, i64 %i
+%entry{k} = load {type}, ptr %from{k}.at, align {size}
+%to{k}.at = getelementptr {type}, ptr %to{k}, i64 %i
+store {type} %entry{k}, ptr %to{k}.at, align {size}"""
+# What becomes of a flag, by the name of the kernel.
+MOVED = {"invert": "xor {type} %found, 1", "clear": "add {type} 0, 0"}
 MOVE = """\
 %from.at = getelementptr {type}, ptr %source, i64 %i
 %found = load {type}, ptr %from.at, align {size}
@@ -75,12 +80,23 @@ def counts_text(case: tuple[int]) -> str:
     return kernel("counts", parameters, body)
 
 
-def move_text(case: tuple[str, int]) -> str:
-    """The kernel that copies entries of so many bytes, or inverts or clears flags: where they come from, and go to."""
-    name, size = case
-    scalar = f"i{8 * size}"
+def move_text(case: tuple[str]) -> str:
+    """The kernel that inverts or clears flags: where they come from, and go to."""
+    name, = case
     return kernel(name, ["ptr noalias readonly %source", "ptr noalias %target"], MOVE.format(
-        type=scalar, size=size, moved=MOVED[name].format(type=scalar)).splitlines())
+        type="i8", size=1, moved=MOVED[name].format(type="i8")).splitlines())
+
+
+def copy_text(sizes: Sequence[int]) -> str:
+    """The kernel that copies entries of so many bytes each, one after the other: where each comes from, and goes to.
+
+    What was read may be written over by a later copy, at the same lane.
+    """
+    parameters, body = [], []
+    for k, size in enumerate(sizes):
+        parameters += [f"ptr %from{k}", f"ptr %to{k}"]
+        body += COPY.format(k=k, type=f"i{8 * size}", size=size).splitlines()
+    return kernel("copy", parameters, body)
 
 
 def put_text(dtypes: Sequence[torch.dtype]) -> str:

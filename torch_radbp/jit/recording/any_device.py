@@ -20,7 +20,7 @@ class AnyDevice:
         reason: why nothing is compiled for it, and what to do about it.
     """
 
-    counts_stay = loads_ahead = False
+    counts_stay = loads_ahead = repeats = False
 
     def __init__(self, reason: str = "lanes are compiled for the CPU and for GPUs of NVIDIA's; run the function as it is"):
         self.reason = reason

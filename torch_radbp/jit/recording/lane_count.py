@@ -20,6 +20,12 @@ class LaneCount(NamedTuple):
         return self.counts.data_ptr() + 8 * self.number
 
 
+    @property
+    def alone(self) -> Tensor:
+        """(1,) the number, on the device."""
+        return self.counts[self.number:self.number + 1]
+
+
 def most_of(count: int | LaneCount) -> int:
     """What a number of lanes may be at most."""
     return count.most if isinstance(count, LaneCount) else count

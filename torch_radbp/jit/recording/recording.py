@@ -81,11 +81,15 @@ class Recording:
             always known.
         reserve: that the tensors without contents are from.
         contexts: of what is done outside.
+        most: how often to write out what is repeated, see `Repetitions`; None: it is one operation, `Repeated`.
     """
 
     def __init__(self, given: Sequence[Tensor | int], counts: Sequence[int] = (), reserve: Reserve | None = None,
-                 contexts: Sequence[Any] = ()):
-        self.reserve, self.contexts = reserve or Reserve(), contexts
+                 contexts: Sequence[Any] = (), most: int | None = None):
+        self.reserve, self.contexts, self.most = reserve or Reserve(), contexts, most
+        # So many tensors that are given, the first, stand where their lanes do, in room for all, if these are a part of all.
+        self.in_place = 0
+        self.left: list[int] = []  # indices of the counts of lanes that go on after the last repetition
         self.given: dict[int, int] = {}  # numbers of what is given, by address
         for number, item in enumerate(given):
             self.given.setdefault(address_of(item), number)
@@ -181,13 +185,14 @@ class Recording:
             for before in range(place):
                 self.spans[border - borders[before]] = LaneSpan(numbers[before], numbers[place])
 
-    def borders(self, queues: int, lanes: int) -> list[int]:
-        """Draws numbers that stand for the starts of queues and the end of the last; all differences are distinct."""
+    def borders(self, queues: int, lanes: int, least: int = 1) -> list[int]:
+        """Draws numbers that stand for the starts of queues and the end of the last; all differences are distinct. None is
+        less than `least`."""
         borders, known = [0, lanes], set(self.spans)
         for _ in range(TRIES):
             if len(borders) == queues + 1:
                 return sorted(borders)
-            border = self.drawn.randrange(1, lanes)
+            border = self.drawn.randrange(least, lanes)
             found = {abs(border - other) for other in borders}
             if len(found) == len(borders) and known.isdisjoint(found):
                 borders.append(border)
@@ -199,7 +204,8 @@ class Recording:
         order = flags.new_empty(flags.numel(), dtype=torch.int32)
         if not len(order):
             return order
-        _, count, _ = self.borders(2, flags.numel())
+        # Nearly as large, so that there are numbers left for lanes that are chosen of these.
+        _, count, _ = self.borders(2, flags.numel(), max(1, flags.numel() - flags.numel() // 8 - 1))
         self.operations.append(Chosen(self.place(flags), self.span(flags.numel()), self.written(order), self.counts))
         self.points[count], self.spans[count] = self.counts, LaneSpan(0, self.counts)
         self.counts += 1
@@ -211,8 +217,14 @@ class Recording:
         return lanes if not len(like) else lanes.as_strided((len(like),), (1,))
 
     def repeated(self, lanes: Tensor, function: Callable[[Tensor], Tensor]) -> None:
-        """Records `order.repeated`; the function is called once, with lanes whose number stands for that of any turn."""
+        """Records `order.repeated`; the function is called once, with lanes whose number stands for that of any turn, unless
+        it is written out."""
         if not len(lanes):
+            return
+        if self.most is not None:
+            for _ in range(self.most):
+                lanes = function(lanes)
+            self.left.append(self.span(len(lanes)).last)
             return
         _, number, _ = self.borders(2, lanes.numel())
         count, self.counts = self.counts, self.counts + 1
@@ -349,10 +361,11 @@ def outside(work: Callable, context: Any, given: Sequence[Sequence[Tensor]],
     """Runs `work(context, given)`, which no function of lanes can do, such as a neural network.
 
     It is not recorded but done each time, if there are lanes, and the context is then one that what was recorded is told.
+    Where only a device knows how many lanes there are, N is as many as there may be, and nothing is asked of others.
 
     Args:
         work: what it does depends on nothing but what it is given.
-        given: for each of some queues of lanes, (N,) each; N may be 0 for some.
+        given: for each of some queues of lanes, (N,) each; N may be 0 for some. The first is int32; -1: nothing is asked.
         results: how many tensors are returned for each, (N,), of the dtype of the last that is given.
     """
     listener = recording()

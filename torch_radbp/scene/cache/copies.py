@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import torch
@@ -30,14 +30,17 @@ class Copies:
         self.fixed: set[int] = set() if around is None else set(around.fixed)  # ids of objects that will not change
         self.places: dict[Hashable, weakref.ref[Tensor]] = {}  # of tensors that are not on the CPU
         self.last_places = {} if last is None else last.places
-        self.unchanged: set[tuple[Hashable, int]] | None = None  # of `last_places`, found when first asked for
+        # Whether tensors of a device are as they were in the last rendering, by places and ids; found when first asked for.
+        self.compared: dict[tuple[Hashable, int], bool] | None = None
+        self.numbers: dict[int, list[float]] = {}  # that were fetched meanwhile, by ids of tensors
         self.last_inventories: dict[int, Inventory] = {} if last is None or around is not None else last.inventories
         self.inventories: dict[int, Inventory] = {} if around is None else around.inventories  # by the ids of their roots
         self.moved: set[int] = set() if around is None else around.moved  # as of `Inventory.reach`, what is not as it was
 
     def close(self) -> Copies:
         """Drops what only the comparison with the last rendering needed."""
-        self.last_copies, self.last_places, self.last_inventories, self.unchanged = {}, {}, {}, None
+        self.last_copies, self.last_places, self.last_inventories, self.compared = {}, {}, {}, None
+        self.numbers = {}
         self.seen, self.fixed, self.moved = {}, set(), set()
         self.inventories = {root: inventory for root, inventory in self.inventories.items() if inventory.lasts}
         return self
@@ -50,6 +53,8 @@ class Copies:
             inventory = last if last is not None and last.holds(root) else Inventory(root)
             self.inventories[id(root)] = inventory
             self.moved |= inventory.live | inventory.restless
+            if inventory.away and self.compared is None:  # the first, of all that is rendered
+                self.compare([], inventory.away)
             self.freeze(inventory)
         return inventory
 
@@ -100,8 +105,8 @@ class Copies:
         if id(tensor) in self.fixed:
             return tensor
         if id(tensor) not in self.seen:
-            copy = self.last_copies.get(place)
-            if not self.known_unchanged(place, tensor) and (copy is None or not same_bits(copy, tensor)):
+            copy, known = self.last_copies.get(place), self.known(place, tensor)
+            if copy is None or not (same_bits(copy, tensor) if known is None else known):
                 with torch.inference_mode(False), torch.no_grad():
                     copy = primal(tensor).clone(memory_format=torch.contiguous_format)
             self.seen[id(tensor)] = tensor, copy
@@ -109,24 +114,33 @@ class Copies:
             self.fixed.add(id(copy))
         return self.seen[id(tensor)][1]
 
-    def known_unchanged(self, place: Hashable, tensor: Tensor) -> bool:
-        """True if a tensor is unchanged since the last rendering, by one comparison of all tensors of a device.
+    def known(self, place: Hashable, tensor: Tensor) -> bool | None:
+        """Whether a tensor is as it was in the last rendering, if that is known by `compare`; else None."""
+        if tensor.is_cpu:
+            return None
+        if self.compared is None:
+            self.compare([(place, tensor)])
+        self.places[place] = weakref.ref(tensor)
+        assert self.compared is not None
+        return self.compared.get((place, id(tensor)))
+
+    def compare(self, tensors: Sequence[tuple[Hashable, Tensor]], asked: Sequence[Tensor] = ()) -> None:
+        """Compares tensors of a device with their copies, and those of the last rendering with theirs, all at once.
 
         To ask a device for one answer takes as long as to ask it for many; on the CPU each is compared when its turn comes.
+
+        Args:
+            tensors: with their places.
+            asked: those of which the numbers are fetched, too, into `numbers`.
         """
-        if tensor.is_cpu:
-            return False
-        self.places[place] = weakref.ref(tensor)
-        if self.unchanged is None:
-            self.unchanged = _unchanged(self.last_places, self.last_copies)
-        return (place, id(tensor)) in self.unchanged
-
-
-def _unchanged(places: dict[Hashable, weakref.ref[Tensor]], copies: dict[Hashable, Tensor]) -> set[tuple[Hashable, int]]:
-    """Compares tensors of the last rendering with their copies, all at once; places and ids of those that are unchanged."""
-    there = [(place, tensor, copies[place]) for place, reference in places.items() if (tensor := reference()) is not None]
-    there = [each for each in there if comparable(*each[1:])]
-    if not there:
-        return set()
-    equal_bits = equal_on_device([tensor for _, tensor, _ in there], [copy for *_, copy in there])
-    return {(place, id(tensor)) for (place, tensor, _), equal in zip(there, equal_bits) if equal}
+        found = [each for each in tensors if not each[1].is_cpu]
+        if self.compared is None:
+            self.compared = {}
+            found += [(place, tensor) for place, reference in self.last_places.items()
+                      if (tensor := reference()) is not None]
+        pairs = {(place, id(tensor)): (tensor, self.last_copies[place]) for place, tensor in found
+                 if place in self.last_copies and comparable(tensor, self.last_copies[place])}
+        there, copies = zip(*pairs.values()) if pairs else ((), ())
+        equal, numbers = equal_on_device(there, copies, asked)
+        self.compared |= zip(pairs, equal)
+        self.numbers |= zip(map(id, asked), numbers)

@@ -46,6 +46,9 @@ class Inventory:
         self.live = frozenset(id(tensor) for tensor in self.tensors if differentiated(tensor))
         self.settled = [(place, tensor) for place, tensor in tensors.values()
                         if id(tensor) not in self.live and tensor.layout == torch.strided]
+        # Of a device, whose numbers a rendering asks for, to check them.
+        self.away = [tensor for tensor in self.tensors if id(tensor) in self.live and not tensor.is_cpu
+                     and tensor.layout == torch.strided and tensor.is_floating_point() and tensor.numel()]
         self.restless = frozenset(id(module) for module in self.modules if is_restless(module))
         self.settled_reach = self.restless.union(id(tensor) for _, tensor in self.settled)  # of all, as of `reach`
         self.lasts = not inside_dual_level() and all(stands_still(each) for each in self.modules if isinstance(each, Plugin))

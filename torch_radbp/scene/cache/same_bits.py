@@ -16,6 +16,7 @@ from torch_radbp.tensors.differentiated import primal
 from torch_radbp.threads.team import Task, threads, together, until_none_is_left
 
 PART = 16 << 20  # bytes that a thread compares at a time
+MOST_FETCHED = 1024  # numbers of a tensor that are all fetched, and not only their extremes
 SMALL = 4096  # bytes of tensors of a device that are compared together with others
 
 
@@ -36,10 +37,15 @@ def same_bits_each(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> list[
             for a, b in zip(tensors, copies)]
 
 
-def equal_on_device(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> list[bool]:
+def equal_on_device(tensors: Sequence[Tensor], copies: Sequence[Tensor],
+                    asked: Sequence[Tensor] = ()) -> tuple[list[bool], list[list[float]]]:
     """`same_bits` for pairs of comparable tensors of one device, which is asked once, by few operations.
 
     Small tensors are compared as one, entry by entry, and what differs is counted up to the end of each.
+
+    Args:
+        tensors, copies: the pairs.
+        asked: others, of which the numbers are fetched, too, in float64; of large ones the extremes.
     """
     few = [place for place, tensor in enumerate(tensors) if tensor.nbytes <= SMALL]
     many = sorted({*range(len(tensors))}.difference(few))
@@ -49,9 +55,22 @@ def equal_on_device(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> list
         different = torch.nn.functional.pad((joined != others).cumsum(0), (1, 0))
         ends = itertools.accumulate([tensors[place].nbytes for place in few], initial=0)
         answers.append(different.index_select(0, whole_numbers(tuple(ends), joined.device)).diff())
-    found = torch.cat(answers).tolist() if answers else []
+    parts = [value.reshape(-1) if value.numel() <= MOST_FETCHED else torch.stack(value.aminmax())
+             for value in map(primal, asked)]
+    dtypes = list(dict.fromkeys([part.dtype for part in parts]))
+    joined = [torch.cat([part for part in parts if part.dtype == dtype]).double() for dtype in dtypes]
+    joined = [*([torch.cat(answers).double()] if answers else []), *joined]
+    found = (joined[0] if len(joined) == 1 else torch.cat(joined)).tolist() if joined else []
     equal = {place: count == 0 for place, count in zip((*many, *few), found)}
-    return [equal[place] for place in range(len(tensors))]
+    left = iter(found[len(tensors):])
+    numbers = {place: list(itertools.islice(left, part.numel()))
+               for dtype in dtypes for place, part in enumerate(parts) if part.dtype == dtype}
+    return [equal[place] for place in range(len(tensors))], [numbers[place] for place in range(len(parts))]
+
+
+def numbers_on_host(values: Sequence[Tensor]) -> list[list[float]]:
+    """The numbers of tensors of a device, by one transfer and few operations; of large ones the extremes."""
+    return equal_on_device((), (), values)[1]
 
 
 @lru_cache(maxsize=64)

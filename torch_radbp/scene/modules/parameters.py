@@ -6,7 +6,6 @@ has changed is checked: first the shapes, then the extremes.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Collection, Sequence
 from functools import cache, partial
@@ -21,6 +20,7 @@ from torch_radbp.plugin.domain import LARGEST_COORDINATE, LEEWAY, Domain
 from torch_radbp.scene.cache.inventory import reach_of, tensors_of
 from torch_radbp.scene.cache.module_attributes import modules_in
 from torch_radbp.scene.cache.pack_cache import PackCache
+from torch_radbp.scene.cache.same_bits import numbers_on_host
 from torch_radbp.scene.modules.scene import Scene, modules_of
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
@@ -29,7 +29,6 @@ from torch_radbp.texture.bitmap import reader_of
 from torch_radbp.texture.module_function import Use
 
 DTYPES = (torch.float32, torch.float64)
-SMALL = 1024  # numbers of a tensor of a device that are all fetched to be checked
 NOT_FINITE = "; a smaller learning rate or bounds may keep it finite"
 OUTSIDE = ("; keep it inside, with scene.clamp_() after each step, rb.optim.bounded(optimizer, scene), or a parametrisation "
            "such as rb.optim.Sigmoid")
@@ -176,20 +175,11 @@ def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str], leew
             checks[name] = name, value, tuple(dict.fromkeys(held.domains)), leeway
         # A device is asked once for what is to be checked of all.
         away = [name for name, check in checks.items() if not check[1].is_cpu and not cache.knows(check_values, *check)]
-        fetched = dict(zip(away, numbers_on_host([checks[name][1] for name in away])))
+        fetched = {name: cache.numbers[id(values[name])] for name in away if id(values[name]) in cache.numbers}
+        others = [name for name in away if name not in fetched]
+        fetched |= zip(others, numbers_on_host([checks[name][1] for name in others]))
         for name, check in checks.items():
             cache(check_values, *check, instead=partial(check_values, *check, fetched.get(name)))
-
-
-def numbers_on_host(values: Sequence[Tensor]) -> list[list[float]]:
-    """The numbers of tensors of a device, by one transfer and few operations; of large ones the extremes."""
-    parts = [value.reshape(-1) if value.numel() <= SMALL else torch.stack(value.aminmax()) for value in values]
-    dtypes = list(dict.fromkeys([part.dtype for part in parts]))
-    joined = [torch.cat([part for part in parts if part.dtype == dtype]).double() for dtype in dtypes]
-    numbers = iter(torch.cat(joined).tolist() if joined else ())
-    found = {place: list(itertools.islice(numbers, part.numel()))
-             for dtype in dtypes for place, part in enumerate(parts) if part.dtype == dtype}
-    return [found[place] for place in range(len(values))]
 
 
 def check_values(name: str, value: Tensor, domains: tuple[Domain, ...], leeway: float,
@@ -316,6 +306,8 @@ def check_places(scene: Scene, groups: list[list[Instance]], boxes: Tensor) -> N
                          f"{LARGEST_COORDINATE:g}; scale the whole scene down")
 
 
-def largest_vertex_coordinate(vertices: Tensor) -> float:
-    """The largest magnitude of a coordinate of some vertices, (V, 3), detached."""
-    return max(map(abs, torch.stack(vertices.aminmax()).tolist()))
+def largest_vertex_coordinate(vertices: Tensor, numbers: Sequence[float] | None = None) -> float:
+    """The largest magnitude of a coordinate of some vertices, (V, 3), detached; NaN if one is. `numbers`: the extremes among
+    others, if they are known."""
+    numbers = torch.stack(vertices.aminmax()).tolist() if numbers is None else numbers
+    return math.nan if any(map(math.isnan, numbers)) else max(map(abs, numbers))

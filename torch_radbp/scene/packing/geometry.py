@@ -57,13 +57,22 @@ class Columns(NamedTuple):
     boundary: tuple[int, ...] | None = None  # of each shape, row of `BoundaryTable`; None: as for `TriangleTable`
 
 
-def placed_shape(cache: PackCache, shape: Surface, instanced: bool, dtype: torch.dtype) -> PlacedShape:
-    """The triangles of a shape as it is now; if instances show it, in the frame of its group."""
-    surface = cache(without_flat_normals, cache(oriented, cache.twin(id(shape), shape), connections(cache, shape)))
-    place = id(shape)
-    return PlacedShape(surface, cache.frozen((place, "vertices"), surface.vertices.to(dtype)),
-                       cache.frozen((place, "faces"), surface.faces),
-                       None if instanced else frozen_ball(cache, place, surface.ball))
+def placed_shapes_of(cache: PackCache, shapes: Sequence[Surface], instanced: Sequence[bool],
+                     dtype: torch.dtype) -> tuple[PlacedShape, ...]:
+    """The triangles of shapes as they are now; of those that instances show in the frame of their group."""
+    surfaces = [cache(without_flat_normals, cache(oriented, cache.twin(id(shape), shape), connections(cache, shape)))
+                for shape in shapes]
+    columns = [(((id(shape), "vertices"), surface.vertices.to(dtype)), ((id(shape), "faces"), surface.faces))
+               for shape, surface in zip(shapes, surfaces)]
+    if any(not vertices.is_cpu for (_, vertices), _ in columns):
+        cache.compare([column for own in columns for column in own], [vertices for (_, vertices), _ in columns])
+    placed = tuple(PlacedShape(surface, cache.frozen(*vertices), cache.frozen(*faces),
+                               None if shown else frozen_ball(cache, id(shape), surface.ball))
+                   for shape, surface, (vertices, faces), shown in zip(shapes, surfaces, columns, instanced))
+    for shape, ((_, vertices), _) in zip(placed, columns):
+        if id(vertices) in cache.numbers:
+            cache.numbers[id(shape.vertices)] = cache.numbers[id(vertices)]
+    return placed
 
 
 def frozen_ball(cache: PackCache, place: Hashable, ball: Ball | None) -> Ball | None:

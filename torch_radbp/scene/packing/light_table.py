@@ -54,7 +54,7 @@ def light_table(cache: PackCache, triangles: TriangleTable, emissions: tuple[Emi
     Raises:
         ValueError: if no emitter can be picked, or a surface cannot carry its emitter.
     """
-    surfaces, area = cache(emitting_triangles, triangles, layout)
+    surfaces, area = cache(emitting_triangles, triangles, layout, *cache(emitting_rows, triangles.emitter, triangles.smooth))
     weights = cache(weights_of, emissions, cache.frozen("areas of emitters", area))
     surfaces = cache(with_inverse_areas, surfaces, area, weights)
     kind, row, texture, outside = cache(element_columns, layout.lights, emissions, area.device)
@@ -145,20 +145,27 @@ def pmf_of_surround(emissions: tuple[Emission, ...], pmf: Tensor) -> Tensor:
     return pmf[surround[0]] if surround else pmf.new_zeros(())
 
 
-def emitting_triangles(triangles: TriangleTable, layout: Layout) -> tuple[EmittingTriangles, Tensor]:
+def emitting_rows(emitter: Tensor, smooth: Tensor | None) -> tuple[Tensor, bool]:
+    """The triangles that emit light, (S,) int64, and whether any of them is smooth; args: columns of `TriangleTable`."""
+    emitting = (emitter >= 0).nonzero().squeeze(1)
+    return emitting, smooth is None or bool(smooth.index_select(0, emitting).any())
+
+
+def emitting_triangles(triangles: TriangleTable, layout: Layout, emitting: Tensor,
+                       any_smooth: bool) -> tuple[EmittingTriangles, Tensor]:
     """The triangles that emit light, with unset inverse areas, and their areas (S,); attached.
 
     Args:
         triangles: of the scene, attached.
         layout: says what the textures of emitters read.
+        emitting, any_smooth: of `emitting_rows`.
     """
-    emitting = (triangles.emitter >= 0).nonzero().squeeze(1)
     corners = tuple(rows(triangles.vertices, corner[emitting]) for corner in triangles.corners)
     p = tuple(corner.p for corner in corners)
     _, e1, e2 = edges(*p)
     area = 0.5 * torch.linalg.vector_norm(cross(e1, e2).stack(), dim=-1)
     smooth = rows(triangles.smooth, emitting)
-    shaded = corners[0].n is not None and (smooth is None or bool(smooth.any()))
+    shaded = corners[0].n is not None and any_smooth
     columns = dict(zip(layout.vertex_attributes, zip(*(corner.attributes for corner in corners))))
     columns |= {name: (rows(column, emitting),) * 3 for name, column in zip(layout.face_attributes, triangles.attributes)}
     return EmittingTriangles(

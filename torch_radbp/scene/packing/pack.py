@@ -7,6 +7,7 @@ since the last rendering (see `PackCache.part`).
 from __future__ import annotations
 
 from collections.abc import Collection
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -25,7 +26,7 @@ from torch_radbp.scene.packing.geometry import (
     Columns,
     PlacedShape,
     TriangleNumbering,
-    placed_shape,
+    placed_shapes_of,
     shown_instances,
     triangle_table,
 )
@@ -108,9 +109,11 @@ def objects_of(scene: Scene) -> Objects:
 
 def placed_shapes(cache: PackCache, objects: Objects) -> tuple[PlacedShape, ...]:
     """All shapes as triangles; raises ValueError if one is too large."""
-    placed = tuple(placed_shape(cache, shape, grouped, objects.dtype)
-                   for shape, grouped in zip(objects.shapes, objects.grouped))
-    check_extent(objects.scene, objects.shapes, [cache(largest_vertex_coordinate, shape.vertices) for shape in placed])
+    placed = placed_shapes_of(cache, objects.shapes, objects.grouped, objects.dtype)
+    check_extent(objects.scene, objects.shapes, [
+        cache(largest_vertex_coordinate, shape.vertices,
+              instead=partial(largest_vertex_coordinate, shape.vertices, cache.numbers.get(id(shape.vertices))))
+        for shape in placed])
     return placed
 
 

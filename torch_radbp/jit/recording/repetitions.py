@@ -1,0 +1,60 @@
+"""How often a sequence of launches repeats what is done for some lanes until none goes on.
+
+A host that shall not wait does not know when that is so. So it is repeated a number of times, and how many lanes went on
+after the last is found out when the host waits anyway, in the end. If there were any, everything is done once more, with
+more repetitions; from then on there are so many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
+
+import torch
+from torch import Tensor
+
+from torch_radbp.tensors.asked_later import answered, asked_together
+
+Result = TypeVar("Result")
+
+
+class TooFewRepetitions(Exception):
+    """Error: lanes went on after the last repetition, so that what was computed is of no use."""
+
+
+class Repetitions(NamedTuple):
+    """The repetitions in sequences of launches."""
+
+    most: int
+    left: list[Tensor]  # (1,) int64 each, of the lanes that went on after the last; added to
+
+
+@dataclass
+class LearntRepetitions:
+    """The number of repetitions that has sufficed so far."""
+
+    most: int = 3  # with the first segment of a way that makes 4: into a medium, through it, and to what is behind
+
+    def enough(self, work: Callable[[Repetitions], Result]) -> Result:
+        """The result of `work`, which raises `TooFewRepetitions` if those that it is given are not enough."""
+        while True:
+            most = self.most
+            try:
+                with asked_together():
+                    return work(Repetitions(most, []))
+            except TooFewRepetitions:
+                self.most = max(self.most, 2 * most + 1)
+
+
+def read_together(flags: Sequence[Tensor], repetitions: Repetitions | None = None) -> bool:
+    """True if all flags, () each on one device, are; waits for the device once, for all that it is to be asked.
+
+    Raises:
+        TooFewRepetitions: if what was repeated has not come to its end.
+    """
+    left = [torch.cat(repetitions.left).sum()] if repetitions is not None and repetitions.left else []
+    found = answered([*flags, *left], lambda numbers: not left or not numbers[-1])
+    if left and found.pop():
+        raise TooFewRepetitions
+    return all(found)
