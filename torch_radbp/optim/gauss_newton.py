@@ -160,7 +160,14 @@ class GaussNewton(torch.optim.Optimizer):
             state["evaluations"] += 1
             return closure(seed, spp)
 
+
         linear = Linearisation(counted, self.param_groups[0]["params"], self.columns)
+        with linear.sharing():
+            return self.stepped(closure, linear)
+
+    def stepped(self, closure: Images, linear: Linearisation) -> float:
+        """`step`, of a linearisation whose renderings are counted."""
+        state = self.search
         seeds = [4 * self.seed + number for number in range(4)]
         self.seed += 1
         pair = [linear.values(seed, state["spp"]) for seed in seeds[:2]]
