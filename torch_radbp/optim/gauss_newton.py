@@ -160,7 +160,6 @@ class GaussNewton(torch.optim.Optimizer):
             state["evaluations"] += 1
             return closure(seed, spp)
 
-
         linear = Linearisation(counted, self.param_groups[0]["params"], self.columns)
         with linear.sharing():
             return self.stepped(closure, linear)

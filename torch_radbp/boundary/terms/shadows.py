@@ -69,8 +69,9 @@ def shadow_jumps(call: RenderCall, casting: Outline | None, crossing: Segments |
     """
     still, images = call.still(), []
     with torch.no_grad():
-        edges = None if casting is None else once("edges that cast shadows", lambda: (still.facts(), casting), lambda: Casting(
-            casting, edge_tree(call.stages, geometry_of(still.scene), casting)))
+        edges = None if casting is None else once("edges that cast shadows", lambda: (still.facts(), casting),
+                                                  lambda: Casting(casting, edge_tree(call.stages, geometry_of(still.scene),
+                                                                                     casting)))
         terms = terms_of(ShadowSearch(call, still, edges, crossing, lines))
     for number in range(len(call.views)):
         with torch.no_grad():
