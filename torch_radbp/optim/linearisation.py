@@ -26,6 +26,7 @@ class Products:
     spp: int | None
     common: CommonWork = field(default_factory=CommonWork)  # of forward mode
     images: list[Tensor] | None = None  # attached
+    versions: list[int] | None = None  # of the parameters, as these were written into
 
 
 class Linearisation:
@@ -84,6 +85,9 @@ class Linearisation:
         here = self.position()
         if (self.products.seed, self.products.spp) != (seed, spp) or not torch.equal(self.products.position, here):
             self.products = Products(here, seed, spp)
+        versions = [parameter._version for parameter in self.parameters]
+        if self.products.versions != versions:  # written into, if only what they held before: no graph goes back past that
+            self.products.versions, self.products.images = versions, None
         return self.products
 
     def position(self) -> Tensor:
@@ -126,18 +130,23 @@ class Linearisation:
             if products.images is None:
                 with torch.enable_grad():
                     products.images = _several(self.images(seed, spp))
-            images, keeps = products.images, self.products is not None
-            attached = [image for image in images if image.requires_grad]
-            parts = cotangent.split([image.numel() for image in images])
-            weights = [part.view(image.shape).to(image) for part, image in zip(parts, images, strict=True)
-                       if image.requires_grad]
-            found = torch.autograd.grad(attached, self.parameters, weights, retain_graph=keeps, allow_unused=True) \
-                if attached else [None] * len(self.parameters)
+            found = self.gradients(products.images, cotangent)
         finally:
             for parameter, was in zip(self.parameters, required, strict=True):
                 parameter.requires_grad_(was)
         return _flat([torch.zeros_like(parameter) if gradient is None else gradient
                       for parameter, gradient in zip(self.parameters, found, strict=True)])
+
+    def gradients(self, images: list[Tensor], cotangent: Tensor) -> Sequence[Tensor | None]:
+        """The derivatives of <images, cotangent> by each parameter, None where there is none; images are attached."""
+        attached = [image for image in images if image.requires_grad]
+        parts = cotangent.split([image.numel() for image in images])
+        weights = [part.view(image.shape).to(image) for part, image in zip(parts, images, strict=True)
+                   if image.requires_grad]
+        if not attached:
+            return [None] * len(self.parameters)
+        return torch.autograd.grad(attached, self.parameters, weights, retain_graph=self.products is not None,
+                                   allow_unused=True)
 
     def jacobian(self, seed: int, spp: int | None) -> Tensor:
         """J, (M, n) float64, by forward mode: a product for each column, or for each group of separate ones."""

@@ -62,6 +62,7 @@ from torch_radbp.path.event import Ends
 from torch_radbp.path.light_share import ends_lamp_paths
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.scene.tables.part import part_of
 from torch_radbp.scene.tables.scene_tensors import SceneTensors, extent_of
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.differentiated import detached
@@ -206,7 +207,8 @@ class DirectShadows(ShadowTerm):
         borders, aperture = found.samples
         forward_mode = has_tangents((geometry, self.call.scene, self.call.views[number].camera))
         seen = (self.call.stages if forward_mode else EAGER)(border_on_film)(
-            self.call.scene, geometry, self.casting.outline, self.call.views[number].camera, borders, aperture)
+            part_of(self.call.scene, None, Ends.SURROUNDINGS.vertex), geometry, self.casting.outline,
+            self.call.views[number].camera, borders, aperture)
         if self.call.camera_share is None:
             return seen
         moved = motion_of_surface(self.call, number, geometry, borders.receiver, aperture)
