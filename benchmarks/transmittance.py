@@ -31,7 +31,8 @@ def grids(scale: float) -> dict[str, Tensor]:
     plume = build_plugin({"type": "gridvolume", "filename": str(rb.asset("shapes/plume.vol"))}, "volume").data
     plume = plume.detach()[..., 0].double()
     z, y, x = torch.meshgrid(*(torch.linspace(-1, 1, SIDE, dtype=torch.float64),) * 3, indexing="ij")
-    cloud = (1.2 - (x * x + y * y + z * z).sqrt() + 0.3 * torch.sin(5 * x) * torch.sin(4 * y + 1) * torch.sin(6 * z)).clamp(0, 1)
+    waves = 0.3 * torch.sin(5 * x) * torch.sin(4 * y + 1) * torch.sin(6 * z)
+    cloud = (1.2 - (x * x + y * y + z * z).sqrt() + waves).clamp(0, 1)
     haze = 0.5 + 0.1 * torch.sin(7 * x) * torch.sin(5 * y)
     return {"plume": plume / plume.max() * scale, "cloud": cloud * scale, "haze": haze * scale}
 
@@ -117,8 +118,8 @@ def order_and_weights(count: int, generator: torch.Generator, most: int = 24) ->
 
 
 def mean_over_pivots(x: Tensor, weights: list[float]) -> Tensor:
-    """(n,) the estimate of exp of the mean of x, (N + 1, n): series around each of them, in the elementary symmetric means of
-    the others."""
+    """(n,) the estimate of exp of the mean of x, (N + 1, n): series around each of them, in the elementary symmetric means
+    of the others."""
     total = torch.zeros_like(x[0])
     for pivot in range(len(x)):
         others = torch.cat([x[:pivot], x[pivot + 1:]]) - x[pivot]
@@ -136,7 +137,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rays", type=int, default=1000)
     parser.add_argument("--repeats", type=int, default=200, help="estimates of each ray")
-    parser.add_argument("--scales", type=float, nargs="+", default=[1.0, 5.0, 20.0], help="largest extinctions, of a cube of 1")
+    parser.add_argument("--scales", type=float, nargs="+", default=[1.0, 5.0, 20.0],
+                        help="largest extinctions, of a cube of 1")
     options = parser.parse_args()
     print("| smoke, largest extinction | estimator | mean | variance | lookups | product | over ratio tracking |")
     print("|---|---|---|---|---|---|---|")

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torch_radbp.plugin import finite
 from torch_radbp.plugin.domain import POSE
+from torch_radbp.tensors.differentiated import moving_with
 
 
 def transform(name: str, matrix: Tensor | None) -> Tensor:
@@ -36,7 +37,7 @@ def transform_points(matrix: Tensor, points: Tensor) -> Tensor:
     Sums instead of a matrix product: that would be rounded to bfloat16 by a backward pass under `torch.autocast`, and by
     `torch.set_float32_matmul_precision("medium")`.
     """
-    x, y, z = points.unbind(1)
+    matrix, (x, y, z) = moving_with((matrix, points), (matrix, points.unbind(1)))
     rows = (row.unbind() for row in matrix[:3].unbind())
     return torch.stack([a * x + b * y + c * z + d for a, b, c, d in rows], 1)
 
@@ -49,7 +50,7 @@ def matrix_inverse(matrix: Tensor) -> Tensor:
 def transform_normals(matrix: Tensor, normals: Tensor) -> Tensor:
     """Transforms (V, 3) normals by an affine (4, 4) matrix, and normalises them."""
     inverse = matrix_inverse(matrix[:3, :3].double()).to(matrix.dtype)  # in float64, which autocast leaves alone
-    x, y, z = normals.unbind(1)
+    inverse, (x, y, z) = moving_with((inverse, normals), (inverse, normals.unbind(1)))
     columns = (column.unbind() for column in inverse.unbind(1))
     return torch.nn.functional.normalize(torch.stack([a * x + b * y + c * z for a, b, c in columns], 1), dim=1)
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.adjoint.images import render_detached
 from torch_radbp.call.render_call import RenderCall
+from torch_radbp.call.source import Cameras
+from torch_radbp.scene.cache.common_work import once
 from torch_radbp.tensors.differentiated import differentiable, with_derivative_of
 
 
@@ -20,4 +24,8 @@ def rendered(call: RenderCall) -> Tensor:
     if not forward_mode:
         return call.adjoint.image(call)
     attached = call.adjoint.dual_image(call.of_derivative())
-    return attached if call.shares_samples else with_derivative_of(render_detached(call), attached)
+    if call.shares_samples:
+        return attached
+    if call.quantities is not None or not isinstance(call.source, Cameras):
+        return with_derivative_of(render_detached(call), attached)
+    return with_derivative_of(once("image", call.facts, partial(render_detached, call)), attached)

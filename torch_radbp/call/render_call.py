@@ -64,6 +64,12 @@ class RenderCall(NamedTuple):
         """The call without derivatives."""
         return self._replace(scene=self.still_scene, source=self.source.still())
 
+    def facts(self) -> tuple:
+        """All that images of the call, and the places at which they jump, depend on, without derivatives; see `once`."""
+        still, integrand = self.still(), self.integrand
+        return (still.scene, still.views, integrand.settings, integrand.max_depth, integrand.rr_depth, self.spp,
+                self.shares_samples, self.shared, self.following)
+
     @property
     def views(self) -> list[View]:
         """Those whose cameras paths begin at."""

@@ -49,18 +49,18 @@ class GaussNewton(torch.optim.Optimizer):
     multiply residuals.
 
     Residuals and J have samples of their own: two renderings of residuals, r_1 and r_2, whose mean is r, and J of a third
-    seed. So the gradient J^T r has no bias from noise, and steps end where it is 0. J^T J has one, which shortens steps,
-    as damping does, in directions that few samples hardly see; where the error falls by half more than predicted, the step
-    is doubled up to three times, as long as it falls further. Up to 64 parameters J is computed as a whole, in forward
-    mode, parameters that change no channel in common by one rendering (`SeparateColumns`), and kept for up to 8 steps, as
-    long as a new one would not lower the error more for each image: what a step leaves is the error of J along it. Beyond
-    that, steps are found by products with it in conjugate gradients, each for a forward and a backward one, preconditioned
-    by the diagonal of J^T J, of 8 backward ones, until what is left of the gradient is 0.2 of its noise. A step counts if
-    the squared error r_1^T r_2 falls, at the same seeds before and after, else damping grows. Where more than 0.3 of a
-    step is noise of r, by how far apart its two renderings are, `spp` is doubled, or for twice that share fourfold, up to
-    `max_spp`, and with a J that is kept the error is not looked at; at `max_spp` steps become 1, 1/2, 1/3, ..., so that
-    the result is the mean of what single steps would find. Where 0.3 of what a new J changes along a step is its noise, by
-    the same of another seed, the samples of J are doubled.
+    seed. So the gradient J^T r has no bias from noise, and steps end where it is 0. J^T J has one, which shortens steps, as
+    damping does, in directions that few samples hardly see; where the error falls by half more than predicted, the step is
+    doubled up to three times, as long as it falls further. Up to 64 parameters J is computed as a whole, in forward mode,
+    parameters that change no channel in common by one rendering (`SeparateColumns`), and kept for up to 8 steps, as long as
+    a new one would not lower the error more for each image: what a step leaves is the error of J along it. Beyond that,
+    steps are found by products with it in conjugate gradients, each for a forward and a backward one, preconditioned by the
+    diagonal of J^T J, of 8 backward ones, or a tenth of its mean where it is less, until what is left of the gradient is 0.2
+    of its noise. A step counts if the squared error r_1^T r_2 falls, at the same seeds before and after, else damping grows.
+    Where more than 0.3 of a step is noise of r, by how far apart its two renderings are, `spp` is doubled, or for twice that
+    share fourfold, up to `max_spp`, and with a J that is kept the error is not looked at; at `max_spp` steps become 1, 1/2,
+    1/3, ..., so that the result is the mean of what single steps would find. Where 0.3 of what a new J changes along a step
+    is its noise, by the same of another seed, the samples of J are doubled.
 
     Its `search`: `spp` now, of r and, `spp_of_j`, of J, `damping`, `gain`, the fall of the error over the predicted one,
     `noise_share`, the length of the step's noise over that of the step, `noise_of_j`, the share of J's, `error_of_j`, the
@@ -161,6 +161,12 @@ class GaussNewton(torch.optim.Optimizer):
             return closure(seed, spp)
 
         linear = Linearisation(counted, self.param_groups[0]["params"], self.columns)
+        with linear.sharing():
+            return self.stepped(closure, linear)
+
+    def stepped(self, closure: Images, linear: Linearisation) -> float:
+        """`step`, of a linearisation whose renderings are counted."""
+        state = self.search
         seeds = [4 * self.seed + number for number in range(4)]
         self.seed += 1
         pair = [linear.values(seed, state["spp"]) for seed in seeds[:2]]

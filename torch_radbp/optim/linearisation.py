@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
 from torch_radbp.optim.separate_columns import SeparateColumns, parts_of
+from torch_radbp.scene.cache.common_work import CommonWork
+from torch_radbp.tensors.torch_internals import same_versions
 
 Images = Callable[[int, int | None], Tensor | Sequence[Tensor]]  # of a seed and a number of samples per pixel
+
+
+@dataclass
+class Products:
+    """What products with one J, or its transpose, share."""
+
+    position: Tensor  # (n,) float64, of the parameters
+    seed: int
+    spp: int | None
+    common: CommonWork = field(default_factory=CommonWork)  # of forward mode
+    images: list[Tensor] | None = None  # attached
+    versions: list[int] | None = None  # of the parameters, as these were written into
 
 
 class Linearisation:
@@ -47,6 +63,32 @@ class Linearisation:
             raise ValueError("each parameter may be given once only")
         self.size = sum(parameter.numel() for parameter in self.parameters)
         self.shapes: list[torch.Size] = []  # of the images of the last product
+        self.products: Products | None = None  # at one place; None: they share nothing
+
+    @contextmanager
+    def sharing(self) -> Iterator[None]:
+        """Products of the same values, seed and samples share what does not depend on what J or J^T is multiplied with.
+
+        Forward mode finds paths, and places at which images jump, once. Of backward products the graph is kept, with the
+        paths that it needs; it takes the memory of a step of training until other products follow, or the context ends.
+        """
+        before, self.products = self.products, Products(torch.empty(0, dtype=torch.float64), 0, 0)
+        try:
+            yield
+        finally:
+            self.products = before
+
+    def products_at(self, seed: int, spp: int | None) -> Products:
+        """What products of these values and samples share; new if the last ones were of others."""
+        if self.products is None:
+            return Products(torch.empty(0, dtype=torch.float64), seed, spp)
+        here = self.position()
+        if (self.products.seed, self.products.spp) != (seed, spp) or not torch.equal(self.products.position, here):
+            self.products = Products(here, seed, spp)
+        versions = [parameter._version for parameter in self.parameters]
+        if self.products.versions != versions:  # written into, if only what they held before: no graph goes back past that
+            self.products.versions, self.products.images = versions, None
+        return self.products
 
     def position(self) -> Tensor:
         """The values of all parameters, (n,) float64, detached."""
@@ -70,7 +112,8 @@ class Linearisation:
 
     def forward(self, tangent: Tensor, seed: int, spp: int | None) -> Tensor:
         """J v for a direction v, (n,): (M,) float64."""
-        with torch.no_grad(), forward_ad.dual_level():
+        common = self.products_at(seed, spp).common
+        with same_versions(self.parameters), torch.no_grad(), forward_ad.dual_level(), common.shared():
             for parameter, part in zip(self.parameters, self.shaped(tangent), strict=True):
                 if bool(part.any()):
                     parameter.copy_(forward_ad.make_dual(parameter.detach().clone(), part.contiguous()))
@@ -80,26 +123,37 @@ class Linearisation:
 
     def backward(self, cotangent: Tensor, seed: int, spp: int | None) -> Tensor:
         """J^T w for w, (M,): (n,) float64; 0 for parameters that the images do not depend on."""
-        required = [parameter.requires_grad for parameter in self.parameters]
+        required, products = [parameter.requires_grad for parameter in self.parameters], self.products_at(seed, spp)
         try:
             for parameter in self.parameters:
                 parameter.requires_grad_()
-            with torch.enable_grad():
-                images = _several(self.images(seed, spp))
-            attached = [image for image in images if image.requires_grad]
-            parts = cotangent.split([image.numel() for image in images])
-            weights = [part.view(image.shape).to(image) for part, image in zip(parts, images, strict=True)
-                       if image.requires_grad]
-            found = torch.autograd.grad(attached, self.parameters, weights, allow_unused=True) if attached else \
-                [None] * len(self.parameters)
+            if products.images is None:
+                with torch.enable_grad():
+                    products.images = _several(self.images(seed, spp))
+            found = self.gradients(products.images, cotangent)
         finally:
             for parameter, was in zip(self.parameters, required, strict=True):
                 parameter.requires_grad_(was)
         return _flat([torch.zeros_like(parameter) if gradient is None else gradient
                       for parameter, gradient in zip(self.parameters, found, strict=True)])
 
+    def gradients(self, images: list[Tensor], cotangent: Tensor) -> Sequence[Tensor | None]:
+        """The derivatives of <images, cotangent> by each parameter, None where there is none; images are attached."""
+        attached = [image for image in images if image.requires_grad]
+        parts = cotangent.split([image.numel() for image in images])
+        weights = [part.view(image.shape).to(image) for part, image in zip(parts, images, strict=True)
+                   if image.requires_grad]
+        if not attached:
+            return [None] * len(self.parameters)
+        return torch.autograd.grad(attached, self.parameters, weights, retain_graph=self.products is not None,
+                                   allow_unused=True)
+
     def jacobian(self, seed: int, spp: int | None) -> Tensor:
         """J, (M, n) float64, by forward mode: a product for each column, or for each group of separate ones."""
+        with self.sharing():
+            return self._jacobian(seed, spp)
+
+    def _jacobian(self, seed: int, spp: int | None) -> Tensor:
         if self.columns is not None and self.columns.save:
             separate = self.columns.jacobian(lambda direction: self.forward(direction, seed, spp), self.parts)
             if separate is not None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import operator
 
+import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
-from torch_radbp.tensors.record import NESTED, leaves_of, with_parts
+from torch_radbp.tensors.record import NESTED, leaves_of, mapped, with_parts
 from torch_radbp.tensors.torch_internals import inside_dual_level
 
 
@@ -30,6 +31,13 @@ def differentiated(tensor: Tensor) -> bool:
     return tensor.requires_grad or tangent_of(tensor) is not None
 
 
+def asks_for_derivatives(value) -> bool:
+    """True if an attribute is a tensor that is differentiated, backward (if autograd records) or forward."""
+    if not isinstance(value, Tensor):
+        return False
+    return (value.requires_grad and torch.is_grad_enabled()) or tangent_of(value) is not None
+
+
 def any_differentiated(record) -> bool:
     """True if any tensor of a record requires a gradient or has a tangent."""
     return any(differentiated(leaf) for leaf in leaves_of(record) if isinstance(leaf, Tensor))
@@ -46,6 +54,23 @@ def detached(tensors):
     if all(map(operator.is_, detached_parts, parts)):
         return tensors
     return with_parts(tensors, detached_parts)
+
+
+def moving_with(others, record):
+    """A record whose floating-point tensors all have tangents, zeros where there were none, if one of others has some.
+
+    For what plain torch computes of few numbers. It is much slower with products and sums of a dual tensor and one without
+    tangents: in the place of these it puts zeros of a special kind, for whose shape it asks functions in Python.
+    """
+    if not inside_dual_level() or all(tangent_of(leaf) is None for leaf in leaves_of(others) if isinstance(leaf, Tensor)):
+        return record
+
+    def moving(leaf):
+        if not isinstance(leaf, Tensor) or not leaf.is_floating_point() or tangent_of(leaf) is not None:
+            return leaf
+        return forward_ad.make_dual(leaf, torch.zeros_like(leaf))
+
+    return mapped(record, moving)
 
 
 def with_derivative_of(value: Tensor, attached: Tensor) -> Tensor:

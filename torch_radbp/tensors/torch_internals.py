@@ -9,8 +9,8 @@ from __future__ import annotations
 import ctypes
 import functools
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from threading import Event, Thread
 
 import torch
@@ -20,8 +20,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_flatten, tree_map, tree_map_only
 
 __all__ = ["TorchDispatchMode", "at_end_of_backward", "backward_pass", "batched", "functions_of_torch_only",
-           "inside_dual_level", "operations_on_this_thread", "outside_transforms", "transforms", "tree_flatten", "tree_map",
-           "tree_map_only", "unwrapped", "without_compiler"]
+           "inside_dual_level", "operations_on_this_thread", "outside_transforms", "same_versions", "transforms",
+           "tree_flatten", "tree_map", "tree_map_only", "unwrapped", "without_compiler"]
 
 try:
     from torch._C._functorch import get_interpreter_stack, get_unwrapped, is_functorch_wrapped_tensor
@@ -81,6 +81,17 @@ def functions_of_torch_only():
 def inside_dual_level() -> bool:
     """True if forward-mode derivatives may be active, or torch cannot tell; False if no tensor can have a tangent."""
     return getattr(forward_ad, "_current_level", 0) >= 0
+
+
+@contextmanager
+def same_versions(tensors: Sequence[Tensor]) -> Iterator[None]:
+    """What is written into tensors inside does not count as a change: in the end they hold again what they held before.
+
+    Where torch lacks this it does count, and graphs that have saved these tensors cannot be run backwards any more.
+    """
+    keep = getattr(torch.autograd, "_unsafe_preserve_version_counter", None)
+    with nullcontext() if keep is None else keep(tuple(tensors)):
+        yield
 
 
 def transforms() -> list[str]:

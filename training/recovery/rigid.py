@@ -20,6 +20,7 @@ import torch
 from torch import Tensor, nn
 
 from torch_radbp.pose import se3
+from torch_radbp.tensors.differentiated import moving_with
 
 COMPONENTS = tuple(f"{kind}[{axis}]" for kind in ("rotation", "translation") for axis in "xyz")
 
@@ -61,7 +62,8 @@ class Rigid(nn.Module):
         self.register_buffer("units", initial.new_tensor([[1.0], [distance]]))
 
     def forward(self, raw: Tensor) -> Tensor:
-        rotation, translation = self.units * raw @ self.axes.T
+        units, axes = moving_with(raw, (self.units, self.axes))
+        rotation, translation = units * raw @ axes.T
         return moved(self.initial, rotation, translation, self.pivot)
 
     def right_inverse(self, value: Tensor) -> Tensor:

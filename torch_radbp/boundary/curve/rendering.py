@@ -25,7 +25,7 @@ from torch_radbp.scene.packing.geometry import PlacedShape
 from torch_radbp.scene.packing.pack import MATERIALS, PLACED
 from torch_radbp.sensor.kind import Lens
 from torch_radbp.shape.surface import Surface
-from torch_radbp.tensors.differentiated import detached, tangent_of
+from torch_radbp.tensors.differentiated import asks_for_derivatives, detached
 from torch_radbp.vertex.material import turning_values
 
 MOVE_SHAPES = ("to_world", "vertex_positions", "grid")
@@ -76,7 +76,7 @@ class Rendering:
         """The full names of differentiated attributes of a plugin, among some or all."""
         def find() -> list[str]:
             asked = [name for name in (plugin.domains() if attributes is None else attributes)
-                     if asks_for_derivatives(getattr(plugin, name, None))]
+                     if self.cache.is_live(plugin, name)]
             return [f"{self.names.get(id(plugin), type(plugin).__name__)}.{name}" for name in asked]
 
         return find() if isinstance(plugin, Sensor) else self.known((plugin, attributes), find)
@@ -238,9 +238,3 @@ def texture_name(scene: Scene, texture: Texture) -> str:
     owner, attribute = getattr(texture, "place", (texture, ""))
     return f"{scene.name_of(owner)}.{attribute}".rstrip(".")
 
-
-def asks_for_derivatives(value) -> bool:
-    """True if an attribute is a tensor that is differentiated, backward or forward."""
-    if not isinstance(value, Tensor):
-        return False
-    return (value.requires_grad and torch.is_grad_enabled()) or tangent_of(value) is not None

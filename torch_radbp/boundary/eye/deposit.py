@@ -19,7 +19,7 @@ from torch_radbp.call.render_call import RenderCall
 from torch_radbp.public_call import public_call
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.tensors.differentiated import detached, primal
+from torch_radbp.tensors.differentiated import detached, moving_with, primal
 from torch_radbp.tensors.lookup import summed
 from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import Vec2, rows
@@ -46,8 +46,9 @@ def recorded(camera: Camera, deposits: Sequence[Deposit], shape: tuple[int, int,
     """The image of deposits as torch records it, in either mode; args as of `DepositFunction`."""
     image = torch.zeros(shape, dtype=torch.float64, device=camera.film.size_x.device).flatten(1)
     for place, strength, moved in deposits:
+        gain = moving_with(moved, torch.stack(tuple(strength)))
         for pixel, count in camera.film.around(place):
-            image = image.index_add(1, pixel, torch.stack(tuple(strength)) * (moved * count))
+            image = image.index_add(1, pixel, gain * (moved * moving_with(moved, count)))
     return image.to(camera.dtype).view(shape)
 
 
@@ -115,4 +116,5 @@ def swept_areas(seen: Vec2, normal: Vec2) -> Tensor:
         seen: (K,) where they are, attached.
         normal: (K,) across them, as long as the pieces.
     """
-    return (seen.x - primal(seen.x)) * normal.x + (seen.y - primal(seen.y)) * normal.y
+    before, normal = moving_with(seen, (seen.map(primal), normal))
+    return (seen.x - before.x) * normal.x + (seen.y - before.y) * normal.y

@@ -25,6 +25,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.boundary.curve.edge_order import GROUP
 from torch_radbp.boundary.curve.geometry import Geometry, geometry_of
 from torch_radbp.boundary.curve.outline import Outline
@@ -60,10 +61,11 @@ from torch_radbp.path.event import Ends
 from torch_radbp.path.light_share import ends_lamp_paths
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.scene.tables.part import part_of
 from torch_radbp.scene.tables.scene_tensors import SceneTensors, extent_of
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.differentiated import detached
-from torch_radbp.tensors.stage import Stages, stage
+from torch_radbp.tensors.stage import EAGER, Stages, stage
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3, interpolated, max_component, rows
 
 SALT = 0x1F83D9AB  # tells the random numbers of borders from others
@@ -206,8 +208,10 @@ class DirectShadows(ShadowTerm):
 
     def seen(self, number: int, geometry: Geometry, found: CutOff) -> Vec2:
         borders, aperture = found.samples
-        on_border = border(self.call.scene, geometry, self.casting.outline, borders)
-        seen = on_film(self.call.views[number].camera, on_border, aperture)
+        forward_mode = has_tangents((geometry, self.call.scene, self.call.views[number].camera))
+        seen = (self.call.stages if forward_mode else EAGER)(border_on_film)(
+            part_of(self.call.scene, None, Ends.SURROUNDINGS.vertex), geometry, self.casting.outline,
+            self.call.views[number].camera, borders, aperture)
         if self.call.camera_share is None:
             return seen
         moved = motion_of_surface(self.call, number, geometry, borders.receiver, aperture)
@@ -301,6 +305,13 @@ def places_lit(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes,
         return places_seen(stages, geometry, casting, eyes, seed, LOOKS, count)
     found, eye = edges_tried(stages, geometry, outline, eyes, seed, each, extent_of(geometry))
     return places_on(stages, geometry, outline, eyes, seed, lot_of_found(found, eye, 1, count))
+
+
+@stage("scene", "geometry", "outline", "camera")
+def border_on_film(scene: SceneTensors, geometry: Geometry, outline: Outline, camera: Camera, borders: Borders,
+                   aperture: Vec2 | None) -> Vec2:
+    """The points of shadow borders on the film, (N,) pixels, attached; args as for `border_course`, attached."""
+    return on_film(camera, border(scene, geometry, outline, borders), aperture)
 
 
 @stage("scene", "geometry", "outline", "camera")

@@ -21,7 +21,6 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.curve.geometry import geometry_of
-from torch_radbp.boundary.curve.rendering import asks_for_derivatives
 from torch_radbp.boundary.eye.deposit import Deposit, attached_geometry, swept_areas
 from torch_radbp.boundary.eye.drawn_directions import DirectionNumbers, Drawn, directions_drawn, drawn
 from torch_radbp.boundary.eye.lines_through_edges import solid_angle
@@ -37,7 +36,7 @@ from torch_radbp.path.trace import trace
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.packing.material_tables import one_sided
 from torch_radbp.scene.tables.scene_tensors import extent_of
-from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.differentiated import any_differentiated, asks_for_derivatives
 from torch_radbp.tensors.stage import EAGER
 from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, dot, masked, normalize, rows
 from torch_radbp.vertex.material import sampling_at, turning_values

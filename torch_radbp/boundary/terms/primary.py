@@ -55,7 +55,8 @@ from torch_radbp.path.sorting import first_hit
 from torch_radbp.path.step import Onward
 from torch_radbp.path.through_media import free_flights
 from torch_radbp.path.trace import trace
-from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.scene.cache.common_work import once
+from torch_radbp.tensors.differentiated import any_differentiated, detached
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import rows
 from torch_radbp.threads.workers import in_turns
@@ -118,16 +119,19 @@ def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps
         jumps: of the view.
         lamps: of the scene.
     """
-    view, found = call.views[number], None
+    def find() -> JumpPlaces | None:
+        places = [] if jumps is None else _places_of(still, number, viewed, jumps)
+        standing = integrand_of(still, still.integrand.standing(), number)
+        return strengths(still, standing, viewed, joined(places), seen) if places else None
+
+    view = call.views[number]
     with torch.no_grad():
         stages, sight = still.stages, sight_of(still.views[number], lamps)
         prepared = stages(edge_weight).taken(geometry=geometry_of(still.scene), sight=sight)
         rims = any(seen.turns) and still.scene.triangles.vertices.n is not None
         viewed = ExaminedView(stages, *prepared, sight.camera, rims, view.clips)
-        places = [] if jumps is None else _places_of(still, number, viewed, jumps)
-        if places:
-            integrand = integrand_of(still, still.integrand.standing(), number)
-            found = strengths(still, integrand, viewed, joined(places), seen)
+        found = once("jumps in view", lambda: (still.facts(), number, detached(jumps), seen.turns), find) \
+            if seen.is_radiance else find()
     deposits = []
     if found is not None:
         geometry = geometry_of(call.scene)._replace(lines=jumps.lines)

@@ -9,6 +9,8 @@ of paths, and what comes evenly from all around, with a hundredth of the varianc
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from torch import Tensor
 
@@ -24,7 +26,8 @@ from torch_radbp.boundary.eye.seen_edges import Casting
 from torch_radbp.boundary.terms.shadow_term import SHADOW_TERMS, ShadowSearch, terms_of
 from torch_radbp.boundary.terms.split import samples_of_view
 from torch_radbp.call.render_call import RenderCall
-from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.scene.cache.common_work import once
+from torch_radbp.tensors.differentiated import any_differentiated, detached
 from torch_radbp.tensors.stage import EAGER
 
 PATHS, MOST_EDGES = 1 << 14, 1 << 14  # of a view at least, and of all shapes, for a warning
@@ -66,11 +69,15 @@ def shadow_jumps(call: RenderCall, casting: Outline | None, crossing: Segments |
     """
     still, images = call.still(), []
     with torch.no_grad():
-        edges = None if casting is None else Casting(casting, edge_tree(call.stages, geometry_of(still.scene), casting))
+        edges = None if casting is None else once("edges that cast shadows", lambda: (still.facts(), casting),
+                                                  lambda: Casting(casting, edge_tree(call.stages, geometry_of(still.scene),
+                                                                                     casting)))
         terms = terms_of(ShadowSearch(call, still, edges, crossing, lines))
     for number in range(len(call.views)):
         with torch.no_grad():
-            found = samples_of_view(still, number, terms)
+            found = once("borders of shadows", lambda number=number: (
+                still.facts(), number, list(map(type, terms)), casting, crossing, detached(lines)),
+                partial(samples_of_view, still, number, terms))
         deposits = [deposit for term, own in zip(terms, found) if own is not None for deposit in term.jumps(number, own)]
         images.append(image_of(call, number, deposits))
     return torch.stack(images)

@@ -10,8 +10,9 @@ import torch
 from torch import Tensor, nn
 
 from torch_radbp.scene.cache.inventory import Inventory
+from torch_radbp.scene.cache.module_attributes import parametrized_names
 from torch_radbp.scene.cache.same_bits import comparable, equal_on_device, same_bits, same_bits_each
-from torch_radbp.tensors.differentiated import primal
+from torch_radbp.tensors.differentiated import asks_for_derivatives, differentiated, primal
 
 
 class Copies:
@@ -35,15 +36,33 @@ class Copies:
         self.numbers: dict[int, list[float]] = {}  # that were fetched meanwhile, by ids of tensors
         self.last_inventories: dict[int, Inventory] = {} if last is None or around is not None else last.inventories
         self.inventories: dict[int, Inventory] = {} if around is None else around.inventories  # by the ids of their roots
+        # Results of parametrisations, by owner, name, and whether autograd records; and whether they are differentiated.
+        self.computed: dict[tuple[int, str, bool], Tensor] = {} if around is None else around.computed
+        self.live: dict[tuple[int, str, bool], bool] = {} if around is None else around.live
         self.moved: set[int] = set() if around is None else around.moved  # as of `Inventory.reach`, what is not as it was
 
     def close(self) -> Copies:
         """Drops what only the comparison with the last rendering needed."""
         self.last_copies, self.last_places, self.last_inventories, self.compared = {}, {}, {}, None
         self.numbers = {}
-        self.seen, self.fixed, self.moved = {}, set(), set()
+        self.seen, self.fixed, self.moved, self.computed = {}, set(), set(), {}
         self.inventories = {root: inventory for root, inventory in self.inventories.items() if inventory.lasts}
         return self
+
+    def read(self, owner: nn.Module, name: str) -> Any:
+        """An attribute of a module, None if it has none; what a parametrisation computes is computed once."""
+        if name not in parametrized_names(owner):
+            return getattr(owner, name, None)
+        key = id(owner), name, torch.is_grad_enabled()
+        if key not in self.computed:
+            self.computed[key] = getattr(owner, name)
+            self.live[key] = differentiated(self.computed[key])
+        return self.computed[key]
+
+    def is_live(self, owner: nn.Module, name: str) -> bool:
+        """True if an attribute of a module is a differentiated tensor; also when the cache is closed."""
+        known = self.live.get((id(owner), name, torch.is_grad_enabled()))
+        return asks_for_derivatives(getattr(owner, name, None)) if known is None else known
 
     def inventory(self, root: nn.Module) -> Inventory:
         """The `Inventory` of a module; that of the last rendering if it still holds."""

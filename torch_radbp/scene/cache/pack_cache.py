@@ -179,7 +179,7 @@ class PackCache(Copies):
             self.take_over(last.made)
             return last.made.value
         others = [(name, value) for name, value in vars(thing).items() if name not in OF_EVERY_MODULE and name != "shared"]
-        parameters = [(name, getattr(thing, name)) for name in (*thing._parameters, *parametrized_names(thing))]
+        parameters = [(name, self.read(thing, name)) for name in (*thing._parameters, *parametrized_names(thing))]
         attributes = others, parameters, list(thing._buffers.items()), children_of(thing)
         parts = tuple(self.attributes_in_twin(place, part) for part in attributes)
         made = self.result(assembled, (parametrize.type_before_parametrizations(thing), *parts))

@@ -67,19 +67,17 @@ def held_in(root: nn.Module, prefix: str = "") -> dict[str, Held]:
     names = {id(plugin): name for name, plugin in plugins}
     note_uses(plugins)
     values: dict[str, Held] = {}
-    for prefix, plugin in plugins:
-        for attribute, domain in plugin.domains().items():
-            value = getattr(plugin, attribute, None)
-            if isinstance(value, Tensor):
-                values[f"{prefix}.{attribute}"] = Held(plugin, attribute, [domain], reach_of_attribute(plugin, value))
-    for _, plugin in plugins:
-        for attribute, domain in plugin.domains().items():
-            value = getattr(plugin, attribute, None)
-            if isinstance(value, VolumeFunction):
-                hold_entries(values, names, value, domain)
-            elif isinstance(value, Texture):
-                hold_values(values, names, value, domain)
-    ids = {id(getattr(held.owner, held.attribute)) for held in values.values() if held.attribute is not None}
+    found = [(f"{prefix}.{attribute}", plugin, attribute, domain, getattr(plugin, attribute, None))
+             for prefix, plugin in plugins for attribute, domain in plugin.domains().items()]
+    for name, plugin, attribute, domain, value in found:
+        if isinstance(value, Tensor):
+            values[name] = Held(plugin, attribute, [domain], reach_of_attribute(plugin, value))
+    ids = {id(value) for *_, value in found if isinstance(value, Tensor)}
+    for _, _, _, domain, value in found:
+        if isinstance(value, VolumeFunction):
+            hold_entries(values, names, value, domain)
+        elif isinstance(value, Texture):
+            hold_values(values, names, value, domain)
     for prefix, module in named:
         for attribute, value in module._parameters.items():
             if value is not None and id(value) not in ids and value.numel():
@@ -164,7 +162,8 @@ def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str], leew
             held = cache.structure(held_in, root, name)
             unchanged = cache.is_as_it_was(root)
             changed |= {name: each for name, each in held.items() if not (unchanged and each.reach.isdisjoint(cache.moved))}
-        values = {name: held.value for name, held in changed.items()}
+        values = {name: held.owner.texels() if held.attribute is None else cache.read(held.owner, held.attribute)
+                  for name, held in changed.items()}
         check_types(scene, changed, values)
         for name, held in changed.items():
             for domain in held.domains:

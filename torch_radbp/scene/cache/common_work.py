@@ -1,0 +1,73 @@
+"""Work that several renderings have in common: those of the same values, by the same random numbers, with other tangents.
+
+Each column of a Jacobian is a rendering in forward mode. What paths meet, and the places at which images jump, depend on
+values alone; what differs is how all that changes. Inside of `CommonWork.shared` the first rendering does such work, and the
+others take its results, if all that these depend on is the same, bit by bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any, TypeVar
+
+from torch import Tensor
+
+from torch_radbp.scene.cache.same_bits import same_bits
+from torch_radbp.tensors.record import leaves_of
+
+Result = TypeVar("Result")
+
+MOST = 8  # results of one kind that are kept: of so many renderings, such as those of several sensors
+
+
+class CommonWork:
+    """Results of renderings of the same values; whoever changes values in place takes a new one."""
+
+    def __init__(self) -> None:
+        self.results: dict[Hashable, list[tuple[list, Any]]] = {}  # by kind; what each depends on, and the result
+
+    @contextmanager
+    def shared(self) -> Iterator[None]:
+        """Renderings of this thread share their work by `once`."""
+        token = COMMON.set(self)
+        try:
+            yield
+        finally:
+            COMMON.reset(token)
+
+
+COMMON: ContextVar[CommonWork | None] = ContextVar("COMMON", default=None)
+
+
+def once(kind: Hashable, depends_on: Callable[[], Any], make: Callable[[], Result]) -> Result:
+    """`make()`, or what it has returned in another rendering that shares its work with this one.
+
+    Args:
+        kind: tells what is made.
+        depends_on: gives a record of all that the result depends on beside the kind: tensors without derivatives, and what
+            can be compared. Not called where nothing is shared.
+        make: computes it, without derivatives.
+    """
+    common = COMMON.get()
+    if common is None:
+        return make()
+    facts, known = leaves_of(depends_on()), common.results.setdefault(kind, [])
+    for others, result in known:
+        if len(others) == len(facts) and all(map(alike, facts, others)):
+            return result
+    result = make()
+    known.append((facts, result))
+    del known[:-MOST]
+    return result
+
+
+def alike(a: Any, b: Any) -> bool:
+    """True if two leaves of records are the same, tensors by their bits."""
+    if a is b:
+        return True
+    if isinstance(a, Tensor) and isinstance(b, Tensor):
+        return (a.data_ptr() == b.data_ptr() and a.shape == b.shape and a.stride() == b.stride() and a.dtype == b.dtype
+                or same_bits(a, b))
+    return type(a) is type(b) and bool(a == b)
