@@ -69,7 +69,7 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, ver
     if verdict is None:
         return LocalMap(terms.Le, terms.Le.map(torch.zeros_like), None)
     Ld = terms.Ld
-    if verdict.shadow_way is not None:
+    if verdict.shadow_way is not None and terms.light is not None:
         o = kind.origin(terms, terms.light.d.detach())
         shadow, length = connection_of(o, terms.light) if settings.moving else shadow_ray(o, terms.light)
         Ld = let_through(scene, Ld, shadow, length, verdict.shadow_way)
@@ -78,8 +78,7 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, ver
         return LocalMap(E, masked(verdict.survives, terms.weight * terms.thinning), None)
     weight, ray = kind.attached_ray(scene, terms, verdict.following, settings.sampling, there)
     F = masked(verdict.survives, weight * terms.thinning)
-    film = None if terms.light is None else terms.light.film
-    return LocalMap(E, F, kind.ahead(terms, state, ray, state.beta * F, settings), film)
+    return LocalMap(E, F, kind.ahead(terms, state, ray, state.beta * F, settings), terms.film(scene))
 
 
 @stage("scene", "proposal", "arrival")

@@ -20,6 +20,7 @@ from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.connection.camera import from_lamps
 from torch_radbp.interface.emitter import LightKind
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.rendering.own_light import cameras_see_own_light
 from torch_radbp.rendering.settings import settings_of_integrand
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene.packing.material_tables import one_sided
@@ -69,8 +70,9 @@ def shared_image(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> tu
     if light_paths == "all" and all(kind.aimed for kind in lit):
         whole = whole._replace(camera_share=share)
     found = torch.cat([image_from_lamps(renderer, call, number, light_paths) for number in range(len(call.views))])
-    if first_only and call.quantities is None and all(kind.delta for kind in lit):
-        return found, whole  # the camera sees none of the lights, and nothing that scatters narrowly
+    sees_nothing = first_only and all(kind.delta for kind in lit)  # of lights without extent, and no narrow scattering
+    if light_paths == "all" and call.quantities is None and (sees_nothing or not cameras_see_own_light(call)):
+        return found, whole
     images = rendered(share)
     return images + found if images.shape[1] == 3 else torch.cat([images[:, :3] + found, images[:, 3:]], 1), whole
 
