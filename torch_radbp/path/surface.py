@@ -83,6 +83,12 @@ class SurfaceVertex(VertexKind):
                                   sampling_at(material.kind, settings.sampling))
             Ld = attenuated(Ld, shown)
 
+        if settings.ends:
+            none, nobody = torch.zeros_like(state.pdf), torch.zeros_like(si.valid)
+            nowhere = BSDFSample(Vec3(*si.wi.map(torch.Tensor.detach)), Vec3(none, none, none), none)
+            place = SurfacePlace(si, material, nowhere)
+            return Terms(Le, Ld, light, nowhere.weight, none, none, nobody, place, narrow)
+
         # F: sample the BSDF for the next direction.
         choice = lobe_number(arrival, number(BSDF_CHOICE)) if material.kind.discrete else None
         chosen = sample(material, si.wi, choice, number(BSDF_U), number(BSDF_V), settings.sampling)
