@@ -23,6 +23,7 @@ from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import BroughtToFilm
 from torch_radbp.tensors.differentiated import any_differentiated
+from torch_radbp.tensors.interleaved import interleaved
 from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import Vec2, Vec3, rows
@@ -67,7 +68,7 @@ class LightFilm(Sink):
         return SinkValues(image.view(1, 3, *self.shape), None, by_number([results for _, results in shares]))
 
     def adj_sums(self, call: RenderCall, gradient: Tensor, filters: Tensor | None) -> Vec3:
-        return Vec3(*(gradient[0].flatten(1) / self.paths))
+        return interleaved(Vec3(*(gradient[0].flatten(1) / self.paths)))
 
     def asked(self, integrand: Integrand, adj_sums: Vec3) -> Integrand:
         scene = asked_by(integrand.scene, adj_sums)
