@@ -125,7 +125,9 @@ class Integrand(NamedTuple):
     def settings_at(self, depth: int) -> Settings:
         """The settings at a bounce; those at the first and at the last one may differ."""
         ends = self.proposal.layout.from_lamps and depth + 1 >= self.bounces
-        return self.settings._replace(hide_emitters=self.settings.hide_emitters and depth == 0, ends=ends)
+        settings, first = self.settings, depth == 0
+        return settings._replace(hide_emitters=settings.hide_emitters and first, ends=ends,
+                                 fixed_start=settings.fixed_start and first)
 
     def image_lanes(self, state: PathState) -> ImageLanes | None:
         """The paths that are not differentiated; None: all may be."""

@@ -122,10 +122,14 @@ class BoundaryCrossings:
 
 
 def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[Tensor, ShadowWay | None]:
-    """Which shadow rays are free, (N,) bool, and their ways through media; None: rays are not followed."""
+    """Which shadow rays are free, (N,) bool, and their ways through media; None: rays are not followed. Of paths from lamps
+    only those are told that there are, so that the backward pass knows where nothing is connected to."""
     layout = integrand.proposal.layout
     if not layout.traces_segments:
-        return inverted(integrand.caster.occluded(vertex.shadow, vertex.shadow_distance)), None
+        hidden = integrand.caster.occluded(vertex.shadow, vertex.shadow_distance)
+        if not layout.from_lamps:
+            return inverted(hidden), None
+        return integrand.stages(is_connected)(hidden, vertex.shadow_distance), None
     part, shadow, distance = integrand.part(Ends.SURROUNDINGS), detached(vertex.shadow), vertex.shadow_distance
     pick, crossings = integrand.stages(rows), BoundaryCrossings(integrand, vertex.shadow_medium)
     passed, begins = part.call(shadow_begun, shadow, distance, vertex.shadow_medium, vertex.next.key, integrand.at(depth))
@@ -145,6 +149,12 @@ def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[
 
     repeated(chosen(begins), next_passed)
     return passed.free, ShadowWay(passed.ways, passed.medium, passed.panes, crossings.in_turn())
+
+
+@stage()
+def is_connected(hidden: Tensor, distance: Tensor) -> Tensor:
+    """(N,) bool: there is a connection, and it is free. Args: see `RayCaster.occluded`."""
+    return ~hidden & (distance > 0)
 
 
 def tracking_ended(integrand: Integrand, ahead: Ray, medium: Tensor, seed: Tensor, v: Tensor, length: Tensor,
