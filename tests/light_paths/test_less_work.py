@@ -8,9 +8,10 @@ from tests.light_paths.scenes import lit_ball
 from tests.scenes import diffuse, load, rectangle, sensor
 
 GLASS, METAL = {"type": "dielectric"}, {"type": "roughconductor", "alpha": 0.3}
+HEIGHTS = (0.01 * torch.rand(8, 8, 1, generator=torch.Generator().manual_seed(1))).numpy()
+BUMPS = {"type": "bumpmap", "arbitrary": {"type": "bitmap", "raw": True, "data": HEIGHTS}, "bsdf": GLASS}
 CASES = {"diffuse": ("area", {}), "glass": ("point", {"bsdf": GLASS}), "metal": ("area", {"bsdf": METAL}),
-         "bumps on glass": ("directionalarea", {"bsdf": {"type": "bumpmap", "arbitrary": {"type": "bitmap", "raw": True, "data": (
-             0.01 * torch.rand(8, 8, 1, generator=torch.Generator().manual_seed(1))).numpy()}, "bsdf": GLASS}})}
+         "bumps on glass": ("directionalarea", {"bsdf": BUMPS})}
 
 
 def found(case: str, light_paths: str = "all", wanted: str = "") -> list[torch.Tensor]:
@@ -35,9 +36,9 @@ def assert_same(here: list[torch.Tensor], there: list[torch.Tensor]) -> None:
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("case", CASES)
 def test_whole_paths_bring_what_bounces_bring(case, monkeypatch):
-    asked = []
-    whole = rb.path.trace.brought_by_whole_paths
-    monkeypatch.setattr("torch_radbp.path.trace.brought_by_whole_paths", lambda *args: asked.append(whole(*args)) or asked[-1])
+    asked, whole = [], rb.path.trace.brought_by_whole_paths
+    monkeypatch.setattr("torch_radbp.path.trace.brought_by_whole_paths",
+                        lambda *arguments: asked.append(whole(*arguments)) or asked[-1])
     here = found(case)
     assert asked and None not in asked
     monkeypatch.setattr("torch_radbp.path.trace.brought_by_whole_paths", lambda *args: None)

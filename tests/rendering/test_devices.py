@@ -80,7 +80,7 @@ OF_WAYS = {"emission_begun", "emission_on_segment", "is_tracked_in", "let_throug
            "on_boundary", "shadow_ahead", "shadow_begun", "surface_ahead", "tracking_begun", "tracking_on",
            "way_begun"}  # through media
 OF_MEDIA = {"free_flight", *OF_WAYS}  # that scatter
-OF_LAMPS = {"brings", "is_asked", "is_connected", "patches", "sample_lamps", "shining"}  # of paths from lamps, which begin at no network
+OF_LAMPS = {"brings", "is_asked", "is_connected", "patches", "sample_lamps", "shining"}  # which begin at no network
 # Stages that a scene does without.
 NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},
           "lamps": {"places", *OF_TWO_SIDES, *OF_JUMPS, *OF_MIRRORS, *OF_FEW_EDGES},

@@ -37,8 +37,8 @@ def add_patches(patches: Patches, totals: Tensor) -> None:
                       for number in numbers]))
     if not right:
         found = [(tuple(tensor.shape), tensor.dtype, str(tensor.device)) for tensor in (first, *numbers, totals)]
-        raise ValueError(f"patches have int32 first pixels, {VALUES} values and weights of rows and columns of {lanes} lanes, "
-                         f"all float32 or all float64, for contiguous float64 totals (rows, columns, {CHANNELS}) on the same "
-                         f"device; got {found}")
+        raise ValueError(f"patches have int32 first pixels, {VALUES} values and weights of rows and columns of {lanes} "
+                         f"lanes, all float32 or all float64, for contiguous float64 totals (rows, columns, {CHANNELS}) on "
+                         f"the same device; got {found}")
     if lanes:
         target_of(device).add_patches(patches.contiguous(), totals)

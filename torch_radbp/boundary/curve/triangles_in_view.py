@@ -35,5 +35,5 @@ def is_quick(scene: SceneTensors, paths: int) -> bool:
 
 
 def may_see_ideal_surfaces(view: View, scene: SceneTensors, paths: int) -> bool:
-    """False if no ideal mirror or glass is in view; True if that is not quickly told. Args as for `may_see` and `is_quick`."""
+    """False if no ideal mirror or glass is in view; True if that is not quickly told. Args: see above."""
     return not is_quick(scene, paths) or may_see(view, scene, narrow_triangles(scene))

@@ -1,4 +1,4 @@
-"""`jit/patches.py` on the CPU: one compiled loop over lanes, which adds all entries of a patch while they are in the cache."""
+"""`jit/patches.py` on the CPU: one compiled loop over lanes, which adds all pixels of a patch one after the other."""
 
 from __future__ import annotations
 
