@@ -68,7 +68,8 @@ class LightFilm(Sink):
         return SinkValues(image.view(1, 3, *self.shape), None, by_number([results for _, results in shares]))
 
     def adj_sums(self, call: RenderCall, gradient: Tensor, filters: Tensor | None) -> Vec3:
-        return interleaved(Vec3(*(gradient[0].flatten(1) / self.paths)))
+        with_margin = torch.nn.functional.pad(gradient[0] / self.paths, (self.film.margin,) * 4)
+        return interleaved(Vec3(*with_margin.flatten(1)))
 
     def asked(self, integrand: Integrand, adj_sums: Vec3) -> Integrand:
         scene = asked_by(integrand.scene, adj_sums)

@@ -80,6 +80,12 @@ class FilmTensors(NamedTuple):
                         for inside, values, sampled in ((self.inside_y, down, in_rows), (self.inside_x, across, in_columns)))
         return number, down, across
 
+    def is_near(self, place: Vec2) -> Tensor:
+        """(N,) bool: points lie in the window or so near to it that there are samples; all that contribute do. Args as for
+        `around`."""
+        return (_is_sampled(self.columns, self.before.x, self.after.x, place.x)
+                & _is_sampled(self.rows, self.before.y, self.after.y, place.y))
+
     def columns_and_rows(self, place: Vec2) -> tuple[list[tuple[Tensor, Tensor]], list[tuple[Tensor, Tensor]]]:
         """The columns and the rows of `around`, each with a factor of the weight; args as there."""
         return (_counted(self.kernel, self.inside_x, self.columns, self.before.x, self.after.x, place.x),
@@ -96,12 +102,17 @@ def _any_counts(pixels: list[tuple[Tensor, Tensor]]) -> Tensor:
     return reduce(operator.or_, [weight != 0.0 for _, weight in pixels])
 
 
+def _is_sampled(size: Tensor, before: Tensor, after: Tensor, place: Tensor) -> Tensor:
+    """(N,) bool: there are samples where points lie. Args as for `_counted`."""
+    return (place + before >= 0) & (place < size + after)
+
+
 def _weights(kernel: Kernel, size: Tensor, before: Tensor, after: Tensor,
              place: Tensor) -> tuple[Tensor, list[Tensor], Tensor]:
     """The columns (or rows) to which points contribute on a film without end: the first of them, (N,) int32, the filter's
     values from there on, and which points are where there are samples, (N,) bool. Args as for `_counted`."""
     nearest = torch.floor(place)
-    sampled = (place + before >= 0) & (place < size + after)
+    sampled = _is_sampled(size, before, after, place)
     nearest = torch.where(sampled, nearest, 0.0)
     first, values = kernel.nearby(torch.where(sampled, place - nearest, 0.0))
     return nearest.to(torch.int32) + first, values, sampled
