@@ -80,17 +80,18 @@ OF_WAYS = {"emission_begun", "emission_on_segment", "is_tracked_in", "let_throug
            "on_boundary", "shadow_ahead", "shadow_begun", "surface_ahead", "tracking_begun", "tracking_on",
            "way_begun"}  # through media
 OF_MEDIA = {"free_flight", *OF_WAYS}  # that scatter
+OF_ASKED = {"is_asked"}  # of paths from lamps in scenes without media and networks
 OF_LAMPS = {"brings", "is_asked", "is_connected", "patches", "sample_lamps", "shining"}  # which begin at no network
 # Stages that a scene does without.
 NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},
           "lamps": {"places", *OF_TWO_SIDES, *OF_JUMPS, *OF_MIRRORS, *OF_FEW_EDGES},
           "shapes": {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS, *OF_FEW_EDGES},
           "textures": {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_FEW_EDGES},
-          "fog": {"places", "corner_rows", "ray_along_edge", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_SHADOWS, *OF_SEGMENTS,
+          "fog": {"places", *OF_ASKED, "corner_rows", "ray_along_edge", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_SHADOWS, *OF_SEGMENTS,
                   *OF_MIRRORS},
-          "smoke": {"places", "corner_rows", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_JUMPS, *OF_SHADOWS, *OF_SEGMENTS,
+          "smoke": {"places", "is_connected", *OF_ASKED, "corner_rows", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_JUMPS, *OF_SHADOWS, *OF_SEGMENTS,
                     *OF_MIRRORS, *OF_FEW_EDGES, *OF_EDGES},
-          "networks": {"ending", "shines", "sheets_seen", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS, *OF_FEW_EDGES},
+          "networks": {*OF_ASKED, "ending", "shines", "sheets_seen", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS, *OF_FEW_EDGES},
           "shining networks": {"shines", "cut_course", "scattered", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_SEGMENTS,
                                *OF_CROSSINGS, *OF_MIRRORS, *OF_FEW_EDGES}}
 
