@@ -80,18 +80,18 @@ OF_WAYS = {"emission_begun", "emission_on_segment", "is_tracked_in", "let_throug
            "on_boundary", "shadow_ahead", "shadow_begun", "surface_ahead", "tracking_begun", "tracking_on",
            "way_begun"}  # through media
 OF_MEDIA = {"free_flight", *OF_WAYS}  # that scatter
-OF_ASKED = {"is_asked"}  # of paths from lamps in scenes without media and networks
 OF_LAMPS = {"brings", "is_asked", "is_connected", "patches", "sample_lamps", "shining"}  # which begin at no network
+WITHOUT_ASKED = {"fog": {"is_asked"}, "smoke": {"is_asked", "is_connected"}, "networks": {"is_asked"}}  # of all vertices
 # Stages that a scene does without.
 NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},
           "lamps": {"places", *OF_TWO_SIDES, *OF_JUMPS, *OF_MIRRORS, *OF_FEW_EDGES},
           "shapes": {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS, *OF_FEW_EDGES},
           "textures": {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_FEW_EDGES},
-          "fog": {"places", *OF_ASKED, "corner_rows", "ray_along_edge", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_SHADOWS, *OF_SEGMENTS,
+          "fog": {"places", "corner_rows", "ray_along_edge", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_SHADOWS, *OF_SEGMENTS,
                   *OF_MIRRORS},
-          "smoke": {"places", "is_connected", *OF_ASKED, "corner_rows", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_JUMPS, *OF_SHADOWS, *OF_SEGMENTS,
+          "smoke": {"places", "corner_rows", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_JUMPS, *OF_SHADOWS, *OF_SEGMENTS,
                     *OF_MIRRORS, *OF_FEW_EDGES, *OF_EDGES},
-          "networks": {*OF_ASKED, "ending", "shines", "sheets_seen", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS, *OF_FEW_EDGES},
+          "networks": {"ending", "shines", "sheets_seen", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS, *OF_FEW_EDGES},
           "shining networks": {"shines", "cut_course", "scattered", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_SEGMENTS,
                                *OF_CROSSINGS, *OF_MIRRORS, *OF_FEW_EDGES}}
 
@@ -101,7 +101,7 @@ NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},
 def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling):
     calls, scene = calls_of(name, sampling), build(name)
     without = NOT_IN.get(name, {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES}) | (OF_SHADOWS if sampling == "attached" else set())
-    without |= OF_CONTACTS | OF_MEDIA | (OF_LAMPS if name == "shining networks" else set())
+    without |= WITHOUT_ASKED.get(name, set()) | OF_CONTACTS | OF_MEDIA | (OF_LAMPS if name == "shining networks" else set())
     assert {stage for stage, cases in calls.items() if not cases} <= without
     scatterers = {arguments[0].layout.scatterer for arguments in calls["bounce"].values()}
     looks = rb.scene.packing.pack.pack(scene).layout.appearances
