@@ -80,7 +80,8 @@ OF_WAYS = {"emission_begun", "emission_on_segment", "hides_all", "is_tracked_in"
            "next_shadow_segment", "no_crossing", "on_boundary", "shadow_ahead", "shadow_begun", "surface_ahead",
            "tracking_begun", "tracking_on", "way_begun"}  # through media
 OF_MEDIA = {"direct_light_in_medium", "free_flight", "leaving_towards", "scattered_by_medium", *OF_WAYS}  # that scatter
-OF_LAMPS = {"sample_lamps", "shining", "splats"}  # of paths from lamps, which begin at no network
+OF_LAMPS = {"brings", "is_asked", "is_connected", "patches", "sample_lamps", "shining"}  # which begin at no network
+WITHOUT_ASKED = {"fog": {"is_asked"}, "smoke": {"is_asked", "is_connected"}, "networks": {"is_asked"}}  # of all vertices
 # Stages that a scene does without.
 NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},
           "lamps": {"places", *OF_TWO_SIDES, *OF_JUMPS, *OF_MIRRORS, *OF_FEW_EDGES},
@@ -100,7 +101,7 @@ NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},
 def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling):
     calls, scene = calls_of(name, sampling), build(name)
     without = NOT_IN.get(name, {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES}) | (OF_SHADOWS if sampling == "attached" else set())
-    without |= OF_CONTACTS | OF_MEDIA | (OF_LAMPS if name == "shining networks" else set())
+    without |= WITHOUT_ASKED.get(name, set()) | OF_CONTACTS | OF_MEDIA | (OF_LAMPS if name == "shining networks" else set())
     assert {stage for stage, cases in calls.items() if not cases} <= without
     scatterers = {arguments[0].layout.scatterer for arguments in calls["bounce"].values()}
     looks = rb.scene.packing.pack.pack(scene).layout.appearances

@@ -19,7 +19,7 @@ from torch_radbp.adjoint.local_map import BothCorners, Verdict, local_map
 from torch_radbp.interface.texture import TextureValue
 from torch_radbp.path.state import Arrival, Position, Settings
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.scene.tables.scene_tensors import Layout, SceneTensors
 from torch_radbp.scene.tables.triangle_corners import Corners, at_corners
 from torch_radbp.tensors.lookup import Tap, tapped
 from torch_radbp.tensors.stage import stage
@@ -39,6 +39,13 @@ class Memo(NamedTuple):
     adj_cone: Cone | None = None  # dloss/dcone of the ray's cone; None if paths carry none
     hit: Hit | None = None  # hit of the ray; triangle -1: a miss
     adj_corners: Corners | None = None  # partial dloss/dp of that triangle's vertices; None unless two bounces contribute
+    # bool: the loss depends on the path from the bounce below on; elsewhere all of the above is 0, and of no bounce is asked
+    # whose connection is not free. None: of all bounces is asked.
+    asked: Tensor | None = None
+
+    def parts_of(self, other: Memo) -> Memo:
+        """The parts that another one has."""
+        return Memo(*(None if found is None else part for part, found in zip(self, other)))
 
 
 def empty_memo(like: Tensor, moving: bool, twice: bool, scene: SceneTensors) -> Memo:
@@ -50,16 +57,36 @@ def empty_memo(like: Tensor, moving: bool, twice: bool, scene: SceneTensors) -> 
         twice: whether triangles do, for two bounces each.
         scene: tells whether rays have cones around them, and hits instances.
     """
+    asked = torch.zeros_like(like, dtype=torch.bool) if lanes_may_be_left_out(scene.layout) else None
     if not moving:
-        return Memo(Vec3.buffer(like))
+        return Memo(Vec3.buffer(like), asked=asked)
     nothing = torch.zeros_like(like, dtype=torch.int32)
     instance = None if scene.triangles.instances is None else torch.zeros_like(nothing)
     miss = Hit(nothing - 1, *(torch.zeros_like(like) for _ in range(3)), instance)
     adj_cone = Cone(torch.zeros_like(like), torch.zeros_like(like)) if scene.layout.traces_cones else None
-    memo = Memo(Vec3.buffer(like), Ray(Vec3.buffer(like), Vec3.buffer(like)), torch.zeros_like(like), adj_cone, miss)
+    memo = Memo(Vec3.buffer(like), Ray(Vec3.buffer(like), Vec3.buffer(like)), torch.zeros_like(like), adj_cone, miss,
+                asked=asked)
     if not twice:
         return memo
     return memo._replace(adj_corners=tuple(Vec3.buffer(like) for _ in range(3)))
+
+
+def lanes_may_be_left_out(layout: Layout) -> bool:
+    """True if a vertex brings something by its connection alone, and what is left out is read nowhere else."""
+    return layout.from_lamps and not layout.reads_outside and not layout.media
+
+
+@stage("below", "lane")
+def is_asked(below: Tensor, lane: Tensor, lanes: Tensor, visible: Tensor) -> Tensor:
+    """(M,) bool: the loss depends on paths from a bounce on.
+
+    Args:
+        below: `Memo.asked`.
+        lane: (N,) int32, of the paths that reach the bounce.
+        lanes: (M,) int32, those of them that are meant.
+        visible: (M,) bool, their connections are free.
+    """
+    return visible | rows(below, rows(lane, lanes))
 
 
 class DifferentiatedPart(NamedTuple):
@@ -106,7 +133,8 @@ def bounce_adjoint(part: DifferentiatedPart, arrival: Arrival, lanes: Tensor, ve
     attached, _ = tapped(scene, part.wanted, 0, taps)
     attached = attached._replace(layout=replace(scene.layout, still=(part.still,)))
     inputs, corners = (), None
-    if settings.moving:
+    carries = settings.moving and (memo.adj_corners is not None or not settings.fixed_start)
+    if carries:
         ray, pdf = tree_map(as_leaf, (state.ray, state.pdf))
         cone = None if state.cone is None else tree_map(as_leaf, state.cone)
         state, inputs = state._replace(ray=ray, pdf=pdf, cone=cone), (*ray.o, *ray.d, pdf, *(cone or ()))
@@ -130,11 +158,12 @@ def bounce_adjoint(part: DifferentiatedPart, arrival: Arrival, lanes: Tensor, ve
         reads = [read.leaf for tap in taps for read in tap.reads]
         adjoints = iter(vector_jacobian_product(outputs, [*inputs, *values, *reads], adjoints))
     # L_k = E_k + F_k L_{k+1} for the bounce above.
-    above = Memo((local.E + local.F * memo.L).detach())
+    asked = None if memo.asked is None else torch.ones_like(lanes, dtype=torch.bool)
+    above = Memo((local.E + local.F * memo.L).detach(), asked=asked)
     found = [zeros_unless(next(adjoints), leaf) for leaf in inputs]
     adj_values = tuple(Vec3(*(zeros_unless(next(adjoints), leaf) for leaf in texture.value)) for texture in texture_values)
-    if settings.moving:
-        above = Memo(above.L, Ray(Vec3(*found[:3]), Vec3(*found[3:6])), found[6], hit=hit)
+    if carries:
+        above = above._replace(adj_ray=Ray(Vec3(*found[:3]), Vec3(*found[3:6])), adj_pdf=found[6], hit=hit)
         if state.cone is not None:
             above = above._replace(adj_cone=Cone(*found[7:9]))
     if memo.adj_corners is not None:

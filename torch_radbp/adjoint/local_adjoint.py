@@ -10,11 +10,12 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torch_radbp.adjoint.bounce import DifferentiatedPart, LanesOfChunk, Memo, bounce_adjoint
+from torch_radbp.adjoint.bounce import DifferentiatedPart, LanesOfChunk, Memo, bounce_adjoint, is_asked
 from torch_radbp.adjoint.local_map import verdict_of
 from torch_radbp.adjoint.outside import values_that_move
 from torch_radbp.adjoint.scatter import Contribution
 from torch_radbp.interface.texture import Place, TextureValue
+from torch_radbp.jit.order import chosen
 from torch_radbp.path.event import Ends, Event
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.queues import Queue
@@ -114,6 +115,9 @@ class LocalAdjoints:
             here = slice(queue.first, queue.last)
             lanes = step.order[here]
             verdict = rows_between(verdict_of(step), queue.first, queue.last) if queue.event.scatters else None
+            if memo.asked is not None and verdict is not None:
+                kept = chosen(integrand.stages(is_asked)(memo.asked, state.lane, lanes, verdict.visible))
+                lanes, verdict = integrand.stages(rows)((lanes, verdict), kept)
             yield LocalAdjoint(self.of_event(queue.event), (reached, lanes, verdict, chunk, at, settings, values),
                                scatterer, places, integrand.stages(rows)(state.lane, lanes), queue,
                                (self.of_positions, integrand) if depth == 0 else None)

@@ -69,17 +69,18 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, ver
     if verdict is None:
         return LocalMap(terms.Le, terms.Le.map(torch.zeros_like), None)
     Ld = terms.Ld
-    if verdict.shadow_way is not None:
+    if verdict.shadow_way is not None and terms.light is not None:
         o = kind.origin(terms, terms.light.d.detach())
         shadow, length = connection_of(o, terms.light) if settings.moving else shadow_ray(o, terms.light)
         Ld = let_through(scene, Ld, shadow, length, verdict.shadow_way)
     E = gathered(terms.Le, Ld, verdict.visible)
+    if settings.ends:
+        return LocalMap(E, E.map(torch.zeros_like), None, terms.film(scene))
     if not settings.moving:
         return LocalMap(E, masked(verdict.survives, terms.weight * terms.thinning), None)
     weight, ray = kind.attached_ray(scene, terms, verdict.following, settings.sampling, there)
     F = masked(verdict.survives, weight * terms.thinning)
-    film = None if terms.light is None else terms.light.film
-    return LocalMap(E, F, kind.ahead(terms, state, ray, state.beta * F, settings), film)
+    return LocalMap(E, F, kind.ahead(terms, state, ray, state.beta * F, settings), terms.film(scene))
 
 
 @stage("scene", "proposal", "arrival")
@@ -98,5 +99,6 @@ def attached_vertex(scene: SceneTensors, proposal: SceneTensors, arrival: Arriva
         return None if hit is None else torch.where(verdict.survives, hit, otherwise)
 
     verdict = verdict._replace(following=Hit(*map(where_it_goes_on, verdict.following, MISS)))
-    local = local_map(scene, proposal, rows(arrival, lanes), verdict, at, settings, texture_values)
-    return local.E, local.ahead, local.film
+    arrival = rows(arrival, lanes)
+    local = local_map(scene, proposal, arrival, verdict, at, settings, texture_values)
+    return local.E, arrival.state if local.ahead is None else local.ahead, local.film

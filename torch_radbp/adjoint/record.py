@@ -48,7 +48,7 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
         record: whether anything is kept for the backward pass.
         bounce: takes one bounce.
     """
-    samples, recorder = camera_samples(call, wavefront, which), Recorder(call.adjoint, integrand.max_depth, record)
+    samples, recorder = camera_samples(call, wavefront, which), Recorder(call.adjoint, integrand.bounces, record)
     integrand = integrand_of_wavefront(call, integrand, wavefront, which)
     if call.sink.at_vertices:
         deposits, hit = call.sink.deposits(call), None
@@ -69,7 +69,7 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
 
 def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> tuple[list[Tensor], PathRecord]:
     """Traces the samples of the image and, together with them, those of its derivative."""
-    recorder = Recorder(call.adjoint, integrand.max_depth)
+    recorder = Recorder(call.adjoint, integrand.bounces)
     integrand = integrand_of_wavefront(call, integrand, wavefront)
     # Through media that scatter the paths of image and derivative are sampled otherwise.
     apart = bool(integrand.proposal.layout.scattering_media) or (
@@ -84,7 +84,7 @@ def traced_apart(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
                  recorder: Recorder) -> tuple[CameraSample, CameraSample, Hit | None, Vec3]:
     """Traces the image's samples and the derivative's paths in two threads; results as of `traced_as_one`, with hits only if
     quantities are asked for."""
-    seen_first = Recorder(call.adjoint, integrand.max_depth, keeping=False)
+    seen_first = Recorder(call.adjoint, integrand.bounces, keeping=False)
 
     def image() -> tuple[CameraSample, Vec3]:
         samples = camera_samples(call, wavefront, 0)
@@ -134,7 +134,7 @@ def record_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefron
     """Records a wavefront's paths for the backward pass, without radiance unless the strategy needs it."""
     if call.adjoint.keep_radiance:
         return trace_wavefront(call, integrand, wavefront, 1, record=True)[1]
-    samples, recorder = camera_samples(call, wavefront, 1), Recorder(call.adjoint, integrand.max_depth)
+    samples, recorder = camera_samples(call, wavefront, 1), Recorder(call.adjoint, integrand.bounces)
     walk(integrand_of_wavefront(call, integrand, wavefront, 1), Onward(started(call, samples), None), recorder.visit)
     return recorder.record(partial(start_paths, call, wavefront, 1), None, samples)
 

@@ -89,7 +89,7 @@ class Sweep:
 
     def remember(self, L: Vec3) -> None:
         """Puts incident radiance L_{k+1} into the memo."""
-        self.memo = self.memo._replace(L=L.map(torch.clone))
+        self.memo = self.memo._replace(L=L.map(torch.clone), asked=None)
 
     def adjoint(self, state: PathState, depth: int) -> None:
         """Differentiates one bounce and moves the memo from L_{k+1} to L_k."""
@@ -116,7 +116,7 @@ class Sweep:
             adj_modules += tuple(adjoint._replace(first=local.queue.first, last=local.queue.last) for adjoint in
                                  self.modules.adjoints(local.scatterer, local.places, adj_values))
             # L_k = E_k + F_k L_{k+1} stands in the memo for the bounce above.
-            put_rows(memo, local.lane, here)
+            put_rows(memo.parts_of(here), local.lane, here)
         return adj_modules
 
     def finish(self) -> None:

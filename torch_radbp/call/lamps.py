@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import torch
+from torch import Tensor
 
 from torch_radbp.call.chunks import LaneRange
 from torch_radbp.call.source import PathSource
@@ -99,11 +100,7 @@ def surrounding(scene: SceneTensors, light_paths: str) -> Surrounding:
 
 def ideal_surfaces(scene: SceneTensors) -> tuple[BoundingSphere, ...]:
     """Spheres around the surfaces of each material with ideal lobes, or one around all of many; none: there is none."""
-    materials, triangles = scene.materials, scene.triangles
-    ideal = [look for look, of in enumerate(scene.layout.appearances) if of.kind.delta and not of.kind.invisible]
-    of_rows = torch.isin(materials.appearance, torch.tensor(ideal, device=scene.device))
-    by_side = (of_rows if materials.narrow is None else of_rows | materials.narrow).view(2, -1).any(0)
-    some = by_side[triangles.material.long()]
+    triangles, some = scene.triangles, narrow_triangles(scene)
     material = triangles.material[some].long()
     met, group = material.unique(return_inverse=True)
     if not len(met):
@@ -117,6 +114,15 @@ def ideal_surfaces(scene: SceneTensors) -> tuple[BoundingSphere, ...]:
     least, most = (first.scatter_reduce(1, group, getattr(corners, side)(0), side, include_self=False)
                    for side in ("amin", "amax"))
     return tuple(sphere_around(Vec3(*low), Vec3(*high)) for low, high in zip(least.t(), most.t()))
+
+
+def narrow_triangles(scene: SceneTensors) -> Tensor:
+    """(T,) bool: triangles of materials that scatter narrowly, if not invisible, by ideal lobes or all of them."""
+    materials = scene.materials
+    ideal = [look for look, of in enumerate(scene.layout.appearances) if of.kind.delta and not of.kind.invisible]
+    of_rows = torch.isin(materials.appearance, torch.tensor(ideal, device=scene.device))
+    by_side = (of_rows if materials.narrow is None else of_rows | materials.narrow).view(2, -1).any(0)
+    return by_side[scene.triangles.material.long()]
 
 
 def sphere_around(low: Vec3, high: Vec3) -> BoundingSphere:

@@ -18,18 +18,18 @@ from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.connection.camera import asked_by
 from torch_radbp.film.position import FilmTensors
 from torch_radbp.jit.order import chosen
-from torch_radbp.jit.scatter import PAGE_BITS, Addition, Sums, copies, scatter_add
+from torch_radbp.jit.patches import CHANNELS, Patches, add_patches
 from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.wavefront import BroughtToFilm
 from torch_radbp.tensors.differentiated import any_differentiated
-from torch_radbp.tensors.record import rows_between
+from torch_radbp.tensors.interleaved import interleaved
 from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.torch_internals import inside_dual_level
-from torch_radbp.tensors.vec import Vec2, Vec3, max_component, rows
+from torch_radbp.tensors.vec import Vec2, Vec3, rows
 from torch_radbp.threads.workers import by_number, in_turns
 
-PIECE = 1 << 15  # lanes that are deposited at once, so that what they count in all pixels around takes little memory
+PIECE = 1 << 14  # lanes that are deposited at once, so that what they count in all pixels around takes little memory
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,8 @@ class LightFilm(Sink):
         return SinkValues(image.view(1, 3, *self.shape), None, by_number([results for _, results in shares]))
 
     def adj_sums(self, call: RenderCall, gradient: Tensor, filters: Tensor | None) -> Vec3:
-        return Vec3(*(gradient[0].flatten(1) / self.paths))
+        with_margin = torch.nn.functional.pad(gradient[0] / self.paths, (self.film.margin,) * 4)
+        return interleaved(Vec3(*with_margin.flatten(1)))
 
     def asked(self, integrand: Integrand, adj_sums: Vec3) -> Integrand:
         scene = asked_by(integrand.scene, adj_sums)
@@ -88,36 +89,47 @@ class Deposits:
     """
 
     def __init__(self, film: FilmTensors, shape: tuple[int, int], stages: Stages):
-        self.film, self.stages = film, stages
-        pixels, device = shape[0] * shape[1], film.size_x.device
+        self.film, self.shape, self.stages = film, shape, stages
         self.attached: Tensor | None = None  # (3, pixels), where autograd records, or in forward mode
-        totals = torch.zeros(pixels, 3, copies(pixels, device), dtype=torch.float64, device=device)
-        self.totals = totals.unbind(1)  # those of a pixel lie side by side
-        self.sums = Sums(self.totals, torch.zeros(-(-pixels >> PAGE_BITS), dtype=torch.bool, device=device))
+        rows, columns = (pixels + 2 * film.margin for pixels in shape)
+        self.totals = torch.zeros(rows, columns, CHANNELS, dtype=torch.float64, device=film.size_x.device)
 
     def add(self, brought: BroughtToFilm) -> None:
         """Adds what vertices bring, (N,)."""
         if any_differentiated(brought) or inside_dual_level():
-            self.attached = self.totals[0].new_zeros(3, len(self.totals[0])) if self.attached is None else self.attached
+            pixels = self.shape[0] * self.shape[1]
+            self.attached = self.totals.new_zeros(3, pixels) if self.attached is None else self.attached
             value = torch.stack(tuple(brought.value)).double()
             for pixel, count in self.film.around(brought.place):
                 self.attached = self.attached.index_add(1, pixel, value * count)
             return
         # Many bring nothing: what the camera does not see, or is not theirs to bring.
-        brought = rows(brought, chosen(max_component(brought.value.map(torch.abs)) != 0))
-        lanes, on_cpu = len(brought.place.x), brought.place.x.device.type == "cpu"
-        piece = PIECE if on_cpu else max(lanes, 1)
-        for first in range(0, lanes, piece):
-            counts = self.stages(splats)(self.film, *rows_between(brought, first, min(first + piece, lanes)))
-            scatter_add([Addition(pixel, parts, self.sums) for pixel, *parts in counts])
+        lanes = chosen(self.stages(brings)(brought.value))
+        for some in lanes.split(PIECE if lanes.device.type == "cpu" else max(len(lanes), 1)):
+            add_patches(self.stages(patches)(self.film, brought, some), self.totals)
 
     def total(self) -> Tensor:
         """(3, pixels) float64, attached."""
-        total = torch.stack(self.totals).sum(2)
+        (rows, columns), margin = self.shape, self.film.margin
+        total = self.totals[margin:margin + rows, margin:margin + columns, :3].permute(2, 0, 1).flatten(1)
         return total if self.attached is None else total + self.attached
 
 
-@stage("film")
-def splats(film: FilmTensors, value: Vec3, place: Vec2) -> tuple[tuple[Tensor, Tensor, Tensor, Tensor], ...]:
-    """For each pixel around places its number, (N,) int32, and what values count there."""
-    return tuple((pixel, *(value * count)) for pixel, count in film.around(place))
+@stage()
+def brings(value: Vec3) -> Tensor:
+    """(N,) bool: values are not 0."""
+    return (value.x != 0) | (value.y != 0) | (value.z != 0)
+
+
+@stage("film", "brought")
+def patches(film: FilmTensors, brought: BroughtToFilm, lanes: Tensor) -> Patches:
+    """The pixels around places, and what values count there.
+
+    Args:
+        film: without border.
+        brought: by all vertices.
+        lanes: (N,) int32, those of them that are meant.
+    """
+    value, place = rows(brought, lanes)
+    first, down, across = film.patch(place)
+    return Patches(first, tuple(value), tuple(down), tuple(across))

@@ -34,7 +34,8 @@ class CameraTable(NamedTuple):
 
     lens: Lens  # (1,) each, attached
     film: FilmTensors
-    pixels: Vec3  # (H W,) the derivative of the loss by each pixel of the window, detached; forwards (1,), not read
+    # The derivative of the loss by each pixel of the window, and zeros for those of the film's `margin` around it; detached.
+    pixels: Vec3  # (P,), row by row; forwards (1,), not read
 
 
 @dataclass(frozen=True)
@@ -60,12 +61,13 @@ class CameraAsLight(LightKind):
         sent = Vec3(density, density, density)
         if self.asked:
             asked = none = Vec3.full(density, 0.0)
-            columns, rows = film.columns_and_rows(place)
-            for row, down in rows:
-                pixels = ((lookup(table.pixels, row * film.columns + column), across) for column, across in columns)
-                asked = asked + sum((pixel * across for pixel, across in pixels), none) * down
+            first, down, across = film.patch(place)
+            apart = film.columns + 2 * film.margin
+            for row, in_row in enumerate(down):
+                pixels = ((lookup(table.pixels, first + (apart * row + column)), each) for column, each in enumerate(across))
+                asked = asked + sum((pixel * each for pixel, each in pixels), none) * in_row
             sent = asked * density
-        counts = sight.ahead & film.sees(place)
+        counts = sight.ahead & film.is_near(place)
         return Aim(normalize(sight.target - p), pick.pmf * counts.to(density.dtype), sight.target, uv=place, radiance=sent)
 
 
@@ -82,7 +84,7 @@ def from_lamps(scene: SceneTensors, camera: Camera) -> SceneTensors:
 
 
 def asked_by(scene: SceneTensors, pixels: Vec3) -> SceneTensors:
-    """`from_lamps` with the derivative of the loss by the pixels of the window, (H W,)."""
+    """`from_lamps` with the derivative of the loss by pixels, see `CameraTable`."""
     table, = scene.lights.tables
     kind, = scene.layout.lights
     return scene._replace(lights=scene.lights._replace(tables=(table._replace(pixels=pixels),)),

@@ -64,6 +64,28 @@ class FilmTensors(NamedTuple):
         columns, rows = self.columns_and_rows(place)
         return [(row * self.columns + column, down * across) for row, down in rows for column, across in columns]
 
+    @property
+    def margin(self) -> int:
+        """Pixels beside the window to which points may contribute that are seen on a film `without_border`."""
+        return 2 * self.kernel.reach
+
+    def patch(self, place: Vec2) -> tuple[Tensor, list[Tensor], list[Tensor]]:
+        """As `around`, for a film `without_border`, of the window with a `margin` around it: the row-major number of the
+        upper left pixel, (N,) int32, and the factors of the weights of rows and of columns."""
+        parts = ((self.columns, self.before.x, self.after.x, place.x), (self.rows, self.before.y, self.after.y, place.y))
+        (column, across, in_columns), (row, down, in_rows) = (_weights(self.kernel, *part) for part in parts)
+        number = (row + self.margin) * (self.columns + 2 * self.margin) + (column + self.margin)
+        # Where samples lie everywhere the filter's integral is that of the first pixel.
+        down, across = ([torch.where(sampled, value / lookup(inside, torch.zeros_like(number)), 0.0) for value in values]
+                        for inside, values, sampled in ((self.inside_y, down, in_rows), (self.inside_x, across, in_columns)))
+        return number, down, across
+
+    def is_near(self, place: Vec2) -> Tensor:
+        """(N,) bool: points lie in the window or so near to it that there are samples; all that contribute do. Args as for
+        `around`."""
+        return (_is_sampled(self.columns, self.before.x, self.after.x, place.x)
+                & _is_sampled(self.rows, self.before.y, self.after.y, place.y))
+
     def columns_and_rows(self, place: Vec2) -> tuple[list[tuple[Tensor, Tensor]], list[tuple[Tensor, Tensor]]]:
         """The columns and the rows of `around`, each with a factor of the weight; args as there."""
         return (_counted(self.kernel, self.inside_x, self.columns, self.before.x, self.after.x, place.x),
@@ -80,6 +102,22 @@ def _any_counts(pixels: list[tuple[Tensor, Tensor]]) -> Tensor:
     return reduce(operator.or_, [weight != 0.0 for _, weight in pixels])
 
 
+def _is_sampled(size: Tensor, before: Tensor, after: Tensor, place: Tensor) -> Tensor:
+    """(N,) bool: there are samples where points lie. Args as for `_counted`."""
+    return (place + before >= 0) & (place < size + after)
+
+
+def _weights(kernel: Kernel, size: Tensor, before: Tensor, after: Tensor,
+             place: Tensor) -> tuple[Tensor, list[Tensor], Tensor]:
+    """The columns (or rows) to which points contribute on a film without end: the first of them, (N,) int32, the filter's
+    values from there on, and which points are where there are samples, (N,) bool. Args as for `_counted`."""
+    nearest = torch.floor(place)
+    sampled = _is_sampled(size, before, after, place)
+    nearest = torch.where(sampled, nearest, 0.0)
+    first, values = kernel.nearby(torch.where(sampled, place - nearest, 0.0))
+    return nearest.to(torch.int32) + first, values, sampled
+
+
 def _counted(kernel: Kernel, inside: Tensor, size: Tensor, before: Tensor, after: Tensor,
              place: Tensor) -> list[tuple[Tensor, Tensor]]:
     """The columns (or rows) to which points contribute, (N,) int32, and their weights; from the first to the last.
@@ -91,13 +129,10 @@ def _counted(kernel: Kernel, inside: Tensor, size: Tensor, before: Tensor, after
         before, after: () int32, columns in front of the window and behind it in which there are samples, too.
         place: (N,) pixels from the border of the window.
     """
-    nearest = torch.floor(place)
-    sampled = (place + before >= 0) & (place < size + after)
-    nearest = torch.where(sampled, nearest, 0.0)
-    first, values = kernel.nearby(torch.where(sampled, place - nearest, 0.0))
+    first, values, sampled = _weights(kernel, size, before, after, place)
     counted = []
     for step, value in enumerate(values):
-        index = nearest.to(torch.int32) + (first + step)
+        index = first + step
         column = torch.minimum(index.clamp_min(0), size - 1)
         counted.append((column, torch.where((index == column) & sampled, value / lookup(inside, column), 0.0)))
     return counted

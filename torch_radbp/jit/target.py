@@ -18,7 +18,7 @@ from torch_radbp.jit.cpu.recorded import Recorded
 from torch_radbp.jit.lane.graph import Program
 from torch_radbp.jit.nvidia.gpu import gpu_of
 from torch_radbp.jit.nvidia.recorded_launches import RecordedLaunches
-from torch_radbp.jit.recording.addition import Addition
+from torch_radbp.jit.recording.addition import Addition, Patches
 from torch_radbp.jit.recording.any_device import AnyDevice
 from torch_radbp.jit.recording.recording import Recording
 
@@ -102,6 +102,9 @@ class Target(Protocol):
 
     def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
         """Scatter-adds numbers of at least 1 lane, all contiguous; see `scatter.scatter_add`."""
+
+    def add_patches(self, patches: Patches, totals: Tensor) -> None:
+        """Adds patches of at least 1 lane, all contiguous; see `patches.add_patches`."""
 
 
 @functools.cache

@@ -97,7 +97,7 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
         of_shadow, of_ray = (kind.medium(scene, terms, arrival, ray.d) for ray in (shadow, ahead.ray))
         ahead = ahead._replace(medium=of_ray)
     shown = (terms.Le, terms.Ld, F) if settings.shown else (None, None, None)
-    film = terms.light.film if settings.shown and scene.layout.from_lamps else None
+    film = terms.film(scene) if settings.shown else None
     return Vertex(*shown, shadow, distance, of_shadow, ahead, terms.survives, film)
 
 

@@ -106,7 +106,8 @@ class FlightVertex(VertexKind):
         # Play roulette.
         promise = max_component((state.beta * weight).detach())
         survival = torch.minimum(torch.maximum(promise, at.least_survival), at.most_survival)
-        survives = both(number(ROULETTE) < survival, may_go_on(settings, scene.layout, state, pdf, None))
+        goes_on = number(ROULETTE) < (torch.zeros_like(survival) if settings.ends else survival)
+        survives = both(goes_on, may_go_on(settings, scene.layout, state, pdf, None))
         place = FlightPlace(kind, table, p, t, wi, wo)
         return Terms(Le, Ld, light, weight, 1.0 / survival, pdf, survives, place)
 

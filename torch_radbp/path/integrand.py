@@ -125,9 +125,17 @@ class Integrand(NamedTuple):
         like = self.scene.lights.choice.pmf
         return position(depth, depth + 1 >= self.rr_depth, like.dtype, like.device)
 
+    @property
+    def bounces(self) -> int:
+        """The most bounces that paths take; those from lamps are not connected to the camera where nothing scatters."""
+        return self.max_depth - self.proposal.layout.from_lamps
+
     def settings_at(self, depth: int) -> Settings:
-        """The settings at a bounce; those at the first bounce may differ."""
-        return self.settings._replace(hide_emitters=self.settings.hide_emitters and depth == 0)
+        """The settings at a bounce; those at the first and at the last one may differ."""
+        ends = self.proposal.layout.from_lamps and depth + 1 >= self.bounces
+        settings, first = self.settings, depth == 0
+        return settings._replace(hide_emitters=settings.hide_emitters and first, ends=ends,
+                                 fixed_start=settings.fixed_start and first)
 
     def image_lanes(self, state: PathState) -> ImageLanes | None:
         """The paths that are not differentiated; None: all may be."""

@@ -31,6 +31,8 @@ class Settings(NamedTuple):
     sampling: str = "detached"  # if they do, which sampled directions are differentiated: "detached", "hybrid", "attached"
     following: bool = False  # states record whether hybrid sampling has differentiated a direction of a smooth lobe
     shown: bool = True  # vertices have Le, Ld and F, not only the next path state
+    ends: bool = False  # at this bounce, though light is scattered to the camera
+    fixed_start: bool = False  # nobody asks for derivatives by the rays with which paths begin, which reach this bounce
     # Which light is that of paths that begin at lamps: "camera": none; "caustics": what reaches a vertex that the camera
     # sees by way of an ideal one beside the lamp; "all": what reaches any such vertex. None of it counts twice.
     light_paths: str = "camera"

@@ -72,16 +72,22 @@ class SurfaceVertex(VertexKind):
         Le = attenuated(emission(scene, proposal, arrival, si, settings, of_emitter), shown)
         Le = with_volume_emission(Le, scene, arrival, si.t)
 
-        # Ld: the light of one point on a light, as the material scatters it.
+        # Ld: the light of one point on a light, as the material scatters it; ideal lobes scatter none of it.
         material = material_at(scene, si, of_material)
         narrow = None if scene.materials.narrow is None else lookup(scene.materials.narrow, si.material)
         light, Ld = None, Vec3.full(state.pdf, 0.0)
-        if settings.nee:
+        if settings.nee and material.kind.smooth:
             light = sample_light(scene, proposal, si.p, light_numbers(key), arrival.picked, of_sample)
             may = both(si.valid, connects(settings, scene.layout, state, narrow))
             light, Ld = connected_to_light(scene, si.p, may, partial(scattered_to, material, si), light,
                                   sampling_at(material.kind, settings.sampling))
             Ld = attenuated(Ld, shown)
+
+        if settings.ends:
+            none, nobody = torch.zeros_like(state.pdf), torch.zeros_like(si.valid)
+            nowhere = BSDFSample(Vec3(*si.wi.map(torch.Tensor.detach)), Vec3(none, none, none), none)
+            place = SurfacePlace(si, material, nowhere)
+            return Terms(Le, Ld, light, nowhere.weight, none, none, nobody, place, narrow)
 
         # F: sample the BSDF for the next direction.
         choice = lobe_number(arrival, number(BSDF_CHOICE)) if material.kind.discrete else None

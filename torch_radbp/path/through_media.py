@@ -119,7 +119,8 @@ class BoundaryCrossings:
 
 
 def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[Tensor, ShadowWay | None]:
-    """Which shadow rays are free, (N,) bool, and their ways through media; None: rays are not followed."""
+    """Which shadow rays are free, (N,) bool, and their ways through media; None: rays are not followed. Of paths from lamps
+    only those are told that there are, so that the backward pass knows where nothing is connected to."""
     return free_ways(integrand, vertex.shadow, vertex.shadow_distance, vertex.shadow_medium, vertex.next.key, depth)
 
 
@@ -136,7 +137,8 @@ def free_ways(integrand: Integrand, shadow: Ray, distance: Tensor, medium: Tenso
     """
     layout = integrand.proposal.layout
     if not layout.traces_segments:
-        return inverted(integrand.caster.occluded(shadow, distance)), None
+        hidden = integrand.caster.occluded(shadow, distance)
+        return integrand.stages(is_connected)(hidden, distance) if layout.from_lamps else inverted(hidden), None
     part, shadow = integrand.part(Ends.SURROUNDINGS), detached(shadow)
     pick, crossings = integrand.stages(rows), BoundaryCrossings(integrand, shadow)
     passed, begins = part.call(shadow_begun, shadow, distance, medium, key, integrand.at(depth))
@@ -156,6 +158,12 @@ def free_ways(integrand: Integrand, shadow: Ray, distance: Tensor, medium: Tenso
 
     repeated(chosen(begins), next_passed)
     return passed.free, ShadowWay(passed.ways, passed.medium, passed.panes, crossings.in_turn())
+
+
+@stage()
+def is_connected(hidden: Tensor, distance: Tensor) -> Tensor:
+    """(N,) bool: there is a connection, and it is free. Args: see `RayCaster.occluded`."""
+    return ~hidden & (distance > 0)
 
 
 def tracking_ended(integrand: Integrand, ahead: Ray, medium: Tensor, seed: Tensor, v: Tensor, length: Tensor,

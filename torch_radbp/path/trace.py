@@ -10,7 +10,7 @@ from torch_radbp.path.state import Flight, PathState
 from torch_radbp.path.step import Onward, Step
 from torch_radbp.path.taped_bounces import Bounce, bounces_taken
 from torch_radbp.path.wavefront import BroughtToFilm, bounced, film_buffer, radiance_buffer
-from torch_radbp.path.whole_paths import traced_whole
+from torch_radbp.path.whole_paths import brought_by_whole_paths, traced_whole
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.vec import Vec3
 
@@ -53,8 +53,13 @@ def trace_to_film(integrand: Integrand, start: PathState, deposit: Callable[[Bro
         visit, bounce, hit: as for `trace`.
     """
     onward, depth = Onward(start, None, hit), 0
+    brought = brought_by_whole_paths(integrand, onward, bounce) if visit is None else None
+    if brought is not None:
+        for found in brought:
+            deposit(found)
+        return
     with bounces_taken(integrand, start.pdf.dtype, bounce, waits=False) as take:
-        while depth + 1 < integrand.max_depth:  # at the last vertex nothing scatters
+        while depth < integrand.bounces:
             onward = onward.asked(depth)
             if not most_of(onward.count):
                 break
@@ -76,7 +81,7 @@ def walk(integrand: Integrand, onward: Onward, visit: Visit | None, L: Vec3 | No
         L: (N,) the sum, which is added to; None: it is not wanted.
     """
     with bounces_taken(integrand, onward.paths.pdf.dtype, bounce, waits=False) as take:
-        while depth < integrand.max_depth:
+        while depth < integrand.bounces:
             onward = onward.asked(depth)
             if not most_of(onward.count):
                 break

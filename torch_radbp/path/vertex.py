@@ -23,7 +23,7 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.light_tree import Vantage
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import Corners
-from torch_radbp.tensors.vec import Ray, Vec3
+from torch_radbp.tensors.vec import Ray, Vec2, Vec3
 from torch_radbp.vertex.cone import Cone
 
 
@@ -35,13 +35,19 @@ class Terms(NamedTuple):
 
     Le: Vec3  # emission, weighted against next-event estimation, as Ld and F after the way through media
     Ld: Vec3  # light by next-event estimation if the shadow ray is free
-    light: LightSample | None  # None without next-event estimation, or where nothing is scattered, as the fields below
+    light: LightSample | None  # None without next-event estimation, which ideal lobes and the ends of paths have not
     weight: Vec3 | None  # scattering times cosine over the density of the sampled direction
     thinning: Tensor | Vec3 | None  # what F has from media, and from roulette: 1 / survival probability
     pdf: Tensor | None  # density of the sampled direction over solid angle
     survives: Tensor  # bool: the path goes on
     place: Any  # what the kind knows of the vertex
     narrow: Tensor | None = None  # bool: all of it scatters narrowly, see `light_share.py`; None: only ideal lobes do
+
+    def film(self, scene: SceneTensors) -> Vec2 | None:
+        """Where the camera sees the vertices, see `LightSample`, or any place if nothing is connected to it."""
+        if not scene.layout.from_lamps:
+            return None
+        return Vec2(torch.zeros_like(self.pdf), torch.zeros_like(self.pdf)) if self.light is None else self.light.film
 
 
 @dataclass(frozen=True)

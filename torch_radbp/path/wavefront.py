@@ -183,7 +183,7 @@ def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mappi
         hit: of the first rays, if it is known.
         with_light: see `take_step`.
     """
-    while depth < integrand.max_depth and len(state.lane):
+    while depth < integrand.bounces and len(state.lane):
         vertex, light, step = take_step(integrand, state, depth, steps.get(depth), hit, with_light=with_light)
         yield Bounce(depth, state, vertex, light, step)
         state, depth, hit = survivors(integrand, vertex.next, step), depth + 1, None

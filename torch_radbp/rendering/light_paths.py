@@ -20,6 +20,7 @@ from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.connection.camera import from_lamps
 from torch_radbp.interface.emitter import LightKind
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.rendering.own_light import cameras_see_own_light
 from torch_radbp.rendering.settings import settings_of_integrand
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene.packing.material_tables import one_sided
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from torch_radbp.rendering.renderer import Renderer
 
 NARROW = 0.25  # roughness below which a material scatters narrowly
+MOST_ON_CPU = 1 << 16  # lanes of a wavefront on a processor: more are quicker by a twentieth, and take more memory
 OF_LAMPS = 0x2545F491  # tells the random numbers of paths from lamps from those of camera paths
 
 
@@ -69,8 +71,9 @@ def shared_image(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> tu
     if light_paths == "all" and all(kind.aimed for kind in lit):
         whole = whole._replace(camera_share=share)
     found = torch.cat([image_from_lamps(renderer, call, number, light_paths) for number in range(len(call.views))])
-    if first_only and call.quantities is None and all(kind.delta for kind in lit):
-        return found, whole  # the camera sees none of the lights, and nothing that scatters narrowly
+    sees_nothing = first_only and all(kind.delta for kind in lit)  # of lights without extent, and no narrow scattering
+    if light_paths == "all" and call.quantities is None and (sees_nothing or not cameras_see_own_light(call)):
+        return found, whole
     images = rendered(share)
     return images + found if images.shape[1] == 3 else torch.cat([images[:, :3] + found, images[:, 3:]], 1), whole
 
@@ -152,7 +155,7 @@ def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_pa
 
     paths = view.width * view.height * call.spp
     most = max(wavefront.lanes for wavefront in call.wavefronts)  # what fits of paths from the camera fits of these
-    most = min(most, -(-paths // call.workers))
+    most = min(most, -(-paths // call.workers), MOST_ON_CPU if call.scene.device.type == "cpu" else paths)
     wavefronts = [Wavefront((LaneRange(first, min(most, paths - first)),)) for first in range(0, paths, most)]
     sink = LightFilm(detached(view.camera).film.without_border(), (view.height, view.width), paths)
     return rendered(call._replace(

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.curve.places import FEWEST, key_of_places, lot_of, picked
+from torch_radbp.boundary.curve.triangles_in_view import may_see_ideal_surfaces
 from torch_radbp.boundary.eye.differences import CHANCE, SURFACE, Difference, Pairing, path_difference
 from torch_radbp.boundary.eye.ideal_paths import IdealPath, LightLooks, begins, ideal_path, with_light
 from torch_radbp.boundary.eye.light_points import light_points
@@ -93,11 +94,13 @@ def scans_of(searched: Searched) -> Scans | None:
     """The scans of a view; None: it sees neither mirrors nor glass."""
     call = searched.call
     view = call.views[searched.number]
+    paths = view.width * view.height * call.spp
+    if not may_see_ideal_surfaces(view, call.scene, paths):
+        return None
     columns, weight = view.grid.columns, pixel_weights(searched)
     total = running_sum(weight)
     if not float(total[-1]) > 0.0:
         return None
-    paths = view.width * view.height * call.spp
     count = max(FEWEST, min(MOST, paths // SHARE, int(float(total[-1]) * call.spp)))
     place = torch.arange(count, dtype=torch.int32, device=weight.device)
     key = key_of_places(salted(view, SALT), place)

@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.cpu import cpu_order, cpu_runs, cpu_scatter
+from torch_radbp.jit.cpu import cpu_order, cpu_patches, cpu_runs, cpu_scatter
 from torch_radbp.jit.cpu.machine import MachineCode, host, host_features, host_width, object_code
 from torch_radbp.jit.cpu.prefetch import DECLARATION, prefetches
 from torch_radbp.jit.cpu.recorded import Recorded
@@ -78,6 +78,7 @@ class Cpu:
     nothing = staticmethod(cpu_order.nothing_on_cpu)
     put = staticmethod(cpu_order.put_on_cpu)
     scatter_add = staticmethod(cpu_scatter.scatter_add_on_cpu)
+    add_patches = staticmethod(cpu_patches.add_patches_on_cpu)
 
     def copies(self, entries: int) -> int:
         """Several copies of a small table's sums, one copy of a large table's; see `Target`."""

@@ -1,4 +1,4 @@
-"""Scatter-additions: per-lane numbers that are added to entries of tables."""
+"""Scatter-additions: per-lane numbers that are added to entries of tables, or to patches of images."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from torch import Tensor
 
 PAGE_BITS = 4  # of a table that is noted as touched: 16 entries, two lines of the cache
 MOST_TABLES = 3  # of an addition
+VALUES = 3  # of patches
 SCALARS = {torch.float32: "float", torch.float64: "double"}
 
 
@@ -56,6 +57,19 @@ class Addition(NamedTuple):
         if self.index.is_contiguous() and all([number.is_contiguous() for number in self.numbers]):
             return self
         return self._replace(index=self.index.contiguous(), numbers=[number.contiguous() for number in self.numbers])
+
+
+class Patches(NamedTuple):
+    """Values of N lanes, to be added to rectangles of pixels; all float32 or all float64, (N,) each."""
+
+    first: Tensor  # int32, row-major number of the upper left pixel
+    values: Sequence[Tensor]  # VALUES
+    down: Sequence[Tensor]  # the weights of the rows of a patch
+    across: Sequence[Tensor]  # and of its columns
+
+    def contiguous(self) -> Patches:
+        """The patches with contiguous tensors, for machine code."""
+        return Patches(self.first.contiguous(), *([part.contiguous() for part in parts] for parts in self[1:]))
 
 
 def side_by_side(additions: Sequence[Addition]) -> list[list[Addition]]:

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torch_radbp.jit.recording.addition import Addition
+from torch_radbp.jit.recording.addition import PAGE_BITS, VALUES, Addition, Patches, Sums
 from torch_radbp.jit.recording.recording import NotRecordable
 from torch_radbp.tensors.partition import partition_by_torch
 
@@ -80,3 +80,15 @@ class AnyDevice:
                 else:
                     total.index_put_((index.long(), copy), number.to(total.dtype), accumulate=True)
             sums.touched.fill_(True)
+
+    def add_patches(self, patches: Patches, totals: Tensor) -> None:
+        """As `patches.add_patches`, by one scatter-addition of all pixels."""
+        first, values, down, across = patches
+        apart = torch.arange(len(down), dtype=torch.int32, device=totals.device)[:, None] * totals.shape[1]
+        pixel = (apart + torch.arange(len(across), dtype=torch.int32, device=totals.device))[:, :, None] + first
+        weights = torch.stack(list(down))[:, None] * torch.stack(list(across))
+        entries = totals.view(-1, totals.shape[2])
+        touched = torch.zeros(-(-len(entries) >> PAGE_BITS), dtype=torch.bool, device=totals.device)
+        sums = Sums([entries[:, k:k + 1] for k in range(VALUES)], touched)
+        numbers = [(value * weights).flatten() for value in values]
+        self.scatter_add([Addition(pixel.flatten(), numbers, sums)], pixel.numel())
