@@ -84,8 +84,8 @@ def kernels_of_benchmark(name: str) -> list[Kernel]:
     """The kernels that compute the lanes of a scene of the benchmarks, as a pass in float32 needs them."""
     found, traced = [], LaneFunction.traced
 
-    def noted(self, given):
-        program, interface = traced(self, given)
+    def noted(self, given, *more):
+        program, interface = traced(self, given, *more)
         found.append((self.name, kind_of_material(self.name, given.given), program))
         return program, interface
 

@@ -108,11 +108,11 @@ class RenderFunction(torch.autograd.Function):
         start_counts = bool(of_source) or (call.sink.at_vertices and integrand.settings.moving and any(
             [wanted[place] for place in scene_leaves_met(call.scene)]))
 
-        def seen_by(wavefront: Wavefront) -> Integrand:
+        def seen_by(wavefront: Wavefront, integrand: Integrand) -> Integrand:
             seen = call.sink.asked(integrand_of_wavefront(call, integrand, wavefront, 1), adj_sums)
             return seen._replace(settings=seen.settings._replace(fixed_start=not start_counts))
 
-        seen_by_all = seen_by(call.wavefronts[0]) if call.sink.at_vertices else None  # made once
+        seen_by_all = seen_by(call.wavefronts[0], integrand) if call.sink.at_vertices else None  # made once
 
         def swept(call: RenderCall, integrand: Integrand, index: int, gradients: Gradients,
                   sweep_of: Callable = sweep_of) -> Sweep:
@@ -120,7 +120,8 @@ class RenderFunction(torch.autograd.Function):
             if record is None:
                 record = record_wavefront(call, integrand, wavefront)
             adj_L = weighted(call.sink.adjoint(call, wavefront, record.place, adj_sums), record.weight)
-            seen = seen_by(wavefront) if seen_by_all is None else seen_by_all
+            seen = seen_by(wavefront, integrand) if seen_by_all is None else seen_by_all._replace(
+                repetitions=integrand.repetitions)
             if call.sink.at_vertices and call.adjoint.keep_radiance:  # what paths bring to the loss is known only now
                 record = record._replace(radiance=per_power(trace(seen, start := record.start()), start.beta))
             with sweep_of(seen, record, adj_L, numbered, gradients) as sweep:
