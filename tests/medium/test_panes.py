@@ -266,7 +266,7 @@ def under_a_smooth_mask(air: dict, half: float) -> rb.Scene:
     ids=["shift", "size", "camera", "size in fog", "height in a glow", "shift in a glow", "height in glowing fog"])
 @pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 def test_derivatives_by_a_mask_that_moves_are_those_of_differences(air, half, name, entry, step):
-    """Of edges that a medium sees derivatives lack what a warning says (`test_homogeneous.py`): in fog they are far away."""
+    """Of edges of masks that a medium sees derivatives lack what a warning says (below): in fog they are far away."""
     scene = under_a_smooth_mask(air, half)
     pose, settings, found = scene.get_parameter(name), {"spp": 1 << 15, "max_depth": 3}, []
     at, tangent = pose.clone(), torch.zeros_like(pose)

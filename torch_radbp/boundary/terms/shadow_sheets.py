@@ -35,13 +35,9 @@ class SheetPoints(NamedTuple):
     share: Tensor  # (N,) float64, k
 
     def at(self, scene: SceneTensors, geometry: Geometry, outline: Outline, step: float = 0.0) -> Vec3:
-        """Where they are, (N,) world, attached; `step`: by which share of the edges' lengths others lie off, to be taken."""
-        return point_of(self.line(scene, geometry, outline, step), self.share)
-
-    def line(self, scene: SceneTensors, geometry: Geometry, outline: Outline, step: float = 0.0) -> Ray:
-        """The rays of light through the edges, (N,), with directions of any length; args as for `at`."""
+        """Where they are, (N,) world, attached; with a step, those farther along the edges by this share of them."""
         start, d, _ = light_line(scene, point_of_edge(geometry, outline, self.edge, self.along + step), self.draw)
-        return Ray(start, d)
+        return start + d * self.share
 
 
 class SampledSheets(NamedTuple):
@@ -53,11 +49,6 @@ class SampledSheets(NamedTuple):
     lit: Vec3  # the point beside the sheet that is in the light, in the scene's dtype
     passed: Passed  # the edges, as lights see them
     number: Tensor  # (N,) int64, of these, which of those that were asked for
-
-
-def point_of(line: Ray, share: Tensor) -> Vec3:
-    """Points at shares of rays' directions."""
-    return line.o + line.d * share
 
 
 def sampled_sheets(call: RenderCall, number: int, casting: Casting, lit: LitEdges, seen_from: Vec3) -> SampledSheets | None:
