@@ -160,15 +160,18 @@ def test_flights_fill_the_way_to_walls_that_move(sampling):
     assert check.agrees, str(check)
 
 
-def test_moving_a_shape_in_it_warns_of_the_edges_that_it_sees():
+def test_moving_a_shape_in_it_warns_of_the_edges_that_it_sees_if_they_are_left_out():
     scene = room()
-    for name, warned in ((NAMES[0], False), ("floor.to_world", True), ("bulb.position", True)):
+    for name, sampling, warned in ((NAMES[0], "attached", False), ("floor.to_world", "attached", True),
+                                   ("bulb.position", "attached", True), ("bulb.position", "hybrid", False)):
         scene.requires_grad_(False)
         scene.get_parameter(name).requires_grad_()
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            rb.Renderer(scene, spp=1, max_depth=3)(seed=1)
-        assert any("the medium scatters" in str(each.message) and name in str(each.message) for each in caught) == warned
+            rb.Renderer(scene, spp=1, max_depth=3, sampling=sampling)(seed=1)
+        found = [each for each in caught if issubclass(each.category, rb.SilhouetteWarning)]
+        assert any("edges that surfaces and media see" in str(each.message) and name in str(each.message)
+                   for each in found) == bool(found) == warned
 
 
 def test_one_medium_fills_the_scene():
