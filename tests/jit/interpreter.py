@@ -129,8 +129,9 @@ class StandInDriver:
         return 0,
 
     def cuModuleLoadData(self, code: bytes) -> tuple:
-        self.texts.append(code.decode().replace('.pragma "nounroll";', ""))  # a hint to the assembler
-        return 0, interpreter().Kernel(self.texts[-1])
+        text = code.decode().replace('.pragma "nounroll";', "")  # a hint to the assembler
+        self.texts.append(text)  # by several threads
+        return 0, interpreter().Kernel(text)
 
     def cuModuleGetFunction(self, module: Any, name: bytes) -> tuple:
         assert module.name.encode() == name

@@ -141,11 +141,13 @@ def test_numbers_of_chosen_lanes_are_added_to_totals(backwards, monkeypatch):
     assert touched.all() and expected[:QUEUES].all()
 
 
-def test_what_is_done_outside_is_not_recorded(gpu):
-    x, of = torch.rand(50), Functions(gpu)
+def test_what_is_done_outside_is_done_between_launches(gpu):
+    of, tape = Functions(gpu), Tape((), contexts=(None,))
 
     def step(x: Tensor) -> Played:
-        (found,), = outside(lambda context, given: [[part[0]] for part in given], None, [[of.twice(x, x)[0]]], [1])
-        return Played(found)
+        (found,), = outside(lambda context, given: [[part[0] + 1.0] for part in given], None, [[of.twice(x, x)[0]]], [1])
+        return Played(of.twice(found, found)[0])
 
-    assert Tape((), contexts=(None,)).play(("outside",), step, (x,), 50) is None
+    for _ in range(2):  # recorded, and replayed
+        x = torch.rand(50)
+        assert torch.equal(tape.play(("outside",), step, (x,), 50).results, 2.0 * (2.0 * x + 1.0))
