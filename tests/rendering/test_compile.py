@@ -36,10 +36,12 @@ def make(**settings):
 def compiled():
     """A renderer that has rendered, and walked back, once, with more than a few lanes at each depth for each core.
 
-    Before it one in chunks, whose image and derivative are traced one after the other.
+    Before it one in chunks, whose image and derivative are traced one after the other, and one of so few samples that they
+    are traced together.
     """
     renderer = make(compile=True)
     view_and_gradients(make(compile=True, chunk=500))
+    view_and_gradients(renderer)
     view_and_gradients(renderer, spp=64)
     return renderer
 

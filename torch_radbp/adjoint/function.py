@@ -110,7 +110,9 @@ class RenderFunction(torch.autograd.Function):
 
         def seen_by(wavefront: Wavefront, integrand: Integrand) -> Integrand:
             seen = call.sink.asked(integrand_of_wavefront(call, integrand, wavefront, 1), adj_sums)
-            return seen._replace(settings=seen.settings._replace(fixed_start=not start_counts))
+            # Of camera paths another function for the first bounce would take longer to compile than it saves.
+            fixed = call.sink.at_vertices and seen.settings.moving and not start_counts
+            return seen._replace(settings=seen.settings._replace(fixed_start=fixed))
 
         seen_by_all = seen_by(call.wavefronts[0], integrand) if call.sink.at_vertices else None  # made once
 
