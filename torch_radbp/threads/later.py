@@ -5,7 +5,7 @@ from __future__ import annotations
 import atexit
 import os
 from collections.abc import Callable
-from threading import Condition, Lock
+from threading import Condition, Lock, RLock
 from typing import Generic, TypeVar
 
 from torch_radbp.threads import team
@@ -29,7 +29,7 @@ class Later(Generic[Made]):
 
     def __init__(self, make: Callable[[], Made]):
         self.make: Callable[[], Made] | None = make
-        self.making = Lock()
+        self.making = RLock()
         self.failed: Exception | None = None  # of a helper
 
     def meanwhile(self) -> Later[Made]:
@@ -63,10 +63,11 @@ class Later(Generic[Made]):
 
     def tried(self) -> None:
         """Computes the value; an error waits for who needs it."""
-        try:
-            self.result()
-        except Exception as error:
-            self.failed = error
+        with self.making:  # until the error is told, so that nobody tries again meanwhile
+            try:
+                self.result()
+            except Exception as error:
+                self.failed = error
 
     def result(self) -> Made:
         """The value, computed now if necessary. If that fails, the error is raised, and a later call tries again."""
