@@ -31,6 +31,7 @@ class Later(Generic[Made]):
         self.make: Callable[[], Made] | None = make
         self.making = RLock()
         self.failed: Exception | None = None  # of a helper
+        self.asked = False  # somebody needs the value, and computes it: helpers need not
 
     def meanwhile(self) -> Later[Made]:
         """Returns itself, after asking a helper to compute the value."""
@@ -64,13 +65,19 @@ class Later(Generic[Made]):
     def tried(self) -> None:
         """Computes the value; an error waits for who needs it."""
         with self.making:  # until the error is told, so that nobody tries again meanwhile
-            try:
-                self.result()
-            except Exception as error:
-                self.failed = error
+            if not self.asked:
+                try:
+                    self.computed()
+                except Exception as error:
+                    self.failed = error
 
     def result(self) -> Made:
         """The value, computed now if necessary. If that fails, the error is raised, and a later call tries again."""
+        self.asked = True
+        return self.computed()
+
+    def computed(self) -> Made:
+        """The value, as `result`."""
         if self.make is not None:
             with self.making:
                 if (failed := self.failed) is not None:
