@@ -85,11 +85,17 @@ class Lights(NamedTuple):
 
     @staticmethod
     def covered(call: RenderCall) -> Lights:
-        """The lights whose borders `DirectShadows` samples; along single rays, which see no borders, those of none."""
+        """The lights whose borders `DirectShadows` samples."""
+        lights = Lights.sampled_from_edges(call)
+        # Where rays pass boundaries of media others are seen by all vertices alike.
+        return lights._replace(soft=False, around=False) if call.scene.layout.traces_segments else lights
+
+    @staticmethod
+    def sampled_from_edges(call: RenderCall) -> Lights:
+        """The lights whose samples can be sent past edges to what cameras see; along single rays, which see no borders,
+        those of none."""
         if not films_have_area(call):
             return Lights(False, False, False)
-        if call.scene.layout.traces_segments:  # others are seen by all vertices alike
-            return Lights(call.integrand.settings.nee, False, False)
         emitters, lights, layout = call.module.emitters, call.scene.lights, call.scene.layout
         surfaces, around = (all(emitter.sampled_whole() for emitter in emitters if emitter.kind().surround == around)
                             for around in (False, True))

@@ -44,8 +44,7 @@ from torch_radbp.boundary.eye.segment_tree import (
 from torch_radbp.boundary.eye.slid import what_slides
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, eyes_at, vertex_at, viewpoints
 from torch_radbp.boundary.eye.ways_down import lot_of_found, ways_down
-from torch_radbp.boundary.terms.border import SOFT
-from torch_radbp.boundary.terms.hidden_light import light_beyond, most_paths, number_of_paths
+from torch_radbp.boundary.terms.hidden_light import EVERYTHING, light_beyond, most_paths, number_of_paths
 from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, glues, shadow_term
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.raycast.protocol import Hit
@@ -126,7 +125,7 @@ class CrossedSurfaces(ShadowTerm):
         passed = joined([passed, passed])
         hit = hit_at(sheets, sheets.beside, integrand.proposal.dtype)
         past = straight_past_edges(call.scene, at, passed, hit)
-        light = light_beyond(call, integrand, points, at, passed, past, SOFT) * sheets.growth
+        light = light_beyond(call, integrand, points, at, passed, past, EVERYTHING) * sheets.growth
         kept = ((light != 0) & torch.isfinite(light)).any(0).nonzero().squeeze(1)
         if not len(kept):
             return None

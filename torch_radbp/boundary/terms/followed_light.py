@@ -26,9 +26,9 @@ from torch_radbp.boundary.eye.drawn_directions import DirectionNumbers, Drawn, d
 from torch_radbp.boundary.eye.lines_through_edges import solid_angle
 from torch_radbp.boundary.eye.seen_edges import BEFORE, BESIDE, Passed, places_seen, salted, unhidden
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, arriving, path_of, vertex_at, vertex_on, viewpoints
-from torch_radbp.boundary.terms.border import SOFT, Lights
+from torch_radbp.boundary.terms.border import Lights
 from torch_radbp.boundary.terms.cuts import CutsOfView, all_cuts, cut_at, matter, some_cuts
-from torch_radbp.boundary.terms.hidden_light import LOOKS, eyes_of, most_paths, number_of_paths
+from torch_radbp.boundary.terms.hidden_light import EVERYTHING, LOOKS, eyes_of, most_paths, number_of_paths
 from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, follows, shadow_term
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.integrand import Integrand
@@ -107,7 +107,7 @@ class FollowedLight(ShadowTerm):
         if not len(points.depth):
             return None
         at = vertex_at(call, geometry, number, points)
-        eyes = eyes_of(call, number, integrand, points, at, SOFT)
+        eyes = eyes_of(call, number, integrand, points, at, EVERYTHING)
         passed = places_seen(call.stages, geometry, casting, eyes, salted(view, SALT), LOOKS, PLACES * len(points.depth))
         if passed is None:
             return None

@@ -14,8 +14,8 @@ with n into what is hidden no longer and v its velocity over these points; close
 z has no part in this: its own points move with its edge.
 Where nothing lies behind, directions take the place of the points.
 
-Light that the first surface receives straight from lamps is counted in `border.py`; but what no light sample finds, and
-what comes evenly from all around, is better found here.
+Light that the first surface receives straight from lamps is counted in `border.py`, and that of the first vertex in a medium
+in `shafts.py`; but what no light sample finds, and what comes evenly from all around, is better found here.
 
 References: Li, Aittala, Durand and Lehtinen 2018, "Differentiable Monte Carlo Ray Tracing through Edge Sampling", section 4;
 Zhang, Miller, Yan, Gkioulekas and Zhao 2020, "Path-Space Differentiable Rendering", section 5.
@@ -70,6 +70,22 @@ GRAZING = 0.1  # cosine with the normal below which a warning leaves edges out: 
 BYTES_OF_WAY = 120  # down the tree of edges: where it is, and what it has found
 
 
+class Straight(NamedTuple):
+    """Which lights of some extent count here that the first vertices of paths see straight; others count elsewhere."""
+
+    from_surfaces: Lights
+    in_media: Lights
+
+    @staticmethod
+    def uncovered(call: RenderCall) -> Straight:
+        """Those that no other term has."""
+        sampled = Lights.sampled_from_edges(call)
+        return Straight(Lights.uncovered(call), Lights(False, not sampled.soft, not sampled.around))
+
+
+EVERYTHING = Straight(SOFT, SOFT)
+
+
 @shadow_term
 class HiddenLight(ShadowTerm):
     """Light that edges occlude from vertices of paths, which see points that are glued to surfaces."""
@@ -88,15 +104,15 @@ class HiddenLight(ShadowTerm):
         return TermSize(paths * LOOKS * BYTES_OF_WAY, found, found)
 
     def applies(self) -> bool:
-        later = self.call.integrand.max_depth > (1 if self.call.scene.layout.scattering_media else 2)
-        return glues(self.call) and (later or any(Lights.uncovered(self.call)))
+        later = self.call.integrand.max_depth > (1 if self.call.scene.layout.emitting_media else 2)
+        return glues(self.call) and (later or any(map(any, Straight.uncovered(self.call))))
 
     def samples(self, number: int, amount: Amount = ALL) -> CutsOfView | None:
-        return cuts_of_view(self.still, number, self.casting, amount, first=Lights.uncovered(self.still))
+        return cuts_of_view(self.still, number, self.casting, amount, first=Straight.uncovered(self.still))
 
     def left_out(self, rendering: Rendering) -> set[str]:
-        first, outline, names = Lights.uncovered(self.still), self.casting.outline, set()
-        if rendering.shadows or not any(first):
+        first, outline, names = Straight(Lights.uncovered(self.still), SOFT), self.casting.outline, set()
+        if rendering.shadows or not any(first.from_surfaces):
             return names
         call = self.still._replace(integrand=self.still.integrand._replace(max_depth=2))  # light straight from lamps
         for number, view in enumerate(call.views):
@@ -116,14 +132,14 @@ class HiddenLight(ShadowTerm):
 
 
 def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount = ALL, *,
-                 first: Lights) -> CutsOfView | None:
+                 first: Straight) -> CutsOfView | None:
     """Samples edges that occlude light from paths of view `number`; None: there are none.
 
     Args:
         call: detached.
         casting: the edges of all that casts shadows.
         amount: how many paths are looked at; cuts of those that are only tried are among the others.
-        first: what the first vertices of paths receive straight from lights.
+        first: what counts of the light that the first vertices of paths receive straight.
     """
     view, integrand = call.views[number], integrand_of(call, call.integrand, number)
     paths, more, before = (number_of_paths(call, view, share, ROUNDS * MOST) for share in (
@@ -144,14 +160,14 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount
 
 
 def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, looks: EdgeSightings,
-                  first: Lights) -> CutsOfView | None:
+                  first: Straight) -> CutsOfView | None:
     """Selects the edge samples at which light is occluded; None: there are none. Args as for `looks_at_edges`."""
     geometry, (points, at, passed) = geometry_of(call.scene), looks
     layout, alone = call.scene.layout, torch.zeros_like(passed.edge, dtype=torch.bool)
     if layout.scattering_media or layout.emitting_media:
         alone = ~alone
     elif layout.surround is not None:
-        alone = first.around | rows(points.depth > 0, passed.eye)
+        alone = first.from_surfaces.around | rows(points.depth > 0, passed.eye)
     passed, past = seen_past_edges(call, integrand, casting.outline, points, at, passed, alone)
     if not len(passed.edge):
         return None
@@ -180,7 +196,7 @@ class EdgeSightings(NamedTuple):
 
 
 def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting: Casting, batch: PathBatch,
-                   first: Lights) -> EdgeSightings | None:
+                   first: Straight) -> EdgeSightings | None:
     """Samples edges as seen from vertices of some paths; None: they see none.
 
     Args:
@@ -202,7 +218,7 @@ def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting:
     return None if passed is None else EdgeSightings(points, at, passed)
 
 
-def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoints, at: Vec3, first: Lights) -> Eyes:
+def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoints, at: Vec3, first: Straight) -> Eyes:
     """The viewpoints, with weights of directions, from which edges are sampled.
 
     Args:
@@ -214,8 +230,8 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
     lobes = ()
     if call.scene.layout.lights:
         lights = light_points(call.stages, call.scene, call.views[number], len(points.depth))
-        later = (points.depth > 0) | points.in_medium
-        meant = torch.where(later, *(some.of(call.scene)[lights.kind] for some in (SOFT, first)))
+        surfaces, media, everywhere = (some.of(call.scene)[lights.kind] for some in (*first, SOFT))
+        meant = torch.where(points.depth > 0, everywhere, torch.where(points.in_medium, media, surfaces))
         lobe = integrand.part(Ends.SURROUNDINGS).call(light_lobes, at, lights.draw)
         lobes = lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),
     return eyes_at(geometry_of(call.scene), points, at, lobes)
@@ -232,7 +248,7 @@ def most_paths(call: RenderCall) -> int:
 
 
 def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, passed: Passed, past: PastEdges,
-                 first: Lights) -> Tensor:
+                 first: Straight) -> Tensor:
     """(3, N) float64 light past the edges that reaches the view, per unit of `cut_at`'s coordinates.
 
     Args:
@@ -251,10 +267,11 @@ def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at:
         (ray, met, medium, flight), key = rows((past, passed.key), lanes)
         state = path_of(call, ray, key)._replace(medium=medium)
         found = trace(integrand, state, hit=met, depth=depth + 1, flight=flight)
-        if depth == 0 and first != SOFT:
-            straight = trace(integrand._replace(max_depth=2), state, hit=met, depth=1)
-            counted = torch.where(met.prim >= 0, not first.soft, not first.around) & ~rows(own.in_medium, lanes)
-            found = found - masked(counted, straight)
+        if depth == 0 and first != EVERYTHING:
+            way = None if flight is None else flight._replace(emission=None)  # what media emit there counts
+            straight = trace(integrand._replace(max_depth=2), state, hit=met, depth=1, flight=way)
+            from_surfaces, in_media = (torch.where(met.prim >= 0, not some.soft, not some.around) for some in first)
+            found = found - masked(torch.where(rows(own.in_medium, lanes), in_media, from_surfaces), straight)
         L[:, lanes] = torch.stack(tuple(found)).double()
     angle = solid_angle(scene, past.fixed_to(scene), Ray(start, reach))
     return torch.stack(tuple(own.beta * beta)).double() * L * angle

@@ -1,12 +1,14 @@
-"""Boundary term of sharp shadows in media: shafts of light from lamps without extent.
+"""Boundary term of shadows in media: shafts of light.
 
 At a point y of a medium light from a point or a single direction is there or is not, and ends at the sheets behind edges.
+Light of lamps with extent is the mean of that of their points, and light of the environment of that of its directions.
 With f(y) what the medium scatters there of it towards a vertex x and the view, per unit of volume, an image changes by
 
     dI = - integral of f(y) (v - u) . n dA
 
 over the sheets, whose normal n points into the light, with v the velocity of the sheet and u that of the medium's points,
-which keep their share of the way from x to the surface behind. The vertices x are cameras, and vertices of paths.
+which keep their share of the way from x to the surface behind. The vertices x are cameras, and, for lamps without extent,
+vertices of paths: what these see of others is counted in `hidden_light.py`.
 
 References: Zhang, Miller, Yan, Gkioulekas and Zhao 2020, "Path-Space Differentiable Rendering", section 5; Zhang, Yu and
 Zhao 2021, "Path-Space Differentiable Rendering of Participating Media".
@@ -14,7 +16,7 @@ Zhao 2021, "Path-Space Differentiable Rendering of Participating Media".
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -40,6 +42,7 @@ from torch_radbp.path.sorting import first_hit
 from torch_radbp.path.state import Flight, PathState
 from torch_radbp.path.through_media import free_ways, let_through
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.sampling.sampler import LaneKey
 from torch_radbp.tensors.differentiated import detached, primal
 from torch_radbp.tensors.vec import TINY, Frame, Ray, Vec2, Vec3, dot, interpolated, normalize, rows, where
 from torch_radbp.vertex.interaction import is_met
@@ -57,6 +60,41 @@ class LitInMedium(NamedTuple):
     flight: Flight  # from the vertex to the point
 
 
+class SeenFromCamera(NamedTuple):
+    """Camera rays that see K points of media; detached."""
+
+    film: Vec2  # where they pass the film
+    aperture: Vec2 | None  # and the lens
+    key: LaneKey  # of random numbers
+
+    def rays(self, call: RenderCall, number: int, geometry: Geometry, lit: LitInMedium) -> Ray:
+        """The rays, (K,), attached; args as for `carried`."""
+        return camera_sample(call, call.views[number], self.film, self.aperture, self.key).ray
+
+
+class SeenFromVertices(NamedTuple):
+    """Vertices of paths that see K points of media; detached."""
+
+    points: Viewpoints
+
+    @property
+    def key(self) -> LaneKey:
+        """Of random numbers."""
+        return self.points.key
+
+    def rays(self, call: RenderCall, number: int, geometry: Geometry, lit: LitInMedium) -> Ray:
+        """The rays to the points, (K,), attached: their directions are fixed to the surfaces behind. Args as for
+        `carried`."""
+        met = is_met(detached(call.scene), lit.behind)
+        behind = lit.behind._replace(prim=torch.where(met, lit.behind.prim, -1))
+        x, place = vertex_at(call, geometry, number, self.points), Vec2(behind.u.double(), behind.v.double())
+        near, ways = what_slides(call, number, geometry, self.points, x.map(primal), behind, place)
+        place = Vec2(*(part.index_add(0, near, way) for part, way in zip(place, ways)))
+        towards = normalize(interpolated(corners_of(geometry, behind), place.x, place.y) - x)
+        d = where(met, towards, lit.ray.d.map(torch.Tensor.double))
+        return Ray(*(part.map(lambda c: c.to(call.scene.dtype)) for part in (x, d)))
+
+
 class ShaftsInView(NamedTuple):
     """K points on sheets that a view sees; detached."""
 
@@ -65,7 +103,7 @@ class ShaftsInView(NamedTuple):
     area: Vec3  # as of `SampledSheets`
     points: SheetPoints
     lit: LitInMedium
-    seen_from: Any  # of what sees them: random numbers and points of the lens of camera rays, or `Viewpoints`
+    seen_from: SeenFromCamera | SeenFromVertices
 
 
 @shadow_term
@@ -87,7 +125,7 @@ class Shafts(ShadowTerm):
 
     def samples(self, number: int) -> list[ShaftsInView]:
         found = [seen_by_camera(self.still, number, self.casting)] if films_have_area(self.still) else []
-        if self.still.integrand.max_depth > 2:
+        if self.still.integrand.max_depth > 2 and self.still.integrand.settings.nee:
             found.append(seen_by_vertices(self.still, number, self.casting))
         return [own for own in found if own is not None]
 
@@ -102,15 +140,17 @@ class Shafts(ShadowTerm):
 
 
 def has_shafts(call: RenderCall) -> bool:
-    """True if media scatter light of lamps without extent, and sheets are looked for."""
+    """True if media scatter light whose sheets are looked for."""
     integrand, layout = call.integrand, call.scene.layout
-    return (glues(call) and bool(layout.scattering_media) and integrand.settings.nee and integrand.max_depth > 1
-            and any(kind.delta for kind in layout.lights))
+    if not (glues(call) and layout.scattering_media and integrand.max_depth > 1):
+        return False
+    seen, sharp = Lights.sampled_from_edges(call), integrand.settings.nee and any(kind.delta for kind in layout.lights)
+    return sharp or bool(seen.of(call.scene).any())
 
 
 def seen_by_camera(call: RenderCall, number: int, casting: Casting) -> ShaftsInView | None:
     """Points on sheets that the camera of a view sees; None: there are none. Args as for `border.lit_edges`."""
-    lit = lit_edges(call, number, casting, SHARP, share_of(call.scene))
+    lit = lit_edges(call, number, casting, Lights.sampled_from_edges(call), share_of(call.scene))
     if lit is None:
         return None
     view, integrand = call.views[number], integrand_of(call, call.integrand, number)
@@ -133,7 +173,7 @@ def seen_by_camera(call: RenderCall, number: int, casting: Casting) -> ShaftsInV
     s, t = velocities_on_film(view.camera, sheets.p, (frame.s, frame.t), aperture)
     strength = lit_there.light * (s.x * t.y - s.y * t.x).abs()
     strength = strength if sample.weight is None else strength * sample.weight.double()
-    return lit_ones(film, strength, sheets, lit_there, (aperture, key))
+    return lit_ones(film, strength, sheets, lit_there, SeenFromCamera(film, aperture, key))
 
 
 def seen_by_vertices(call: RenderCall, number: int, casting: Casting) -> ShaftsInView | None:
@@ -162,10 +202,11 @@ def seen_by_vertices(call: RenderCall, number: int, casting: Casting) -> ShaftsI
     beta = own.beta * scattered_towards(call, integrand, own, reach.map(torch.Tensor.double))
     squared = dot(reach, reach).double().clamp_min(TINY)
     strength = found.light * torch.stack(tuple(beta)).double() * (paths / squared)
-    return lit_ones(own.place, strength, sheets, found, own)
+    return lit_ones(own.place, strength, sheets, found, SeenFromVertices(own))
 
 
-def lit_ones(place: Vec2, strength: Tensor, sheets: SampledSheets, lit: LitInMedium, seen_from: Any) -> ShaftsInView | None:
+def lit_ones(place: Vec2, strength: Tensor, sheets: SampledSheets, lit: LitInMedium,
+             seen_from: SeenFromCamera | SeenFromVertices) -> ShaftsInView | None:
     """Those of which any light is seen; None: there are none. Args as of `ShaftsInView`."""
     kept = ((strength != 0) & torch.isfinite(strength)).any(0).nonzero().squeeze(1)
     place, area, points, ways, seen_from = rows((place, sheets.area, sheets.points, lit[1:], seen_from), kept)
@@ -222,24 +263,5 @@ def carried(call: RenderCall, number: int, geometry: Geometry, own: ShaftsInView
         geometry: of its scene, attached.
         own: the points.
     """
-    lit = own.lit
-    if isinstance(own.seen_from, Viewpoints):
-        ray, key = ray_to_behind(call, number, geometry, own), own.seen_from.key
-    else:
-        aperture, key = own.seen_from
-        ray = camera_sample(call, call.views[number], own.place, aperture, key).ray
-    return flown_along(call, ray, key, lit.behind, lit.flight)
-
-
-def ray_to_behind(call: RenderCall, number: int, geometry: Geometry, own: ShaftsInView) -> Ray:
-    """The rays from vertices to points of media, (K,), attached: their directions are fixed to the surfaces behind. Args as
-    for `carried`."""
-    points, lit = own.seen_from, own.lit
-    met = is_met(detached(call.scene), lit.behind)
-    behind = lit.behind._replace(prim=torch.where(met, lit.behind.prim, -1))
-    x, place = vertex_at(call, geometry, number, points), Vec2(behind.u.double(), behind.v.double())
-    near, ways = what_slides(call, number, geometry, points, x.map(primal), behind, place)
-    place = Vec2(*(part.index_add(0, near, way) for part, way in zip(place, ways)))
-    towards = normalize(interpolated(corners_of(geometry, behind), place.x, place.y) - x)
-    d = where(met, towards, lit.ray.d.map(torch.Tensor.double))
-    return Ray(*(part.map(lambda c: c.to(call.scene.dtype)) for part in (x, d)))
+    ray = own.seen_from.rays(call, number, geometry, own.lit)
+    return flown_along(call, ray, own.seen_from.key, own.lit.behind, own.lit.flight)
