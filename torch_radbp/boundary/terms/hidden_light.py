@@ -231,7 +231,7 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
     if call.scene.layout.lights:
         lights = light_points(call.stages, call.scene, call.views[number], len(points.depth))
         surfaces, media, everywhere = (some.of(call.scene)[lights.kind] for some in (*first, SOFT))
-        meant = torch.where(points.depth > 0, everywhere, torch.where(points.in_medium, media, surfaces))
+        meant = torch.where(points.in_medium, media, torch.where(points.depth > 0, everywhere, surfaces))
         lobe = integrand.part(Ends.SURROUNDINGS).call(light_lobes, at, lights.draw)
         lobes = lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),
     return eyes_at(geometry_of(call.scene), points, at, lobes)
@@ -267,10 +267,12 @@ def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at:
         (ray, met, medium, flight), key = rows((past, passed.key), lanes)
         state = path_of(call, ray, key)._replace(medium=medium)
         found = trace(integrand, state, hit=met, depth=depth + 1, flight=flight)
-        if depth == 0 and first != EVERYTHING:
+        surfaces = first.from_surfaces if depth == 0 else SOFT
+        if (surfaces, first.in_media) != EVERYTHING:
             way = None if flight is None else flight._replace(emission=None)  # what media emit there counts
-            straight = trace(integrand._replace(max_depth=2), state, hit=met, depth=1, flight=way)
-            from_surfaces, in_media = (torch.where(met.prim >= 0, not some.soft, not some.around) for some in first)
+            straight = trace(integrand._replace(max_depth=depth + 2), state, hit=met, depth=depth + 1, flight=way)
+            from_surfaces, in_media = (torch.where(met.prim >= 0, not some.soft, not some.around)
+                                       for some in (surfaces, first.in_media))
             found = found - masked(torch.where(rows(own.in_medium, lanes), in_media, from_surfaces), straight)
         L[:, lanes] = torch.stack(tuple(found)).double()
     angle = solid_angle(scene, past.fixed_to(scene), Ray(start, reach))

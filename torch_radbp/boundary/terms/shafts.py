@@ -125,7 +125,7 @@ class Shafts(ShadowTerm):
 
     def samples(self, number: int) -> list[ShaftsInView]:
         found = [seen_by_camera(self.still, number, self.casting)] if films_have_area(self.still) else []
-        if self.still.integrand.max_depth > 2 and self.still.integrand.settings.nee:
+        if self.still.integrand.max_depth > 2:
             found.append(seen_by_vertices(self.still, number, self.casting))
         return [own for own in found if own is not None]
 
@@ -178,7 +178,7 @@ def seen_by_camera(call: RenderCall, number: int, casting: Casting) -> ShaftsInV
 
 def seen_by_vertices(call: RenderCall, number: int, casting: Casting) -> ShaftsInView | None:
     """Points on sheets that vertices of paths see; None: there are none. Args as for `border.lit_edges`."""
-    lit = lit_edges(call, number, casting, SHARP, share_of(call.scene))
+    lit = lit_edges(call, number, casting, Lights.sampled_from_edges(call), share_of(call.scene))
     if lit is None:
         return None
     view, integrand, count = call.views[number], integrand_of(call, call.integrand, number), len(lit.passed.edge)
