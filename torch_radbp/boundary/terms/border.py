@@ -85,17 +85,22 @@ class Lights(NamedTuple):
 
     @staticmethod
     def covered(call: RenderCall) -> Lights:
-        """The lights whose borders `DirectShadows` samples."""
-        lights = Lights.sampled_from_edges(call)
+        """The lights whose borders `DirectShadows` samples; along single rays, which see no borders, those of none."""
+        if not films_have_area(call):
+            return Lights(False, False, False)
+        lights = Lights.sampled_whole(call)
         # Where rays pass boundaries of media others are seen by all vertices alike.
         return lights._replace(soft=False, around=False) if call.scene.layout.traces_segments else lights
 
     @staticmethod
-    def sampled_from_edges(call: RenderCall) -> Lights:
-        """The lights whose samples can be sent past edges to what cameras see; along single rays, which see no borders,
-        those of none."""
-        if not films_have_area(call):
-            return Lights(False, False, False)
+    def with_shafts(call: RenderCall) -> Lights:
+        """The lights whose shafts in media `Shafts` samples; single rays of cameras see of others what vertices see."""
+        lights = Lights.sampled_whole(call)
+        return lights if films_have_area(call) else lights._replace(soft=False, around=False)
+
+    @staticmethod
+    def sampled_whole(call: RenderCall) -> Lights:
+        """The lights all of whose light is that of light samples."""
         emitters, lights, layout = call.module.emitters, call.scene.lights, call.scene.layout
         surfaces, around = (all(emitter.sampled_whole() for emitter in emitters if emitter.kind().surround == around)
                             for around in (False, True))

@@ -14,8 +14,8 @@ with n into what is hidden no longer and v its velocity over these points; close
 z has no part in this: its own points move with its edge.
 Where nothing lies behind, directions take the place of the points.
 
-Light that the first surface receives straight from lamps is counted in `border.py`, and that of the first vertex in a medium
-in `shafts.py`; but what no light sample finds, and what comes evenly from all around, is better found here.
+Light that the first surface receives straight from lamps is counted in `border.py`, and that of vertices in media in
+`shafts.py`; but what no light sample finds, and what comes evenly from all around, is better found here.
 
 References: Li, Aittala, Durand and Lehtinen 2018, "Differentiable Monte Carlo Ray Tracing through Edge Sampling", section 4;
 Zhang, Miller, Yan, Gkioulekas and Zhao 2020, "Path-Space Differentiable Rendering", section 5.
@@ -71,16 +71,16 @@ BYTES_OF_WAY = 120  # down the tree of edges: where it is, and what it has found
 
 
 class Straight(NamedTuple):
-    """Which lights of some extent count here that the first vertices of paths see straight; others count elsewhere."""
+    """Which lights of some extent count here that vertices of paths see straight; others count elsewhere."""
 
-    from_surfaces: Lights
+    from_surfaces: Lights  # of first vertices; later ones see all here
     in_media: Lights
 
     @staticmethod
     def uncovered(call: RenderCall) -> Straight:
         """Those that no other term has."""
-        sampled = Lights.sampled_from_edges(call)
-        return Straight(Lights.uncovered(call), Lights(False, not sampled.soft, not sampled.around))
+        shafts = Lights.with_shafts(call)
+        return Straight(Lights.uncovered(call), Lights(False, not shafts.soft, not shafts.around))
 
 
 EVERYTHING = Straight(SOFT, SOFT)
@@ -108,16 +108,16 @@ class HiddenLight(ShadowTerm):
         return glues(self.call) and (later or any(map(any, Straight.uncovered(self.call))))
 
     def samples(self, number: int, amount: Amount = ALL) -> CutsOfView | None:
-        return cuts_of_view(self.still, number, self.casting, amount, first=Straight.uncovered(self.still))
+        return cuts_of_view(self.still, number, self.casting, amount, counted=Straight.uncovered(self.still))
 
     def left_out(self, rendering: Rendering) -> set[str]:
-        first, outline, names = Straight(Lights.uncovered(self.still), SOFT), self.casting.outline, set()
-        if rendering.shadows or not any(first.from_surfaces):
+        counted, outline, names = Straight(Lights.uncovered(self.still), SOFT), self.casting.outline, set()
+        if rendering.shadows or not any(counted.from_surfaces):
             return names
         call = self.still._replace(integrand=self.still.integrand._replace(max_depth=2))  # light straight from lamps
         for number, view in enumerate(call.views):
             share = min(1.0, FEW / number_of_paths(call, view))
-            found = cuts_of_view(call, number, self.casting, Amount(share), first=first)
+            found = cuts_of_view(call, number, self.casting, Amount(share), counted=counted)
             if found is None:
                 continue
             cuts = rows(found.cuts, (rise_of(call, number, outline, found) > GRAZING).nonzero().squeeze(1))
@@ -132,47 +132,47 @@ class HiddenLight(ShadowTerm):
 
 
 def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount = ALL, *,
-                 first: Straight) -> CutsOfView | None:
+                 counted: Straight) -> CutsOfView | None:
     """Samples edges that occlude light from paths of view `number`; None: there are none.
 
     Args:
         call: detached.
         casting: the edges of all that casts shadows.
         amount: how many paths are looked at; cuts of those that are only tried are among the others.
-        first: what counts of the light that the first vertices of paths receive straight.
+        counted: what counts of the light that vertices receive straight.
     """
     view, integrand = call.views[number], integrand_of(call, call.integrand, number)
     paths, more, before = (number_of_paths(call, view, share, ROUNDS * MOST) for share in (
         amount.counted, amount.tried, amount.before))
     density, some = None, paths // film_density.SHARE
     if some >= film_density.FEWEST:
-        trial = looks_at_edges(split.trying(call), number, integrand, casting, PathBatch(some), first)
+        trial = looks_at_edges(split.trying(call), number, integrand, casting, PathBatch(some), counted)
         density = None if trial is None else film_density.film_density(view, trial.points, trial.passed)
     rounds = -(-(paths + more) // MOST)
     count, found = paths // rounds, []
     for begun in range(before, before + rounds * count, count):
         batch = PathBatch(count, density, begun, more // rounds)
-        looks = looks_at_edges(call, number, integrand, casting, batch, first)
-        cuts = None if looks is None else cuts_of_looks(call, integrand, casting, looks, first)
+        looks = looks_at_edges(call, number, integrand, casting, batch, counted)
+        cuts = None if looks is None else cuts_of_looks(call, integrand, casting, looks, counted)
         if cuts is not None:
             found.append(cuts if rounds == 1 else fewer(cuts, salted(view, SALT), begun, MOST * PLACES // rounds))
     return joined_cuts([(own, 1.0 / rounds) for own in found])
 
 
 def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, looks: EdgeSightings,
-                  first: Straight) -> CutsOfView | None:
+                  counted: Straight) -> CutsOfView | None:
     """Selects the edge samples at which light is occluded; None: there are none. Args as for `looks_at_edges`."""
     geometry, (points, at, passed) = geometry_of(call.scene), looks
     layout, alone = call.scene.layout, torch.zeros_like(passed.edge, dtype=torch.bool)
     if layout.scattering_media or layout.emitting_media:
         alone = ~alone
     elif layout.surround is not None:
-        alone = first.from_surfaces.around | rows(points.depth > 0, passed.eye)
+        alone = counted.from_surfaces.around | rows(points.depth > 0, passed.eye)
     passed, past = seen_past_edges(call, integrand, casting.outline, points, at, passed, alone)
     if not len(passed.edge):
         return None
     return cuts_that_matter(call.stages, geometry, casting, points, at, passed, past.fixed_to(call.scene),
-                            lambda cuts: light_beyond(call, integrand, points, at, passed, past, first))
+                            lambda cuts: light_beyond(call, integrand, points, at, passed, past, counted))
 
 
 def fewer(found: CutsOfView, key: SampleKey, begun: int, most: int) -> CutsOfView:
@@ -196,14 +196,14 @@ class EdgeSightings(NamedTuple):
 
 
 def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting: Casting, batch: PathBatch,
-                   first: Straight) -> EdgeSightings | None:
+                   counted: Straight) -> EdgeSightings | None:
     """Samples edges as seen from vertices of some paths; None: they see none.
 
     Args:
         call, number, casting: as for `cuts_of_view`.
         integrand: the view's.
         batch: the paths.
-        first: as for `cuts_of_view`.
+        counted: as for `cuts_of_view`.
     """
     geometry = geometry_of(call.scene)
     points = viewpoints(call, number, integrand, batch)
@@ -212,25 +212,25 @@ def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting:
     if batch.begun:
         call = split.with_numbers(call, SALT + batch.begun)
     at = vertex_at(call, geometry, number, points)
-    eyes = eyes_of(call, number, integrand, points, at, first)
+    eyes = eyes_of(call, number, integrand, points, at, counted)
     passed = places_seen(call.stages, geometry, casting, eyes, salted(call.views[number], SALT), LOOKS,
                          PLACES * len(points.depth), points.tried)
     return None if passed is None else EdgeSightings(points, at, passed)
 
 
-def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoints, at: Vec3, first: Straight) -> Eyes:
+def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoints, at: Vec3, counted: Straight) -> Eyes:
     """The viewpoints, with weights of directions, from which edges are sampled.
 
     Args:
         call, number: of the view.
         integrand: the view's.
         points, at: the viewpoints, and where they are.
-        first: what counts of the light that the first vertices of paths receive straight.
+        counted: what counts of the light that vertices receive straight.
     """
     lobes = ()
     if call.scene.layout.lights:
         lights = light_points(call.stages, call.scene, call.views[number], len(points.depth))
-        surfaces, media, everywhere = (some.of(call.scene)[lights.kind] for some in (*first, SOFT))
+        surfaces, media, everywhere = (some.of(call.scene)[lights.kind] for some in (*counted, SOFT))
         meant = torch.where(points.in_medium, media, torch.where(points.depth > 0, everywhere, surfaces))
         lobe = integrand.part(Ends.SURROUNDINGS).call(light_lobes, at, lights.draw)
         lobes = lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),
@@ -248,16 +248,16 @@ def most_paths(call: RenderCall) -> int:
 
 
 def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, passed: Passed, past: PastEdges,
-                 first: Straight) -> Tensor:
+                 counted: Straight) -> Tensor:
     """(3, N) float64 light past the edges that reaches the view, per unit of `cut_at`'s coordinates.
 
     Args:
         points, at: the viewpoints, and where they are.
         passed: (N,) the edges, as the viewpoints `passed.eye` see them.
         past: (N,) what the light comes from.
-        first: what counts of the light that the first vertices of paths receive straight.
+        counted: what counts of the light that vertices receive straight.
     """
-    scene = integrand.proposal
+    scene, scatters = integrand.proposal, bool(call.scene.layout.scattering_media)
     own, start = rows((points, at), passed.eye)
     reach = passed.p - start
     beta = scattered_towards(call, integrand, own, reach)
@@ -267,12 +267,11 @@ def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at:
         (ray, met, medium, flight), key = rows((past, passed.key), lanes)
         state = path_of(call, ray, key)._replace(medium=medium)
         found = trace(integrand, state, hit=met, depth=depth + 1, flight=flight)
-        surfaces = first.from_surfaces if depth == 0 else SOFT
-        if (surfaces, first.in_media) != EVERYTHING:
+        here = Straight(counted.from_surfaces if depth == 0 else SOFT, counted.in_media if scatters else SOFT)
+        if here != EVERYTHING:
             way = None if flight is None else flight._replace(emission=None)  # what media emit there counts
             straight = trace(integrand._replace(max_depth=depth + 2), state, hit=met, depth=depth + 1, flight=way)
-            from_surfaces, in_media = (torch.where(met.prim >= 0, not some.soft, not some.around)
-                                       for some in (surfaces, first.in_media))
+            from_surfaces, in_media = (torch.where(met.prim >= 0, not some.soft, not some.around) for some in here)
             found = found - masked(torch.where(rows(own.in_medium, lanes), in_media, from_surfaces), straight)
         L[:, lanes] = torch.stack(tuple(found)).double()
     angle = solid_angle(scene, past.fixed_to(scene), Ray(start, reach))

@@ -7,8 +7,7 @@ With f(y) what the medium scatters there of it towards a vertex x and the view, 
     dI = - integral of f(y) (v - u) . n dA
 
 over the sheets, whose normal n points into the light, with v the velocity of the sheet and u that of the medium's points,
-which keep their share of the way from x to the surface behind. The vertices x are cameras, and, for lamps without extent,
-vertices of paths: what these see of others is counted in `hidden_light.py`.
+which keep their share of the way from x to the surface behind. The vertices x are cameras, and vertices of paths.
 
 References: Zhang, Miller, Yan, Gkioulekas and Zhao 2020, "Path-Space Differentiable Rendering", section 5; Zhang, Yu and
 Zhao 2021, "Path-Space Differentiable Rendering of Participating Media".
@@ -48,7 +47,6 @@ from torch_radbp.tensors.vec import TINY, Frame, Ray, Vec2, Vec3, dot, interpola
 from torch_radbp.vertex.interaction import is_met
 
 SALT = 0x7A1D3B65  # tells the random numbers of these paths from others
-SHARP = Lights(sharp=True, soft=False, around=False)
 
 
 class LitInMedium(NamedTuple):
@@ -142,15 +140,13 @@ class Shafts(ShadowTerm):
 def has_shafts(call: RenderCall) -> bool:
     """True if media scatter light whose sheets are looked for."""
     integrand, layout = call.integrand, call.scene.layout
-    if not (glues(call) and layout.scattering_media and integrand.max_depth > 1):
-        return False
-    seen, sharp = Lights.sampled_from_edges(call), integrand.settings.nee and any(kind.delta for kind in layout.lights)
-    return sharp or bool(seen.of(call.scene).any())
+    return glues(call) and bool(layout.scattering_media) and integrand.max_depth > 1 and bool(
+        Lights.with_shafts(call).of(call.scene).any())
 
 
 def seen_by_camera(call: RenderCall, number: int, casting: Casting) -> ShaftsInView | None:
     """Points on sheets that the camera of a view sees; None: there are none. Args as for `border.lit_edges`."""
-    lit = lit_edges(call, number, casting, Lights.sampled_from_edges(call), share_of(call.scene))
+    lit = lit_edges(call, number, casting, Lights.with_shafts(call), share_of(call.scene))
     if lit is None:
         return None
     view, integrand = call.views[number], integrand_of(call, call.integrand, number)
@@ -178,7 +174,7 @@ def seen_by_camera(call: RenderCall, number: int, casting: Casting) -> ShaftsInV
 
 def seen_by_vertices(call: RenderCall, number: int, casting: Casting) -> ShaftsInView | None:
     """Points on sheets that vertices of paths see; None: there are none. Args as for `border.lit_edges`."""
-    lit = lit_edges(call, number, casting, Lights.sampled_from_edges(call), share_of(call.scene))
+    lit = lit_edges(call, number, casting, Lights.with_shafts(call), share_of(call.scene))
     if lit is None:
         return None
     view, integrand, count = call.views[number], integrand_of(call, call.integrand, number), len(lit.passed.edge)
