@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.interface.texture import Place
-from torch_radbp.jit.recording.repetitions import Repetitions
+from torch_radbp.jit.recording.repetitions import LearntRepetitions, Repetitions
 from torch_radbp.jit.target import Target
 from torch_radbp.path.bounce import places
 from torch_radbp.path.event import Ends, Event, events_of
@@ -61,6 +61,8 @@ class Integrand(NamedTuple):
     differentiated: Tensor | None = None
     # How often sequences of launches repeat what is repeated for lanes, and what was left; None: the host decides.
     repetitions: Repetitions | None = None
+    # By which whoever has no other occasion finds out himself; None: the host decides there, too.
+    learnt: LearntRepetitions | None = None
 
     def with_stages(self, stages: Stages) -> Integrand:
         """The same integrand with another way to run stages."""

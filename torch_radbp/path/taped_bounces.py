@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from typing import TypeVar
 
 import torch
 
@@ -25,6 +26,7 @@ from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import Vec3
 
+Result = TypeVar("Result")
 Bounce = Callable[[Integrand, Onward, int, Vec3 | None], tuple[PathState, Step, Onward]]  # `bounced`, or one that is like it
 BounceOf = Callable[[Onward, int, Vec3 | None], tuple[PathState, Step, Onward]]  # the same of an integrand
 
@@ -64,8 +66,24 @@ def keeps_all_lanes(integrand: Integrand) -> bool:
 def repeating(integrand: Integrand, repetitions: Repetitions) -> Integrand:
     """The integrand for a caller who will find out whether so many repetitions were enough; the same where there are none
     of which the host does not know."""
-    asks = integrand.proposal.layout.traces_segments and integrand.stages.is_compiled and integrand.target.counts_stay
-    return integrand._replace(repetitions=repetitions) if asks else integrand
+    return integrand._replace(repetitions=repetitions) if repeats_unseen(integrand) else integrand
+
+
+def repeats_unseen(integrand: Integrand) -> bool:
+    """True if the host does not know whether something is to be repeated, or would wait for it each time."""
+    return integrand.proposal.layout.traces_segments and integrand.stages.is_compiled and integrand.target.counts_stay
+
+
+def found_out(integrand: Integrand, work: Callable[[Integrand], Result]) -> Result:
+    """`work` of an integrand; where nobody else will find out whether repetitions are enough, it is done here, afterwards.
+
+    Args:
+        integrand: the scene and how to step.
+        work: leaves nothing behind if it is done once more.
+    """
+    if integrand.repetitions is not None or integrand.learnt is None or not repeats_unseen(integrand):
+        return work(integrand)
+    return integrand.learnt.found_out(lambda some: work(repeating(integrand, some)))
 
 
 def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None, more: tuple = (),

@@ -47,6 +47,16 @@ class LearntRepetitions:
                 self.most = max(self.most, 2 * most + 1)
 
 
+    def found_out(self, work: Callable[[Repetitions], Result]) -> Result:
+        """The result of `work`, of which it is found out here whether the repetitions that it is given were enough."""
+        def asked(some: Repetitions) -> Result:
+            result = work(some)
+            read_together([], some)
+            return result
+
+        return self.enough(asked)
+
+
 def read_together(flags: Sequence[Tensor], repetitions: Repetitions | None = None) -> bool:
     """True if all flags, () each on one device, are; waits for the device once, for all that it is to be asked.
 
