@@ -15,7 +15,8 @@ from torch_radbp.tensors.asked_later import (
     presuming,
 )
 
-ONE, TWO = torch.tensor([1.0]), torch.tensor([2.0, 3.0])
+ONE, TWO, FOUR = torch.tensor([1.0]), torch.tensor([2.0, 3.0]), torch.tensor(4.0)
+FLAGS = {truth: torch.tensor(truth) for truth in (True, False)}
 
 
 def test_questions_are_asked_at_once_unless_somebody_will_ask():
@@ -32,7 +33,7 @@ def test_questions_of_all_contexts_are_asked_together():
             asked_later(ONE, heard.append)
             with asked_together():
                 asked_later(TWO, heard.append)
-                assert not heard and answered([torch.tensor(4.0)]) == [4.0]
+                assert not heard and answered([FOUR]) == [4.0]
                 assert heard == [[1.0], [2.0, 3.0]]
 
     assert sum(exchanges(ask).values()) == 1
@@ -65,7 +66,7 @@ def test_what_is_presumed_is_found_out_in_the_end(truth):
     presumptions = Presumptions()
 
     def work() -> bool:
-        tried.append((presuming(), presumed(torch.tensor(truth), True)))
+        tried.append((presuming(), presumed(FLAGS[truth], True)))
         return tried[-1][1]
 
     def ask() -> None:
@@ -80,7 +81,7 @@ def test_what_is_presumed_is_found_out_in_the_end(truth):
 
 
 def test_on_the_processor_nothing_needs_to_be_presumed():
-    assert not Presumptions().tried(lambda: presumed(torch.tensor(False), True), lambda: None)
+    assert not Presumptions().tried(lambda: presumed(FLAGS[False], True), lambda: None)
 
 
 def test_an_error_that_follows_from_another_one_is_told_by_that():

@@ -201,12 +201,13 @@ class Copies:
                       if (tensor := reference()) is not None]
         pairs = {(place, id(tensor)): (tensor, self.last_copies[place]) for place, tensor in found
                  if place in self.last_copies and comparable(tensor, self.last_copies[place])}
+        self.compared |= {key: True for key, (tensor, _) in pairs.items() if not tensor.numel()}
         if presuming():
-            asked, steady = (), {key: pair for key, pair in pairs.items() if self.untouched(pair[0])}
+            steady = {key: pair for key, pair in pairs.items() if key not in self.compared and self.untouched(pair[0])}
             if steady:
                 mistaken_if_any(differences(*zip(*steady.values())))
-            self.compared |= dict.fromkeys(steady, True)
-            pairs = {key: pair for key, pair in pairs.items() if key not in steady}
+            asked, self.compared = (), self.compared | dict.fromkeys(steady, True)
+        pairs = {key: pair for key, pair in pairs.items() if key not in self.compared}
         there, copies = zip(*pairs.values()) if pairs else ((), ())
         equal, numbers = equal_on_device(there, copies, asked)
         self.compared |= zip(pairs, equal)
