@@ -52,8 +52,8 @@ class Change(NamedTuple):
     waits: int | None  # of the call afterwards; None: it finds that it was mistaken
 
 
-def moved(distance: float) -> Callable[[torch.Tensor], object]:
-    return lambda pose: pose[2, 3].add_(distance)
+def moved(distance: float, axis: int = 2) -> Callable[[torch.Tensor], object]:
+    return lambda pose: pose[axis, 3].add_(distance)
 
 
 CHANGES = {
@@ -62,10 +62,10 @@ CHANGES = {
     "a colour that is not differentiated": Change(ALBEDO, False, lambda value: value.mul_(0.5), 8),
     "a colour past torch": Change(ALBEDO, True, lambda value: value.data.mul_(0.5), 1),
     "a colour past torch that is not differentiated": Change(ALBEDO, False, lambda value: value.data.mul_(0.5), None),
-    "a pose": Change(POSE, True, moved(0.3), 2),
+    "a pose": Change(POSE, True, moved(0.3), 13),  # of few faces the host merges some, which is counted as if it asked
     "a pose past torch": Change(POSE, True, lambda pose: moved(0.3)(pose.data), None),
     "a pose that stays": Change(POSE, True, lambda pose: None, 1),
-    "a pose beyond the far plane": Change(POSE, True, moved(-60.0), None),
+    "a pose beyond the far plane": Change(POSE, True, moved(60.0, axis=1), None),
     "a sky": Change(SKY, True, lambda data: data.mul_(0.5), 1),
     "a sky that goes black": Change(SKY, True, lambda data: data.zero_(), None),
 }

@@ -22,14 +22,15 @@ class KeptCaster:
 
     def of(self, mesh: CastTriangles, name: str | None) -> RayCaster:
         """Returns the caster of the last rendering if its triangles are the same, else builds one by `make_caster`."""
-        cached, known = self.cached, None
-        if cached is None or not cached.mesh.is_made_of_the_same(mesh):
-            same, known = (False, None) if cached is None else compared(cached.mesh, mesh)
-            if not same:
-                # Freed first, if no graph and no thread holds it; but for groups, which the new one may take over.
-                last = None if cached is None or mesh.instances is None else cached.caster
-                cached = self.cached = None
-                cached = CachedCaster(make_caster(name, *mesh.stacked(), last, known), mesh)
+        cached = self.cached
+        if cached is not None and cached.mesh.is_made_of_the_same(mesh):
+            return cached.caster
+        same, known = (False, None) if cached is None else compared(cached.mesh, mesh)
+        if not same:
+            # Freed first, if no graph and no thread holds it; but for groups, which the new one may take over.
+            last = None if cached is None or mesh.instances is None else cached.caster
+            cached = self.cached = None
+            cached = CachedCaster(make_caster(name, *mesh.stacked(), last, known), mesh)
         self.cached = cached._replace(mesh=mesh)  # the next one may bring the very same tensors again
         return cached.caster
 
