@@ -115,8 +115,9 @@ def played(bounce: Bounce, integrand: Integrand, tape: Tape, waits: bool, onward
         onward = with_first_hit(integrand, onward)  # who knows how many rays it casts
     later = onward.hit is None and onward.alive is not None and not inside_dual_level()
     count = onward.count
-    found = tape.play(*recipe(bounce, integrand, depth), (onward._replace(number=None), L, positions(integrand, depth)),
-                      count, blank_lanes, "later" if later else None, waits=waits)
+    arguments = onward._replace(number=None), L, positions_taken(integrand, depth)
+    found = tape.play(*recipe(bounce, integrand, depth), arguments, count, blank_lanes, "later" if later else None,
+                      waits=waits)
     if found is None:
         return bounce(integrand, onward.cut_to_count(), depth, L)
     (state, step, onward), (*borders, going_on), queues = found
@@ -130,7 +131,7 @@ def played(bounce: Bounce, integrand: Integrand, tape: Tape, waits: bool, onward
     return state, step, onward._replace(number=going_on) if isinstance(going_on, LaneCount) else onward
 
 
-def positions(integrand: Integrand, depth: int) -> tuple[Position, ...]:
+def positions_taken(integrand: Integrand, depth: int) -> tuple[Position, ...]:
     """The position of a bounce on its path; and that of the next one, if its flights are found before derivatives are, as
     where rays carry some."""
     ahead = integrand.attached and integrand.settings.moving and bool(integrand.proposal.layout.media)

@@ -31,7 +31,7 @@ class CastTriangles(NamedTuple):
     def compared(self, other: CastTriangles) -> list[Tensor] | None:
         """Flags, () bool each, that say whether the other record has the same triangles; None: it does not."""
         mine, others = ((*mesh.p, *mesh.corners, *(mesh.balls or ()), *(mesh.instances or ())) for mesh in (self, other))
-        if len(mine) != len(others) or not all(map(comparable, mine, others)):
+        if len(mine) != len(others) or not all(map(of_one_kind, mine, others)):
             return None
         return [(a == b).all() for a, b in zip(mine, others) if a.data_ptr() != b.data_ptr()]
 
@@ -54,9 +54,9 @@ class CachedCaster(NamedTuple):
 
 def same_values(a: Tensor, b: Tensor) -> bool:
     """True if two tensors that are never written into have one dtype, one device and the same values."""
-    return comparable(a, b) and (a.data_ptr() == b.data_ptr() or torch.equal(a, b))
+    return of_one_kind(a, b) and (a.data_ptr() == b.data_ptr() or torch.equal(a, b))
 
 
-def comparable(a: Tensor, b: Tensor) -> bool:
+def of_one_kind(a: Tensor, b: Tensor) -> bool:
     """True if two tensors have one dtype, one device and one shape."""
     return (a.dtype, a.device, a.shape) == (b.dtype, b.device, b.shape)

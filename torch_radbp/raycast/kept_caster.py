@@ -25,7 +25,7 @@ class KeptCaster:
         cached = self.cached
         if cached is not None and cached.mesh.is_made_of_the_same(mesh):
             return cached.caster
-        same, known = (False, None) if cached is None else compared(cached.mesh, mesh)
+        same, known = (False, None) if cached is None else same_mesh(cached.mesh, mesh)
         if not same:
             # Freed first, if no graph and no thread holds it; but for groups, which the new one may take over.
             last = None if cached is None or mesh.instances is None else cached.caster
@@ -35,7 +35,7 @@ class KeptCaster:
         return cached.caster
 
 
-def compared(mesh: CastTriangles, other: CastTriangles) -> tuple[bool, MeshExtremes | None]:
+def same_mesh(mesh: CastTriangles, other: CastTriangles) -> tuple[bool, MeshExtremes | None]:
     """Whether two meshes are the same; and the extremes of the other one, since a device is asked once for all."""
     if other.p.x.is_cpu:
         return mesh.equals(other), None

@@ -16,8 +16,8 @@ from torch_radbp.rendering.settings import INTERIOR
 from torch_radbp.tensors.differentiated import primal
 
 
-def quantities_of(renderer, call: RenderCall, edges: EdgesOfCall, outputs: dict[str, str],
-                  channels: Tensor | None = None) -> dict[str, Tensor]:
+def named_quantities(renderer, call: RenderCall, edges: EdgesOfCall, outputs: dict[str, str],
+                     channels: Tensor | None = None) -> dict[str, Tensor]:
     """AOV images by name, of a renderer; `call`, `channels`: as for `render_aovs`, `edges`: of the call, `outputs`: the
     quantities by name."""
     names = tuple(dict.fromkeys(outputs.values()))

@@ -37,7 +37,7 @@ from torch_radbp.rendering.light_paths import shared_image
 from torch_radbp.rendering.memory import MemoryPlan
 from torch_radbp.rendering.noise_watch import NoiseWatch
 from torch_radbp.rendering.planner import MemoryPlanner
-from torch_radbp.rendering.quantities import quantities_of
+from torch_radbp.rendering.quantities import named_quantities
 from torch_radbp.rendering.radiance import radiance_outside
 from torch_radbp.rendering.settings import (
     INTERIOR,
@@ -229,7 +229,7 @@ class Renderer(nn.Module):
         if outputs is not None:
             channels, images = images[:, 3:].detach(), images[:, :3].clone(memory_format=torch.contiguous_format)
         images = self.gradient_watch.watched(edges.added_to(images, shared, INTERIOR in self.terms), call)
-        return images if outputs is None else (images, quantities_of(self, call, edges, outputs, channels))
+        return images if outputs is None else (images, named_quantities(self, call, edges, outputs, channels))
 
     def forget(self) -> None:
         """Forgets all that was packed for the last calls."""
@@ -309,7 +309,7 @@ class Renderer(nn.Module):
         outputs = self.outputs(names)
         call = self.prepare(seed, sensors, spp, seed_grad, aovs=True, window=window)
         edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1], aovs=True)
-        return quantities_of(self, call, edges, outputs)
+        return named_quantities(self, call, edges, outputs)
 
     def outputs(self, names: Sequence[str] | None) -> dict[str, str]:
         """The quantities of the requested AOVs, by name; errors as for `aovs`."""

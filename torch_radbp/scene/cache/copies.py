@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from torch_radbp.scene.cache.inventory import Inventory
 from torch_radbp.scene.cache.module_attributes import parametrized_names
-from torch_radbp.scene.cache.same_bits import comparable, differences, equal_on_device, same_bits, same_bits_each
+from torch_radbp.scene.cache.same_bits import comparable, differing_bytes, equal_on_device, same_bits, same_bits_each
 from torch_radbp.tensors.asked_later import mistaken_if_any, presuming
 from torch_radbp.tensors.differentiated import asks_for_derivatives, differentiated, primal
 
@@ -182,7 +182,7 @@ class Copies:
         assert self.compared is not None
         self.compared[place, id(tensor)] = all(moved)
         if all(moved):
-            mistaken_if_any(differences([tensor], [copy]))
+            mistaken_if_any(differing_bytes([tensor], [copy]))
 
     def compare(self, tensors: Sequence[tuple[Hashable, Tensor]], asked: Sequence[Tensor] = ()) -> None:
         """Compares tensors of a device with their copies, and those of the last rendering with theirs, all at once.
@@ -205,7 +205,7 @@ class Copies:
         if presuming():
             steady = {key: pair for key, pair in pairs.items() if key not in self.compared and self.untouched(pair[0])}
             if steady:
-                mistaken_if_any(differences(*zip(*steady.values())))
+                mistaken_if_any(differing_bytes(*zip(*steady.values())))
             asked, self.compared = (), self.compared | dict.fromkeys(steady, True)
         pairs = {key: pair for key, pair in pairs.items() if key not in self.compared}
         there, copies = zip(*pairs.values()) if pairs else ((), ())

@@ -74,7 +74,7 @@ def counted_differences(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> 
     return answers, [*many, *few]
 
 
-def differences(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> Tensor:
+def differing_bytes(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> Tensor:
     """The counts of `counted_differences` of some pairs, as one tensor: 0 where nothing differs."""
     return torch.cat(counted_differences(tensors, copies)[0])
 
