@@ -25,6 +25,7 @@ from torch_radbp.tensors.vec import Vec3, where
 from torch_radbp.texture.rgb import as_texture
 
 LEAST_SHARE = 0.02  # of a reflectance when lobes are chosen: a black one is still sampled, and has a derivative
+LEAST_CHANCE = 0.2  # of the coat of smooth plastic: lamps in it are far brighter than the base, and found by it alone
 LEAST_ESCAPE = 1e-3  # of 1 - r R; reached at indices beyond 3.9, where the fit of R is too large
 
 
@@ -88,7 +89,7 @@ class PlasticKind(Kind):
         """The probability of choosing the mirror lobe, and the fraction of light that passes the coat."""
         eta, diffuse, specular = values
         reflected, _ = dielectric_reflectance(wi.z.abs(), eta.x)
-        return specular_chance(reflected, diffuse, specular), 1.0 - reflected
+        return LEAST_CHANCE + (1.0 - 2.0 * LEAST_CHANCE) * specular_chance(reflected, diffuse, specular), 1.0 - reflected
 
     def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
         return values[1]

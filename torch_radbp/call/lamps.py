@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.call.chunks import LaneRange
+from torch_radbp.call.mirror_spheres import ideal_surfaces, sphere_around
 from torch_radbp.call.source import PathSource
 from torch_radbp.interface.emitter import Surrounding
 from torch_radbp.path.camera_rays import CameraSample
@@ -15,17 +16,13 @@ from torch_radbp.path.lamp_rays import LampTensors, MetFirst, sample_lamps
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.alias import alias_table
 from torch_radbp.sampling.sampler import SampleKey
-from torch_radbp.sampling.spheres import BoundingSphere
 from torch_radbp.scene.tables.placement import points_in_world, power_of_two_above
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import ROUNDINGS, at_corners
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.stage import EAGER, Stages
-from torch_radbp.tensors.vec import Ray, Vec3, dot
+from torch_radbp.tensors.vec import Ray, Vec3
 from torch_radbp.vertex.interaction import corner_rows, is_met
-
-MARGIN, LEAST_RADIUS = 1.001, 1e-6  # of spheres
-MOST_TARGETS = 8  # spheres; code grows with them
 
 
 @dataclass(frozen=True)
@@ -49,6 +46,9 @@ class Lamps(PathSource):
         device = self.lamps.world.clearance.device
         lane = torch.arange(chunk.first, chunk.first + chunk.lanes, dtype=torch.int32, device=device)
         return stages(sample_lamps)(self.lamps, lane, self.keys[which], (), cones, None)
+
+    def pilots(self, lanes: int, stages: Stages, cones: bool) -> CameraSample:
+        return self.samples(LaneRange(0, lanes), 0, stages, cones)
 
     def glued(self, chunk: LaneRange, which: int, scene: SceneTensors, hit: Hit) -> CameraSample:
         device = self.lamps.world.clearance.device
@@ -96,36 +96,3 @@ def surrounding(scene: SceneTensors, light_paths: str) -> Surrounding:
     around = sphere_around(*(Vec3(*side) for side in zip(*extremes)))
     targets = ideal_surfaces(scene) if light_paths == "caustics" and instances is None else ()
     return Surrounding(around, targets, ROUNDINGS * 2.0**-24 * power_of_two_above(largest))
-
-
-def ideal_surfaces(scene: SceneTensors) -> tuple[BoundingSphere, ...]:
-    """Spheres around the surfaces of each material with ideal lobes, or one around all of many; none: there is none."""
-    triangles, some = scene.triangles, narrow_triangles(scene)
-    material = triangles.material[some].long()
-    met, group = material.unique(return_inverse=True)
-    if not len(met):
-        return ()
-    if len(met) > MOST_TARGETS:
-        met, group = met[:1], torch.zeros_like(group)
-    corners = torch.stack([torch.stack([part.detach()[corner[some].long()] for part in triangles.vertices.p])
-                           for corner in triangles.corners])
-    group = group.expand(3, -1)
-    first = corners.new_zeros(3, len(met))
-    least, most = (first.scatter_reduce(1, group, getattr(corners, side)(0), side, include_self=False)
-                   for side in ("amin", "amax"))
-    return tuple(sphere_around(Vec3(*low), Vec3(*high)) for low, high in zip(least.t(), most.t()))
-
-
-def narrow_triangles(scene: SceneTensors) -> Tensor:
-    """(T,) bool: triangles of materials that scatter narrowly, if not invisible, by ideal lobes or all of them."""
-    materials = scene.materials
-    ideal = [look for look, of in enumerate(scene.layout.appearances) if of.kind.delta and not of.kind.invisible]
-    of_rows = torch.isin(materials.appearance, torch.tensor(ideal, device=scene.device))
-    by_side = (of_rows if materials.narrow is None else of_rows | materials.narrow).view(2, -1).any(0)
-    return by_side[scene.triangles.material.long()]
-
-
-def sphere_around(low: Vec3, high: Vec3) -> BoundingSphere:
-    """The sphere around a box, () each."""
-    size = high - low
-    return BoundingSphere((low + high) * 0.5, (0.5 * MARGIN * torch.sqrt(dot(size, size))).clamp_min(LEAST_RADIUS))

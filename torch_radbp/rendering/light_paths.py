@@ -132,6 +132,30 @@ def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_pa
     Raises:
         ValueError: if the camera cannot tell where it sees points.
     """
+    found, view = call_from_lamps(renderer, call, number, light_paths), call.views[number]
+    if any_differentiated((found.scene.triangles, view.camera, found.source.ray)):
+        renderer.jump_watch.say(left_out_of_paths(light_paths))
+    if found.integrand.settings.moving and view.camera.film.kernel.flat:
+        renderer.jump_watch.say(SilhouetteWarning(
+            "light of paths from lamps lands elsewhere where what turns it changes, which a film with a box filter does not "
+            "see: derivatives lack it. Take a smooth filter, such as gaussian"))
+    return rendered(found)
+
+
+def calls_from_lamps(renderer: Renderer, call: RenderCall) -> list[RenderCall]:
+    """The calls of paths from lamps that may belong to a call, of each view, for predictions; nothing is said."""
+    chosen = renderer.light_paths
+    if chosen == "auto":
+        caustic, turned = renderer.jump_watch.caustic, call.integrand.settings.moving and call.can_follow_to_the_film
+        mirrors = any(look.kind.delta for look in call.scene.layout.appearances)
+        chosen = "caustics" if mirrors and (turned or caustic is not None and call.can_begin_at_lamps) else "camera"
+    if chosen == "camera" or not call.can_begin_at_lamps or not lights_of_paths(call.scene, chosen):
+        return []
+    return [call_from_lamps(renderer, call, number, chosen) for number in range(len(call.views))]
+
+
+def call_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_paths: str) -> RenderCall:
+    """The call of `image_from_lamps`; args and errors as there."""
     view: View = call.views[number]
     if not view.camera.kind.sees_points:
         raise ValueError(f"paths from lamps cannot end at a {view.sensor.type} camera: only perspective, thinlens and "
@@ -141,12 +165,6 @@ def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_pa
     lamps, scene = lamps_as_source(call.scene, keys, light_paths), from_lamps(call.scene, view.camera)
     settings = settings_of_integrand(renderer, scene, lamps.ray)._replace(
         nee=True, hide_emitters=False, light_paths=light_paths)
-    if any_differentiated((scene.triangles, view.camera, lamps.ray)):
-        renderer.jump_watch.say(left_out_of_paths(light_paths))
-    if settings.moving and view.camera.film.kernel.flat:
-        renderer.jump_watch.say(SilhouetteWarning(
-            "light of paths from lamps lands elsewhere where what turns it changes, which a film with a box filter does not "
-            "see: derivatives lack it. Take a smooth filter, such as gaussian"))
     still = detached(scene)
     integrand = call.integrand._replace(scene=still, proposal=proposal_of(still), settings=settings, parts={}, clipping=None)
 
@@ -158,7 +176,7 @@ def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_pa
     most = min(most, -(-paths // call.workers), MOST_ON_CPU if call.scene.device.type == "cpu" else paths)
     wavefronts = [Wavefront((LaneRange(first, min(most, paths - first)),)) for first in range(0, paths, most)]
     sink = LightFilm(detached(view.camera).film.without_border(), (view.height, view.width), paths)
-    return rendered(call._replace(
+    return call._replace(
         scene=scene, source=lamps, sink=sink,
         wavefronts=wavefronts, make_integrand=make_integrand, integrand=integrand, together=False,
-        following=settings.following, shared=True, quantities=None))
+        following=settings.following, shared=True, quantities=None)

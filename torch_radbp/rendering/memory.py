@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import inf
 from typing import NamedTuple
 
@@ -23,8 +23,8 @@ from torch_radbp.adjoint.outside import HELD
 from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState, start_path
-from torch_radbp.path.step import Step
-from torch_radbp.path.trace import trace
+from torch_radbp.path.step import Onward, Step
+from torch_radbp.path.trace import walk
 from torch_radbp.path.wavefront import take_step
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.rendering.bounce_memory import BounceMemory, LinearSize
@@ -96,7 +96,7 @@ def reaching(integrand: Integrand, pilot: PathState) -> list[float]:
     """The fraction of camera paths that reach each depth, estimated by pilot paths."""
     counts: list[int] = []
     with torch.no_grad():
-        trace(integrand, pilot, lambda depth, state, step: counts.append(len(state.lane)))
+        walk(integrand, Onward(pilot, None), lambda depth, state, step: counts.append(len(state.lane)))
     return [count / max(1, len(pilot.lane)) for count in counts] or [0.0]
 
 
@@ -147,6 +147,7 @@ class Workload(NamedTuple):
     row: int = 1  # lanes of a row of pixels
     jumps: int = 0  # bytes of discontinuity curves and samples on them; 0: no boundary terms
     launched: bool = False  # True if bounces are launches of a GPU, whose results have room for all lanes
+    most: int = 0  # lanes of its wavefronts, if others decide on chunks
 
     @property
     def bounce_memory(self) -> BounceMemory:
@@ -204,6 +205,25 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
     return MemoryPlan(chunk, adjoint, retrace, int(kept), int(working) + work.images)
 
 
+def with_those_beside(plan: MemoryPlan, others: Sequence[Workload], shares_samples: bool,
+                      record_bytes: float) -> MemoryPlan:
+    """The plan of a call before or after which others are made, such as those of paths from lamps.
+
+    Args:
+        plan: of the call alone.
+        others: what else is to be done.
+        shares_samples: image and derivative have the same samples, so that what is kept of all is kept at the same time.
+        record_bytes: as of `predict`, of each.
+    """
+    for work in others:
+        other = predict(work, min(plan.chunk, work.most), plan.adjoint, record_bytes)
+        if shares_samples:
+            plan = plan._replace(kept=plan.kept + other.kept, working=max(plan.working, other.working))
+        elif other.peak > plan.peak:
+            plan = plan._replace(kept=other.kept, working=other.working)
+    return plan
+
+
 def states_kept(adjoint, bounces: int, work: Workload) -> float:
     """The number of states kept of a camera path after `bounces` bounces; 1 if the first serves for all."""
     depths = adjoint.kept(bounces, work.max_depth)
@@ -234,7 +254,7 @@ def bytes_text(count: float) -> str:
 
 
 def plan_memory(budget: int, work: Workload, chunk: int, adjoint: AdjointStrategy | None = None,
-                shares_samples: bool = True) -> MemoryPlan:
+                shares_samples: bool = True, others: Sequence[Workload] = ()) -> MemoryPlan:
     """Picks the fastest chunk size and strategy that fit `budget` bytes.
 
     Args:
@@ -243,11 +263,12 @@ def plan_memory(budget: int, work: Workload, chunk: int, adjoint: AdjointStrateg
         chunk: the largest to try, lanes.
         adjoint: the strategy if the user chose one: then only the chunk is planned; else None.
         shares_samples: image and derivative have the same samples, so that something may be kept of them.
+        others: what else is done in the call, before it or after it.
 
     Raises:
         ValueError: if nothing fits; the message says how much the most frugal plan needs.
     """
-    plans = [predict(work, size, strategy, record_bytes)
+    plans = [with_those_beside(predict(work, size, strategy, record_bytes), others, shares_samples, record_bytes)
              for size, strategy, record_bytes in _candidates(max(chunk, SMALLEST_CHUNK), adjoint, shares_samples)]
     fitting = next((plan for plan in plans if plan.peak <= budget), None)
     if fitting is None:
