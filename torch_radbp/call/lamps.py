@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from torch_radbp.call.chunks import LaneRange
-from torch_radbp.call.mirror_spheres import ideal_surfaces, sphere_around
 from torch_radbp.call.source import PathSource
 from torch_radbp.interface.emitter import Surrounding
 from torch_radbp.path.camera_rays import CameraSample
@@ -16,13 +15,17 @@ from torch_radbp.path.lamp_rays import LampTensors, MetFirst, sample_lamps
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.alias import alias_table
 from torch_radbp.sampling.sampler import SampleKey
+from torch_radbp.sampling.spheres import BoundingSphere
 from torch_radbp.scene.tables.placement import points_in_world, power_of_two_above
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import ROUNDINGS, at_corners
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.stage import EAGER, Stages
-from torch_radbp.tensors.vec import Ray, Vec3
+from torch_radbp.tensors.vec import Ray, Vec3, dot
 from torch_radbp.vertex.interaction import corner_rows, is_met
+
+MARGIN, LEAST_RADIUS = 1.001, 1e-6  # of spheres
+MOST_TARGETS = 8  # spheres; code grows with them
 
 
 @dataclass(frozen=True)
@@ -96,3 +99,39 @@ def surrounding(scene: SceneTensors, light_paths: str) -> Surrounding:
     around = sphere_around(*(Vec3(*side) for side in zip(*extremes)))
     targets = ideal_surfaces(scene) if light_paths == "caustics" and instances is None else ()
     return Surrounding(around, targets, ROUNDINGS * 2.0**-24 * power_of_two_above(largest))
+
+
+def ideal_surfaces(scene: SceneTensors) -> tuple[BoundingSphere, ...]:
+    """Spheres around the surfaces of each material with ideal lobes, or one around all of many; none: there is none."""
+    triangles, some = scene.triangles, narrow_triangles(scene)
+    material = triangles.material[some].long()
+    met, group = material.unique(return_inverse=True)
+    if not len(met):
+        return ()
+    if len(met) > MOST_TARGETS:
+        met, group = met[:1], torch.zeros_like(group)
+    points = torch.stack([torch.stack([part.detach()[corner[some].long()] for part in triangles.vertices.p])
+                          for corner in triangles.corners])  # (3 corners, 3 coordinates, triangles)
+    first, groups = points.new_zeros(3, len(met)), group.expand(3, -1)
+    least, most = (first.scatter_reduce(1, groups, getattr(points, side)(0), side, include_self=False)
+                   for side in ("amin", "amax"))
+    middle = 0.5 * (least + most)  # of the box, around which a ball needs a smaller sphere than around the box
+    squared = (points - middle[:, group]).square().sum(1).amax(0)
+    squared = squared.new_zeros(len(met)).scatter_reduce(0, group, squared, "amax", include_self=False)
+    radii = (MARGIN * squared.sqrt()).clamp_min(LEAST_RADIUS)
+    return tuple(BoundingSphere(Vec3(*at), radius) for at, radius in zip(middle.t(), radii))
+
+
+def narrow_triangles(scene: SceneTensors) -> Tensor:
+    """(T,) bool: triangles of materials that scatter narrowly, if not invisible, by ideal lobes or all of them."""
+    materials = scene.materials
+    ideal = [look for look, of in enumerate(scene.layout.appearances) if of.kind.delta and not of.kind.invisible]
+    of_rows = torch.isin(materials.appearance, torch.tensor(ideal, device=scene.device))
+    by_side = (of_rows if materials.narrow is None else of_rows | materials.narrow).view(2, -1).any(0)
+    return by_side[scene.triangles.material.long()]
+
+
+def sphere_around(low: Vec3, high: Vec3) -> BoundingSphere:
+    """The sphere around a box, () each."""
+    size = high - low
+    return BoundingSphere((low + high) * 0.5, (0.5 * MARGIN * torch.sqrt(dot(size, size))).clamp_min(LEAST_RADIUS))

@@ -58,8 +58,6 @@ class RenderCall(NamedTuple):
     # The same call with the light of paths from the camera alone, where all other light comes by paths from lamps, and is
     # fixed to the surfaces that it lights, not to pixels; for boundary terms. None: it does not.
     camera_share: RenderCall | None = None
-    # Of light beside edges, whose paths are sent to where mirrors show lamps; see `mirror_spheres.py`. None: not made yet.
-    beside: Integrand | None = None
 
     def still(self) -> RenderCall:
         """The call without derivatives."""

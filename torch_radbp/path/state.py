@@ -19,7 +19,7 @@ from torch_radbp.tensors.vec import Ray, Vec3
 from torch_radbp.vertex.cone import Cone
 
 # The random numbers of one bounce, four coordinates of a point at a time.
-BSDF_U, BSDF_V, BSDF_CHOICE, ROULETTE, LIGHT_U, LIGHT_V, LIGHT_CHOICE, LIGHT_SPLIT, GUIDED, GUIDE_CHOICE = range(10)
+BSDF_U, BSDF_V, BSDF_CHOICE, ROULETTE, LIGHT_U, LIGHT_V, LIGHT_CHOICE, LIGHT_SPLIT = range(8)
 
 
 class Settings(NamedTuple):

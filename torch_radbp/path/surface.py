@@ -15,27 +15,16 @@ from torch_radbp.interface.texture import Place, TextureValue
 from torch_radbp.path.light_connection import connected_to_light, emission, light_numbers
 from torch_radbp.path.light_share import connects, may_go_on
 from torch_radbp.path.passage import medium_beyond, shown_through, way_through
-from torch_radbp.path.state import (
-    BSDF_CHOICE,
-    BSDF_U,
-    BSDF_V,
-    GUIDE_CHOICE,
-    GUIDED,
-    ROULETTE,
-    Arrival,
-    Position,
-    Settings,
-)
+from torch_radbp.path.state import BSDF_CHOICE, BSDF_U, BSDF_V, ROULETTE, Arrival, Position, Settings
 from torch_radbp.path.vertex import Terms, VertexKind
 from torch_radbp.path.volume_emission import with_volume_emission
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.sampling.guide import Guide, guide_at
 from torch_radbp.sampling.sampler import bounce_key, uniform
 from torch_radbp.scene.tables.light_tree import Vantage
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import Corners
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import Ray, Vec3, both, dot, max_component, where
+from torch_radbp.tensors.vec import Ray, Vec3, both, dot, max_component
 from torch_radbp.vertex.cone import Cone, cone_beyond
 from torch_radbp.vertex.emission import emission_places, vantage
 from torch_radbp.vertex.interaction import SurfaceInteraction, surface_interaction
@@ -86,14 +75,11 @@ class SurfaceVertex(VertexKind):
         # Ld: the light of one point on a light, as the material scatters it; ideal lobes scatter none of it.
         material = material_at(scene, si, of_material)
         narrow = None if scene.materials.narrow is None else lookup(scene.materials.narrow, si.material)
-        guide = None
-        if scene.guiding is not None and material.kind.smooth:
-            guide = guide_at(scene.guiding, si.p, number(GUIDE_CHOICE))
         light, Ld = None, Vec3.full(state.pdf, 0.0)
         if settings.nee and material.kind.smooth:
             light = sample_light(scene, proposal, si.p, light_numbers(key), arrival.picked, of_sample)
             may = both(si.valid, connects(settings, scene.layout, state, narrow))
-            light, Ld = connected_to_light(scene, si.p, may, partial(scattered_to, material, si, guide=guide), light,
+            light, Ld = connected_to_light(scene, si.p, may, partial(scattered_to, material, si), light,
                                   sampling_at(material.kind, settings.sampling))
             Ld = attenuated(Ld, shown)
 
@@ -106,8 +92,6 @@ class SurfaceVertex(VertexKind):
         # F: sample the BSDF for the next direction.
         choice = lobe_number(arrival, number(BSDF_CHOICE)) if material.kind.discrete else None
         chosen = sample(material, si.wi, choice, number(BSDF_U), number(BSDF_V), settings.sampling)
-        if guide is not None:
-            chosen = guided(guide, material, si, chosen, [number(which) for which in (GUIDED, BSDF_U, BSDF_V)])
 
         # Play roulette. The floor keeps black paths alive: a reflectance of zero still has a derivative.
         promise = max_component(attenuated(state.beta * chosen.weight, through).detach())
@@ -159,31 +143,9 @@ def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings,
     return surface_interaction(scene, arrival.state.ray, arrival.hit, slides, here, arrival.front, arrival.state.cone)
 
 
-def scattered_to(material: Material, si: SurfaceInteraction, d: Vec3, guide: Guide | None = None) -> tuple[Vec3, Tensor]:
-    """BSDF times cosine for light from a direction in the world, and the density with which it is sampled; `guide`: as of
-    `guided`, None: all are the material's."""
-    value, pdf = evaluate(material, si.wi, si.frame.to_local(d))
-    return value, pdf if guide is None else guide.density(d, pdf)
-
-
-def guided(guide: Guide, material: Material, si: SurfaceInteraction, chosen: BSDFSample, numbers: list[Tensor]) -> BSDFSample:
-    """Samples of which some go where a guide says; detached.
-
-    Args:
-        guide: from the surface point.
-        chosen: the material's own.
-        numbers: three times (N,) uniform in [0, 1): whether directions are guided, and where.
-    """
-    choice, u, v = numbers
-    takes = choice < guide.share
-    d = guide.direction(choice / torch.where(takes, guide.share, 1.0), u, v)
-    wo = where(takes, Vec3(*si.frame.to_local(d)), chosen.wo)
-    value, pdf = evaluate(material, si.wi, wo)
-    pdf = guide.density(where(takes, d, si.frame.to_world(wo)), pdf) * (max_component(value) > 0).to(pdf.dtype)
-    weight = value * (1.0 / torch.where(pdf > 0, pdf, 1.0))
-    ideal = torch.isinf(chosen.pdf) & ~takes
-    weight = where(ideal, chosen.weight * (1.0 / (1.0 - guide.share)), weight)
-    return BSDFSample(wo, weight, torch.where(ideal, chosen.pdf, pdf))
+def scattered_to(material: Material, si: SurfaceInteraction, d: Vec3) -> tuple[Vec3, Tensor]:
+    """BSDF times cosine for light from a direction in the world, and the density with which it is sampled."""
+    return evaluate(material, si.wi, si.frame.to_local(d))
 
 
 def lobe_number(arrival: Arrival, number: Tensor) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from torch_radbp.boundary.curve.triangles_in_view import is_quick, may_see
-from torch_radbp.call.mirror_spheres import narrow_triangles
+from torch_radbp.call.lamps import narrow_triangles
 from torch_radbp.call.render_call import RenderCall
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from torch_radbp.boundary.curve.places import known_view
-from torch_radbp.call.mirror_spheres import narrow_triangles
+from torch_radbp.call.lamps import narrow_triangles
 from torch_radbp.call.view import View
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.scene.tables.triangle_corners import at_corners

@@ -245,7 +245,6 @@ def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at:
     own, start = rows((points, at), passed.eye)
     reach = passed.p - start
     beta = scattered_towards(call, integrand, own, reach)
-    integrand = integrand if call.beside is None else call.beside._replace(clipping=integrand.clipping)
     L = torch.zeros(3, len(passed.edge), dtype=torch.float64, device=scene.device)
     for depth in own.depth.unique().tolist():
         lanes = (own.depth == depth).nonzero().squeeze(1)

@@ -24,7 +24,6 @@ from torch_radbp.boundary.terms.reflections import (
 )
 from torch_radbp.boundary.terms.shadows import bytes_of_shadows, shadow_jumps, shadows_move, slides_over_edges
 from torch_radbp.boundary.warning.slid_over import lamps_beside_mirrors, slid_over
-from torch_radbp.call.mirror_spheres import with_guided_paths
 from torch_radbp.call.render_call import RenderCall
 
 
@@ -40,8 +39,6 @@ class EdgesOfCall(NamedTuple):
 
     def added_to(self, images: Tensor, call: RenderCall) -> Tensor:
         """The images, (B, 3, H, W), with the boundary terms of their derivatives."""
-        if any(each is not None for each in (self.in_view, self.casting, self.crossing, self.reflected)):
-            call = call._replace(beside=with_guided_paths(call.integrand))
         if self.in_view is not None:
             images = images + image_jumps(call, self.in_view)
         if self.casting is not None or self.crossing is not None:

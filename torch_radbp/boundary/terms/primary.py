@@ -121,7 +121,7 @@ def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps
     """
     def find() -> JumpPlaces | None:
         places = [] if jumps is None else _places_of(still, number, viewed, jumps)
-        standing = integrand_of(still, (still.beside or still.integrand).standing(), number)
+        standing = integrand_of(still, still.integrand.standing(), number)
         return strengths(still, standing, viewed, joined(places), seen) if places else None
 
     view = call.views[number]

@@ -209,7 +209,6 @@ def jumps_at(searched: Searched, integrand: Integrand, crossed: Crossings) -> Te
     film = joined([crossed.low, crossed.high])
     aperture, key = (joined([part] * 2) for part in (crossed.aperture, crossed.key))
     sample = camera_sample(call, call.views[searched.number], film, aperture, key)
-    integrand = integrand if call.beside is None else call.beside._replace(clipping=integrand.clipping)
     found = torch.stack(tuple(trace(integrand, started(call, sample)))).double()
     low, high = (found if sample.weight is None else found * sample.weight).chunk(2, 1)
     return low - high

@@ -14,7 +14,6 @@ from torch_radbp.interface.instances import Instances
 from torch_radbp.interface.medium import MediumKind
 from torch_radbp.interface.texture import OutsideReader, Reader, TableReader
 from torch_radbp.sampling.alias import AliasTable
-from torch_radbp.sampling.guide import GuideSpheres
 from torch_radbp.scene.tables.appearance import Appearance
 from torch_radbp.scene.tables.light_choice import TreeChoice
 from torch_radbp.scene.tables.placement import InstanceTable
@@ -196,7 +195,6 @@ class SceneTensors(NamedTuple):
     media: tuple[Any, ...]  # the tables of `Layout.media`
     boundaries: BoundaryTable | None  # None: media have none
     layout: Layout
-    guiding: GuideSpheres | None = None  # where some paths are sent to; None: all directions are the materials'
 
     @property
     def device(self) -> torch.device:
