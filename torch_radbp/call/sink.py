@@ -44,8 +44,8 @@ class Sink(ABC):
         """The integrand as the backward pass differentiates it, which may depend on what `adjoint` reads."""
         return integrand
 
-    def asked_for_nothing(self, call: RenderCall, integrand: Integrand) -> Integrand:
-        """`asked` where the derivative of the loss is 0, for predictions of memory."""
+    def asked_everywhere(self, call: RenderCall, integrand: Integrand) -> Integrand:
+        """`asked` where the derivative of the loss is 1 for all values, for predictions of memory."""
         return integrand
 
     @abstractmethod

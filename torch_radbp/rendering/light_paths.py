@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
@@ -57,10 +57,37 @@ def shared_image(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> tu
         call: of the images.
         edges: that move.
     """
-    light_paths = light_paths_of(renderer, call, edges)
+    own = calls_of_light(renderer, call, light_paths_of(renderer, call, edges))
+    if not own.of_lamps:
+        return rendered(call), call
+    found = torch.cat([image_from_lamps(renderer, own, number) for number in range(len(call.views))])
+    if own.of_cameras is None:
+        return found, own.whole
+    images = rendered(own.of_cameras)
+    return images + found if images.shape[1] == 3 else torch.cat([images[:, :3] + found, images[:, 3:]], 1), own.whole
+
+
+class CallsOfLight(NamedTuple):
+    """The calls whose light is that of an image, each its own."""
+
+    whole: RenderCall  # of all light by paths from the camera, as boundary terms take it
+    of_cameras: RenderCall | None  # None: paths from the camera bring nothing
+    of_lamps: list[RenderCall]  # of each view; empty: paths from the camera bring all
+
+
+def calls_of_light(renderer: Renderer, call: RenderCall, light_paths: str) -> CallsOfLight:
+    """Shares the light of a call among paths from the camera and from lamps; nothing is said.
+
+    Args:
+        renderer, call: as for `shared_image`.
+        light_paths: see `Settings.light_paths`.
+
+    Raises:
+        ValueError: if a camera cannot tell where it sees points.
+    """
     lit = lights_of_paths(call.scene, light_paths)
     if light_paths == "camera" or not lit:
-        return rendered(call), call
+        return CallsOfLight(call, call, [])
     narrow = None if renderer.light_paths == "auto" else narrow_materials(call)
     whole, call = call, with_narrow_materials(call, narrow)
     # Paths from the camera find no light without extent by way of ideal vertices, so that there is nothing to share.
@@ -70,12 +97,21 @@ def shared_image(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> tu
     share = call if apart else sharing(call, light_paths, 1 if first_only else None)
     if light_paths == "all" and all(kind.aimed for kind in lit):
         whole = whole._replace(camera_share=share)
-    found = torch.cat([image_from_lamps(renderer, call, number, light_paths) for number in range(len(call.views))])
+    of_lamps = [call_from_lamps(renderer, call, number, light_paths) for number in range(len(call.views))]
     sees_nothing = first_only and all(kind.delta for kind in lit)  # of lights without extent, and no narrow scattering
-    if light_paths == "all" and call.quantities is None and (sees_nothing or not cameras_see_own_light(call)):
-        return found, whole
-    images = rendered(share)
-    return images + found if images.shape[1] == 3 else torch.cat([images[:, :3] + found, images[:, 3:]], 1), whole
+    nothing = light_paths == "all" and call.quantities is None and (sees_nothing or not cameras_see_own_light(call))
+    return CallsOfLight(whole, None if nothing else share, of_lamps)
+
+
+def calls_traced(renderer: Renderer, call: RenderCall) -> list[RenderCall]:
+    """The calls of which the image of a call is the sum, for predictions: of paths from lamps all that may belong to it."""
+    chosen = renderer.light_paths
+    if chosen == "auto":
+        caustic, turned = renderer.jump_watch.caustic, call.integrand.settings.moving and call.can_follow_to_the_film
+        mirrors = any(look.kind.delta for look in call.scene.layout.appearances)
+        chosen = "caustics" if mirrors and (turned or caustic is not None and call.can_begin_at_lamps) else "camera"
+    own = calls_of_light(renderer, call, chosen if call.can_begin_at_lamps else "camera")
+    return own.of_lamps if own.of_cameras is None else [own.of_cameras, *own.of_lamps]
 
 
 def narrow_materials(call: RenderCall) -> Tensor | None:
@@ -121,41 +157,21 @@ def left_out_of_paths(light_paths: str) -> SilhouetteWarning:
                              f"that turned light passes. check_gradient measures how much it is")
 
 
-def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_paths: str = "all") -> Tensor:
-    """(1, 3, H, W) what paths from lamps bring to the image of view `number`; attached to the scene, in either mode.
-
-    Args:
-        renderer, call: as for `shared_image`.
-        number: of the view.
-        light_paths: see `Settings.light_paths`.
-
-    Raises:
-        ValueError: if the camera cannot tell where it sees points.
-    """
-    found, view = call_from_lamps(renderer, call, number, light_paths), call.views[number]
-    if any_differentiated((found.scene.triangles, view.camera, found.source.ray)):
-        renderer.jump_watch.say(left_out_of_paths(light_paths))
-    if found.integrand.settings.moving and view.camera.film.kernel.flat:
+def image_from_lamps(renderer: Renderer, own: CallsOfLight, number: int) -> Tensor:
+    """(1, 3, H, W) what paths from lamps bring to the image of view `number`; attached to the scene, in either mode."""
+    call, view = own.of_lamps[number], own.whole.views[number]
+    settings = call.integrand.settings
+    if any_differentiated((call.scene.triangles, view.camera, call.source.ray)):
+        renderer.jump_watch.say(left_out_of_paths(settings.light_paths))
+    if settings.moving and view.camera.film.kernel.flat:
         renderer.jump_watch.say(SilhouetteWarning(
             "light of paths from lamps lands elsewhere where what turns it changes, which a film with a box filter does not "
             "see: derivatives lack it. Take a smooth filter, such as gaussian"))
-    return rendered(found)
-
-
-def calls_from_lamps(renderer: Renderer, call: RenderCall) -> list[RenderCall]:
-    """The calls of paths from lamps that may belong to a call, of each view, for predictions; nothing is said."""
-    chosen = renderer.light_paths
-    if chosen == "auto":
-        caustic, turned = renderer.jump_watch.caustic, call.integrand.settings.moving and call.can_follow_to_the_film
-        mirrors = any(look.kind.delta for look in call.scene.layout.appearances)
-        chosen = "caustics" if mirrors and (turned or caustic is not None and call.can_begin_at_lamps) else "camera"
-    if chosen == "camera" or not call.can_begin_at_lamps or not lights_of_paths(call.scene, chosen):
-        return []
-    return [call_from_lamps(renderer, call, number, chosen) for number in range(len(call.views))]
+    return rendered(call)
 
 
 def call_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_paths: str) -> RenderCall:
-    """The call of `image_from_lamps`; args and errors as there."""
+    """The call of paths from lamps to view `number`; the other args and errors as of `calls_of_light`."""
     view: View = call.views[number]
     if not view.camera.kind.sees_points:
         raise ValueError(f"paths from lamps cannot end at a {view.sensor.type} camera: only perspective, thinlens and "

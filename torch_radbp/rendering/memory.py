@@ -147,7 +147,8 @@ class Workload(NamedTuple):
     row: int = 1  # lanes of a row of pixels
     jumps: int = 0  # bytes of discontinuity curves and samples on them; 0: no boundary terms
     launched: bool = False  # True if bounces are launches of a GPU, whose results have room for all lanes
-    most: int = 0  # lanes of its wavefronts, if others decide on chunks
+    most: int = 1 << 62  # lanes of a chunk
+    together: bool = False  # True if image and derivative are traced as one, and all is recorded
 
     @property
     def bounce_memory(self) -> BounceMemory:
@@ -205,23 +206,22 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
     return MemoryPlan(chunk, adjoint, retrace, int(kept), int(working) + work.images)
 
 
-def with_those_beside(plan: MemoryPlan, others: Sequence[Workload], shares_samples: bool,
-                      record_bytes: float) -> MemoryPlan:
-    """The plan of a call before or after which others are made, such as those of paths from lamps.
+def predict_all(works: Sequence[Workload], chunk: int, adjoint: AdjointStrategy, record_bytes: float = inf) -> MemoryPlan:
+    """As `predict`, of what is done one after the other: paths from the camera, and paths from lamps.
 
-    Args:
-        plan: of the call alone.
-        others: what else is to be done.
-        shares_samples: image and derivative have the same samples, so that what is kept of all is kept at the same time.
-        record_bytes: as of `predict`, of each.
+    What is kept for the derivative, and images, are there at the same time, and `working` is that of the worst.
     """
-    for work in others:
-        other = predict(work, min(plan.chunk, work.most), plan.adjoint, record_bytes)
-        if shares_samples:
-            plan = plan._replace(kept=plan.kept + other.kept, working=max(plan.working, other.working))
-        elif other.peak > plan.peak:
-            plan = plan._replace(kept=other.kept, working=other.working)
-    return plan
+    plans, images = [], sum(work.images for work in works)
+    for work in works:
+        if work.together:  # lanes of image and derivative, and all that is recorded
+            plan = predict(work._replace(lanes=2 * work.lanes), 2 * min(chunk, work.most), adjoint, inf)
+        else:
+            plan = predict(work, min(chunk, work.most), adjoint, record_bytes)
+        plans.append(plan._replace(working=plan.working + images - work.images))
+    worst = max(plans, key=lambda plan: plan.peak)._replace(chunk=chunk, retrace=any(plan.retrace for plan in plans))
+    if record_bytes == 0 and not adjoint.taped:  # records are made for one wavefront after the other
+        return worst
+    return worst._replace(kept=sum(plan.kept for plan in plans), working=max(plan.working for plan in plans))
 
 
 def states_kept(adjoint, bounces: int, work: Workload) -> float:
@@ -253,22 +253,21 @@ def bytes_text(count: float) -> str:
     return f"{count / UNITS[unit]:.3g} {unit}"
 
 
-def plan_memory(budget: int, work: Workload, chunk: int, adjoint: AdjointStrategy | None = None,
-                shares_samples: bool = True, others: Sequence[Workload] = ()) -> MemoryPlan:
+def plan_memory(budget: int, works: Sequence[Workload], chunk: int, adjoint: AdjointStrategy | None = None,
+                shares_samples: bool = True) -> MemoryPlan:
     """Picks the fastest chunk size and strategy that fit `budget` bytes.
 
     Args:
         budget: bytes.
-        work: what is to be done.
+        works: what is to be done, one after the other.
         chunk: the largest to try, lanes.
         adjoint: the strategy if the user chose one: then only the chunk is planned; else None.
         shares_samples: image and derivative have the same samples, so that something may be kept of them.
-        others: what else is done in the call, before it or after it.
 
     Raises:
         ValueError: if nothing fits; the message says how much the most frugal plan needs.
     """
-    plans = [with_those_beside(predict(work, size, strategy, record_bytes), others, shares_samples, record_bytes)
+    plans = [predict_all(works, size, strategy, record_bytes)
              for size, strategy, record_bytes in _candidates(max(chunk, SMALLEST_CHUNK), adjoint, shares_samples)]
     fitting = next((plan for plan in plans if plan.peak <= budget), None)
     if fitting is None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from functools import partial
-from math import inf
 
 from torch import Tensor
 
@@ -15,7 +14,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lane_room import room_for
 from torch_radbp.path.taped_bounces import keeps_all_lanes
 from torch_radbp.rendering.bounce_memory import BounceMemory, measured, tables_of
-from torch_radbp.rendering.memory import MemoryPlan, Workload, plan_memory, predict, reaching, record_sizes, with_those_beside
+from torch_radbp.rendering.memory import MemoryPlan, Workload, plan_memory, predict_all, reaching, record_sizes
 from torch_radbp.rendering.settings import PRIMARY, SHADOW
 from torch_radbp.tensors.differentiated import any_differentiated, detached, differentiable
 from torch_radbp.tensors.stage import EAGER
@@ -31,28 +30,23 @@ class MemoryPlanner:
     def __init__(self):
         self.measured: dict[tuple, BounceMemory] = {}  # by kind of call
 
-    def plan(self, call: RenderCall, beside: Sequence[RenderCall], budget: str | int | None, adjoint_is_chosen: bool,
+    def plan(self, call: RenderCall, traced: Sequence[RenderCall], budget: str | int | None, adjoint_is_chosen: bool,
              terms: Collection[str]) -> MemoryPlan:
         """Plans chunk size and strategy of a call, with its predicted memory, by pilot paths.
 
         Args:
             call: with the chunks and the strategy that it would have without a budget.
-            beside: calls that are made before or after it, with the same strategy and no larger chunks.
+            traced: what it consists of, one after the other: calls with the same strategy and no larger chunks.
             budget: bytes, or a string such as "2GiB"; None: the call is left as it is.
             adjoint_is_chosen: within a budget the strategy of the call is kept, too.
             terms: of derivatives, that are asked for.
         """
-        work, others = self.workload(call), [self.workload(other) for other in beside]
-        work = work._replace(jumps=bytes_of_edges(call, PRIMARY in terms, SHADOW in terms))
+        works = [self.workload(each) for each in traced]
+        works[0] = works[0]._replace(jumps=bytes_of_edges(call, PRIMARY in terms, SHADOW in terms))
         chunk = max(wavefront.lanes for wavefront in call.wavefronts)
         if budget is None:
-            if call.together:  # lanes of image and derivative, and all that is recorded
-                work = work._replace(lanes=2 * work.lanes)
-                plan = predict(work, 2 * chunk, call.adjoint, inf)._replace(chunk=chunk)
-            else:
-                plan = predict(work, chunk, call.adjoint, call.record_bytes)
-            return with_those_beside(plan, others, call.shares_samples, call.record_bytes)
-        return plan_memory(budget, work, chunk, call.adjoint if adjoint_is_chosen else None, call.shares_samples, others)
+            return predict_all(works, chunk, call.adjoint, call.record_bytes)
+        return plan_memory(budget, works, chunk, call.adjoint if adjoint_is_chosen else None, call.shares_samples)
 
     def workload(self, call: RenderCall) -> Workload:
         """Measures the work of a call: path lengths, and the memory of a bounce."""
@@ -70,7 +64,7 @@ class MemoryPlanner:
                         record_sizes(integrand, pilot_paths(still, FEW_LANES), triangles), call.sink.bytes_held(call),
                         self.bounce_memory_of(call, integrand, triangles),
                         columns * min(call.spp, TOGETHER), columns * call.spp, launched=launched,
-                        most=max(wavefront.lanes for wavefront in call.wavefronts))
+                        most=max(wavefront.lanes for wavefront in call.wavefronts), together=call.together)
 
     def bounce_memory_of(self, call: RenderCall, integrand: Integrand, triangles: bool) -> BounceMemory:
         """The memory of a bounce of a call; measured once for each kind of call.
@@ -86,7 +80,7 @@ class MemoryPlanner:
         if case not in self.measured:
             attached = call.make_integrand(call.scene).with_stages(EAGER) if taped else None
             tables = tables_of(differentiable(call.scene), list(call.parameters.values()))
-            asked, start = call.sink.asked_for_nothing(call, integrand), call if taped else call.still()
+            asked, start = call.sink.asked_everywhere(call, integrand), call if taped else call.still()
             found = measured(integrand, asked, attached, partial(pilot_paths, start), wanted)
             self.measured[case] = found._replace(tables=tables)
         return self.measured[case]
