@@ -56,7 +56,8 @@ def shining_network() -> rb.Scene:
 
 
 def particles() -> rb.Scene:
-    return lit_ball("point", size=24, rfilter="gaussian", integrator="ptracer", bsdf={"type": "roughconductor", "alpha": 0.4})
+    metal = {"type": "roughconductor", "alpha": 0.4}
+    return lit_ball("point", size=24, rfilter="gaussian", integrator="ptracer", bsdf=metal)
 
 
 CASES = {
