@@ -33,7 +33,7 @@ from torch_radbp.raycast.kept_caster import KeptCaster
 from torch_radbp.rendering.cast_triangles import cast_triangles
 from torch_radbp.rendering.cost import Request, bytes_of_records
 from torch_radbp.rendering.lanes import plan_lanes, wavefronts_of
-from torch_radbp.rendering.light_paths import shared_image
+from torch_radbp.rendering.light_paths import calls_traced, shared_image
 from torch_radbp.rendering.memory import MemoryPlan
 from torch_radbp.rendering.noise_watch import NoiseWatch
 from torch_radbp.rendering.planner import MemoryPlanner
@@ -386,7 +386,7 @@ class Renderer(nn.Module):
 
     def plan(self, call: RenderCall) -> MemoryPlan:
         """Plans chunk size and strategy of a call; within the memory budget, if there is one."""
-        return self.planner.plan(call, self.memory_budget, self.adjoint_is_chosen, self.terms)
+        return self.planner.plan(call, calls_traced(self, call), self.memory_budget, self.adjoint_is_chosen, self.terms)
 
     def caster_of(self, scene: SceneTensors, placed: Sequence[PlacedShape] = ()) -> RayCaster:
         """The ray caster of a scene's triangles: that of the last call if they are the same, else a new one."""
