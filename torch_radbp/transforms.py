@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torch_radbp.plugin import finite
 from torch_radbp.plugin.domain import POSE
+from torch_radbp.tensors.asked_later import presumed
 from torch_radbp.tensors.differentiated import moving_with
 
 
@@ -56,5 +57,5 @@ def transform_normals(matrix: Tensor, normals: Tensor) -> Tensor:
 
 
 def mirrors(matrix: Tensor) -> bool:
-    """True if an affine (4, 4) matrix is a mirroring one (negative determinant)."""
-    return bool(torch.linalg.det(matrix.detach()[:3, :3]) < 0)
+    """True if an affine (4, 4) matrix is a mirroring one (negative determinant), as few are."""
+    return presumed(torch.linalg.det(matrix.detach()[:3, :3]) < 0, False)

@@ -201,6 +201,44 @@ def test_tangents_have_the_bits_of_single_calls(sampling, gpu, monkeypatch):
     assert expected.std() > 0 and torch.equal(taped, expected)
 
 
+@pytest.mark.parametrize("moving", [False, deep(True)], ids=["still", "moving"])
+@pytest.mark.parametrize("name", deep_but(["boundaries"], MEDIA))
+def test_tangents_through_media_are_those_of_single_calls(name, moving, gpu, monkeypatch):
+    """In sequences of launches, one for each bounce; where boundaries move but for rounding, as above."""
+    build, of = MEDIA[name]
+
+    def tangents() -> tuple[torch.Tensor, int]:
+        before, scene = gpu.launcher.sequences, build().to(torch.float32)
+        names = [*of.NAMES, *(of.MOVING if moving else [])]
+        given = {name: torch.full_like(scene.get_parameter(name), 0.1) for name in names}
+        return rb.jvp(scene, given, seed=1, **SMALL), gpu.launcher.sequences - before
+
+    taped, sequences = tangents()
+    assert sequences >= 2 * SMALL["max_depth"] - 1  # of the image, and of the derivative
+    singly(monkeypatch)
+    expected, sequences = tangents()
+    assert sequences == 0 and expected.std() > 0
+    assert relative_error(taped, expected) <= (1e-6 if moving else 0.0)
+
+
+@pytest.mark.parametrize("name", deep_but(["boundaries"], ["boundaries", "smoke"]))
+def test_what_vertices_in_media_see_of_edges_is_found_in_sequences(name, gpu, monkeypatch):
+    """The paths to them and those behind edges; whether these have passed all boundaries is found out after each."""
+    build, of = MEDIA[name]
+
+    def gradient() -> tuple[torch.Tensor, int]:
+        before, scene = gpu.launcher.sequences, build().to(torch.float32)
+        pose = scene.get_parameter(of.MOVING[0]).requires_grad_()
+        image = rb.render(scene, seed=3, **SMALL | {"max_depth": 3, "terms": ("shadow",)})
+        return torch.autograd.grad(image, pose, cotangent(image.detach()))[0], gpu.launcher.sequences - before
+
+    taped, sequences = gradient()
+    assert sequences > 3 + 2
+    singly(monkeypatch)
+    expected, sequences = gradient()
+    assert sequences == 0 and expected.abs().max() > 1e-3 and relative_error(taped, expected) <= 1e-6
+
+
 @pytest.mark.parametrize("term, scene", [("primary", {"sky": SKY, "mirror": MIRROR, "ball": BALL, "cube": CUBE}),
                                          ("shadow", None)], ids=["mirrors", "shadows"])
 def test_places_where_images_jump_are_those_of_single_calls(term, scene, gpu, monkeypatch):

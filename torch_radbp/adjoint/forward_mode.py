@@ -19,6 +19,7 @@ from torch.autograd import forward_ad
 from torch_radbp.adjoint.attached import bounce_attached
 from torch_radbp.adjoint.images import render_images
 from torch_radbp.call.render_call import RenderCall
+from torch_radbp.path.taped_bounces import repeating
 from torch_radbp.tensors import torch_internals
 from torch_radbp.tensors.differentiated import tangent_of
 from torch_radbp.tensors.record import leaves_of
@@ -42,7 +43,8 @@ def render_tangents(call: RenderCall) -> Tensor:
                            "parameters require grad: render under torch.no_grad(), or with adjoint=TapeAdjoint() for both")
     with torch.no_grad():
         integrand = call.make_integrand(call.scene)
-        return render_images(call, integrand, record=False, bounce=bounce_attached(integrand)).values
+        return call.repetitions.enough(lambda some: render_images(
+            call, repeating(integrand, some), record=False, bounce=bounce_attached(integrand))).values
 
 
 def inside_transforms() -> bool:

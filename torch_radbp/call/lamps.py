@@ -50,6 +50,9 @@ class Lamps(PathSource):
         lane = torch.arange(chunk.first, chunk.first + chunk.lanes, dtype=torch.int32, device=device)
         return stages(sample_lamps)(self.lamps, lane, self.keys[which], (), cones, None)
 
+    def pilots(self, lanes: int, stages: Stages, cones: bool) -> CameraSample:
+        return self.samples(LaneRange(0, lanes), 0, stages, cones)
+
     def glued(self, chunk: LaneRange, which: int, scene: SceneTensors, hit: Hit) -> CameraSample:
         device = self.lamps.world.clearance.device
         lane = torch.arange(chunk.first, chunk.first + chunk.lanes, dtype=torch.int32, device=device)
@@ -107,13 +110,16 @@ def ideal_surfaces(scene: SceneTensors) -> tuple[BoundingSphere, ...]:
         return ()
     if len(met) > MOST_TARGETS:
         met, group = met[:1], torch.zeros_like(group)
-    corners = torch.stack([torch.stack([part.detach()[corner[some].long()] for part in triangles.vertices.p])
-                           for corner in triangles.corners])
-    group = group.expand(3, -1)
-    first = corners.new_zeros(3, len(met))
-    least, most = (first.scatter_reduce(1, group, getattr(corners, side)(0), side, include_self=False)
+    points = torch.stack([torch.stack([part.detach()[corner[some].long()] for part in triangles.vertices.p])
+                          for corner in triangles.corners])  # (3 corners, 3 coordinates, triangles)
+    first, groups = points.new_zeros(3, len(met)), group.expand(3, -1)
+    least, most = (first.scatter_reduce(1, groups, getattr(points, side)(0), side, include_self=False)
                    for side in ("amin", "amax"))
-    return tuple(sphere_around(Vec3(*low), Vec3(*high)) for low, high in zip(least.t(), most.t()))
+    middle = 0.5 * (least + most)  # of the box, around which a ball needs a smaller sphere than around the box
+    squared = (points - middle[:, group]).square().sum(1).amax(0)
+    squared = squared.new_zeros(len(met)).scatter_reduce(0, group, squared, "amax", include_self=False)
+    radii = (MARGIN * squared.sqrt()).clamp_min(LEAST_RADIUS)
+    return tuple(BoundingSphere(Vec3(*at), radius) for at, radius in zip(middle.t(), radii))
 
 
 def narrow_triangles(scene: SceneTensors) -> Tensor:

@@ -29,6 +29,8 @@ from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import Vec2, Vec3, rows
 from torch_radbp.threads.workers import by_number, in_turns
 
+IMAGE_COPIES, SUMS = 5, 2  # as of `pixels.py`; those of a worker: all of before, and of a wavefront
+BROUGHT, OF_PATCH = 5, 14  # numbers of what a vertex brings, and about so many of the rectangle in which it counts
 PIECE = 1 << 14  # lanes that are deposited at once, so that what they count in all pixels around takes little memory
 
 
@@ -74,6 +76,17 @@ class LightFilm(Sink):
     def asked(self, integrand: Integrand, adj_sums: Vec3) -> Integrand:
         scene = asked_by(integrand.scene, adj_sums)
         return integrand._replace(scene=scene, proposal=scene, parts={})
+
+    def bytes_held(self, call: RenderCall) -> int:
+        pixels, margin = self.shape[0] * self.shape[1], 2 * self.film.margin
+        with_margin = (self.shape[0] + margin) * (self.shape[1] + margin)
+        lanes, number = max(wavefront.lanes for wavefront in call.wavefronts), call.scene.dtype.itemsize
+        of_worker = torch.float64.itemsize * (CHANNELS * with_margin + 3 * SUMS * pixels)
+        of_worker += number * (BROUGHT * lanes * call.integrand.bounces + OF_PATCH * min(lanes, PIECE))
+        return call.workers * of_worker + IMAGE_COPIES * 3 * with_margin * number
+
+    def asked_everywhere(self, call: RenderCall, integrand: Integrand) -> Integrand:
+        return self.asked(integrand, self.adj_sums(call, self.film.size_x.new_ones(1, 3, *self.shape), None))
 
     def adjoint(self, call: RenderCall, wavefront: Wavefront, place: Vec2 | None, adj_sums: Vec3) -> Vec3:
         one = torch.ones(wavefront.lanes, dtype=adj_sums.x.dtype, device=adj_sums.x.device)

@@ -18,6 +18,8 @@ from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.tensors.record import joined, rows_between
 from torch_radbp.tensors.vec import Vec2, Vec3, rows
 
+IMAGE_COPIES = 5  # the sums of its rows, the image, its gradient, that by sums of the filter, and what the loss makes
+
 
 class Films(Sink):
     """The films of the views of a call: each pixel is the mean of the samples around it, by the reconstruction filter.
@@ -51,6 +53,9 @@ class Films(Sink):
     def adjoint(self, call: RenderCall, wavefront: Wavefront, place: Vec2 | None, adj_sums: list[Vec3]) -> Vec3:
         return joined([adjoint_of_chunk(call, chunk, rows_between(place, first, last), adj_sums[chunk.sensor])
                        for chunk, first, last in wavefront.parts()])
+
+    def bytes_held(self, call: RenderCall) -> int:
+        return IMAGE_COPIES * 3 * sum(view.grid.columns * view.grid.rows for view in call.views) * call.scene.dtype.itemsize
 
     def radiance(self, values: Tensor) -> Tensor:
         return values[:, :3]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
 
-import torch
 from torch import Tensor
 
 from torch_radbp.call.sink import Sink
@@ -13,7 +12,7 @@ from torch_radbp.call.source import Cameras, PathSource
 from torch_radbp.call.view import View
 from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.jit.recording.repetitions import LearntRepetitions
-from torch_radbp.path.camera_rays import CameraSample, sample_camera
+from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState, start_path
 from torch_radbp.raycast import RayCaster
@@ -124,13 +123,8 @@ def samples_of_chunks(call: RenderCall, wavefront: Wavefront, which: int) -> lis
 
 
 def pilot_paths(call: RenderCall, lanes: int) -> PathState:
-    """Camera paths spread over the image of the first sensor, for measurements."""
-    view, grid, device = call.views[0], call.views[0].grid, call.scene.device
-    pixel = torch.linspace(0, grid.columns * grid.rows - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
-    sample = torch.arange(lanes, dtype=torch.int32, device=device)
-    number = view.window.numbers(pixel % grid.columns, torch.div(pixel, grid.columns, rounding_mode="floor"))
-    return started(call, call.stages(sample_camera)(view.camera, view.orders[0], number, sample, view.sample_keys[0],
-                                                   call.scene.layout.traces_cones))
+    """Paths spread over the source, such as the image of the first sensor, for measurements."""
+    return started(call, call.source.pilots(lanes, call.stages, call.scene.layout.traces_cones))
 
 
 def integrand_of(call: RenderCall, integrand: Integrand, number: int) -> Integrand:

@@ -44,6 +44,10 @@ class Sink(ABC):
         """The integrand as the backward pass differentiates it, which may depend on what `adjoint` reads."""
         return integrand
 
+    def asked_everywhere(self, call: RenderCall, integrand: Integrand) -> Integrand:
+        """`asked` where the derivative of the loss is 1 for all values, for predictions of memory."""
+        return integrand
+
     @abstractmethod
     def deposit(self, call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor],
                 samples: CameraSample) -> list[Tensor]:
@@ -75,6 +79,10 @@ class Sink(ABC):
             place: of the lanes in their pixels; None: they are of no pixels.
             adj_sums: of `adj_sums`.
         """
+
+    def bytes_held(self, call: RenderCall) -> int:
+        """The bytes of all sums, of the values and of their derivatives, at the most, for predictions of memory."""
+        raise TypeError(f"the memory of a {type(self).__name__} is not predicted")
 
     def radiance(self, values: Tensor) -> Tensor:
         """The part of `SinkValues.values` that has a derivative by radiance."""

@@ -65,6 +65,15 @@ class PathSource(ABC):
         """
         return self.samples(chunk, which, EAGER, scene.layout.traces_cones)
 
+    @property
+    def columns(self) -> int:
+        """The number of lanes in one sample of a row of pixels; 1: they are of no pixels."""
+        return 1
+
+    def pilots(self, lanes: int, stages: Stages, cones: bool) -> CameraSample:
+        """Some rays, (lanes,), from all over the source, for predictions of memory; args as of `samples`."""
+        raise TypeError(f"the memory of paths from {type(self).__name__} is not predicted")
+
     def leaves_read(self, chunk: LaneBlock) -> range:
         """Which leaves of `tensors` the rays of a chunk depend on, as `leaves_of` counts them."""
         return range(len(leaves_of(self.tensors)))
@@ -94,6 +103,17 @@ class Cameras(PathSource):
     def samples(self, chunk: Chunk, which: int, stages: Stages, cones: bool) -> CameraSample:
         view = self.views[chunk.sensor]
         return stages(sample_camera)(view.camera, view.orders[which], *self.numbers(chunk), view.sample_keys[which], cones)
+
+    @property
+    def columns(self) -> int:
+        return max(view.grid.columns for view in self.views)
+
+    def pilots(self, lanes: int, stages: Stages, cones: bool) -> CameraSample:
+        view, grid, device = self.views[0], self.views[0].grid, self.views[0].camera.film.size_x.device
+        pixel = torch.linspace(0, grid.columns * grid.rows - 1, lanes, dtype=torch.float64, device=device).to(torch.int32)
+        sample = torch.arange(lanes, dtype=torch.int32, device=device)
+        number = view.window.numbers(pixel % grid.columns, torch.div(pixel, grid.columns, rounding_mode="floor"))
+        return stages(sample_camera)(view.camera, view.orders[0], number, sample, view.sample_keys[0], cones)
 
     def places(self, chunk: Chunk, which: int, stages: Stages) -> Vec2:
         """Where in their pixels the lanes of a chunk lie, (N,) in [0, 1)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -14,6 +15,7 @@ from torch_radbp.sampling.sampler import APART, FilmOrder, SampleKey, film_order
 from torch_radbp.scene.cache.pack_cache import PackCache
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.sensor.kind import Camera
+from torch_radbp.tensors.asked_later import presumed
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.vec import Vec3
 
@@ -71,8 +73,9 @@ def view_of(shot: Shot, seeds: tuple[int, int], own: bool, spp: int, scene: Scen
     reach = cache.inventory(sensor).reach((sensor,))
     camera = cache.part(("camera", id(sensor)), camera_of, sensor, reach, sensor)
     keys = tuple(sample_key(seed + sampler.seed, shot.index, sampler.low_discrepancy, scene.device) for seed in seeds)
-    reaches = cache.part(("reaches", id(sensor)), reaches_beyond, sensor, reach, scene.triangles.vertices.p,
-                         scene.triangles.casting_instances, camera)
+    place = "reaches", id(sensor)
+    beyond = partial(reaches_beyond, last=bool(cache.made_last(place)))
+    reaches = cache.part(place, beyond, sensor, reach, scene.triangles.vertices.p, scene.triangles.casting_instances, camera)
     if shot.window != sensor.film.window():
         camera = camera._replace(film=sensor.film.tensors(camera.film.size_x, shot.window))
     width, device = shot.window.numbered, scene.device
@@ -90,10 +93,11 @@ def _tensors_of(sensor: Sensor) -> Camera:
     return sensor.tensors()
 
 
-def reaches_beyond(cache: PackCache, vertices: Vec3, instances: Instances | None, camera: Camera) -> bool:
-    """True if any vertex, (V,), or corner of an instance's box lies beyond the camera's far plane."""
+def reaches_beyond(cache: PackCache, vertices: Vec3, instances: Instances | None, camera: Camera, last: bool) -> bool:
+    """True if any vertex, (V,), or corner of an instance's box lies beyond the camera's far plane, as `last` in the last
+    rendering."""
     points = vertices.detach()
     if instances is not None:
         own, boxes = int(instances.first_vertex[0]), Vec3.of(instances.boxes.flatten(0, 1))
         points = Vec3(*(torch.cat([own_vertices[:own], corners]) for own_vertices, corners in zip(points, boxes)))
-    return bool(detached(camera).beyond_far_plane(points).any())
+    return presumed(detached(camera).beyond_far_plane(points).any(), last)

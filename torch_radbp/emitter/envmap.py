@@ -25,6 +25,7 @@ from torch_radbp.plugin import Filename, Matrix4, register
 from torch_radbp.plugin.domain import AMOUNT, POSE, Domain
 from torch_radbp.sampling.grid import GridDistribution, grid_distribution
 from torch_radbp.sampling.sampler import fine_unit
+from torch_radbp.tensors.asked_later import presumed
 from torch_radbp.tensors.differentiated import primal
 from torch_radbp.tensors.interleaved import columns_of_rows
 from torch_radbp.tensors.lookup import lookup
@@ -182,7 +183,7 @@ def envmap_table(emitter: Envmap, like: Tensor) -> EnvmapTable:
             picked = torch.cat([picked[:1], picked[:-1] & picked[1:], picked[-1:]])[:height]  # all cells around a texel
             at_texels = at_texels * picked
         pick = grid_distribution(brightness * solid_angle)
-        if not pick.rows[-1] > 0:
+        if not presumed(pick.rows[-1] > 0, True):
             brightness, at_texels = torch.ones_like(brightness), torch.full_like(texel, 0.25)
             pick = grid_distribution(brightness * solid_angle)
     to_local = linear_inverse(emitter.to_world).to(like)

@@ -151,7 +151,7 @@ class Tape:
         if isinstance(taped.recorded, RecordedLaunches):
             results, numbers = taped.recorded(varying, self.tables, count, counts, self.caster, waits, self.contexts)
             if self.repetitions is not None:
-                self.repetitions.left.extend([numbers[place].alone for place in taped.recorded.left])
+                self.repetitions.add([numbers[place] for place in taped.recorded.left])
         else:
             results, numbers = taped.recorded(varying, self.tables, count, self.board, counts, self.contexts)
             if self.caster is not None:

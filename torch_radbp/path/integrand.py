@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.interface.texture import Place
-from torch_radbp.jit.recording.repetitions import Repetitions
+from torch_radbp.jit.recording.repetitions import LearntRepetitions, Repetitions
 from torch_radbp.jit.target import Target
 from torch_radbp.path.bounce import places
 from torch_radbp.path.event import Ends, Event, events_of
@@ -22,6 +22,7 @@ from torch_radbp.scene.tables.appearance import Appearance
 from torch_radbp.scene.tables.part import part_of
 from torch_radbp.scene.tables.scene_tensors import SceneTensors, extent_of
 from torch_radbp.sensor.kind import Camera
+from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.stage import Stage, Stages
 
 SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
@@ -61,6 +62,8 @@ class Integrand(NamedTuple):
     differentiated: Tensor | None = None
     # How often sequences of launches repeat what is repeated for lanes, and what was left; None: the host decides.
     repetitions: Repetitions | None = None
+    # By which whoever has no other occasion finds out himself; None: the host decides there, too.
+    learnt: LearntRepetitions | None = None
 
     def with_stages(self, stages: Stages) -> Integrand:
         """The same integrand with another way to run stages."""
@@ -95,9 +98,9 @@ class Integrand(NamedTuple):
         if not self.proposal.layout.scattering_media:
             return self
         extent = extent_of(self.proposal)
-        scene, proposal = (scene._replace(media=tuple(
-            kind.sampled_for_derivatives(table, extent, of_image) for kind, table in zip(kinds, scene.media)))
-            for scene in (self.scene, self.proposal))
+        scene = self.scene._replace(media=tuple(
+            kind.sampled_for_derivatives(table, extent, of_image) for kind, table in zip(kinds, self.scene.media)))
+        proposal = self.proposal._replace(media=detached(scene.media))  # the same tables in memory
         return self._replace(scene=scene if self.attached else proposal, proposal=proposal, parts={})
 
     def part(self, event: Event) -> QueueStages:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from typing import TypeVar
 
 import torch
 
@@ -25,6 +26,7 @@ from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import Vec3
 
+Result = TypeVar("Result")
 Bounce = Callable[[Integrand, Onward, int, Vec3 | None], tuple[PathState, Step, Onward]]  # `bounced`, or one that is like it
 BounceOf = Callable[[Onward, int, Vec3 | None], tuple[PathState, Step, Onward]]  # the same of an integrand
 
@@ -64,8 +66,24 @@ def keeps_all_lanes(integrand: Integrand) -> bool:
 def repeating(integrand: Integrand, repetitions: Repetitions) -> Integrand:
     """The integrand for a caller who will find out whether so many repetitions were enough; the same where there are none
     of which the host does not know."""
-    asks = integrand.proposal.layout.traces_segments and integrand.stages.is_compiled and integrand.target.counts_stay
-    return integrand._replace(repetitions=repetitions) if asks else integrand
+    return integrand._replace(repetitions=repetitions) if repeats_unseen(integrand) else integrand
+
+
+def repeats_unseen(integrand: Integrand) -> bool:
+    """True if the host does not know whether something is to be repeated, or would wait for it each time."""
+    return integrand.proposal.layout.traces_segments and integrand.stages.is_compiled and integrand.target.counts_stay
+
+
+def found_out(integrand: Integrand, work: Callable[[Integrand], Result]) -> Result:
+    """`work` of an integrand; where nobody else will find out whether repetitions are enough, it is done here, afterwards.
+
+    Args:
+        integrand: the scene and how to step.
+        work: leaves nothing behind if it is done once more.
+    """
+    if integrand.repetitions is not None or integrand.learnt is None or not repeats_unseen(integrand):
+        return work(integrand)
+    return integrand.learnt.found_out(lambda some: work(repeating(integrand, some)))
 
 
 def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None, more: tuple = (),
@@ -97,8 +115,9 @@ def played(bounce: Bounce, integrand: Integrand, tape: Tape, waits: bool, onward
         onward = with_first_hit(integrand, onward)  # who knows how many rays it casts
     later = onward.hit is None and onward.alive is not None and not inside_dual_level()
     count = onward.count
-    found = tape.play(*recipe(bounce, integrand, depth), (onward._replace(number=None), L, integrand.at(depth)), count,
-                      blank_lanes, "later" if later else None, waits=waits)
+    arguments = onward._replace(number=None), L, positions_taken(integrand, depth)
+    found = tape.play(*recipe(bounce, integrand, depth), arguments, count, blank_lanes, "later" if later else None,
+                      waits=waits)
     if found is None:
         return bounce(integrand, onward.cut_to_count(), depth, L)
     (state, step, onward), (*borders, going_on), queues = found
@@ -112,9 +131,16 @@ def played(bounce: Bounce, integrand: Integrand, tape: Tape, waits: bool, onward
     return state, step, onward._replace(number=going_on) if isinstance(going_on, LaneCount) else onward
 
 
+def positions_taken(integrand: Integrand, depth: int) -> tuple[Position, ...]:
+    """The position of a bounce on its path; and that of the next one, if its flights are found before derivatives are, as
+    where rays carry some."""
+    ahead = integrand.attached and integrand.settings.moving and bool(integrand.proposal.layout.media)
+    return (integrand.at(depth), integrand.at(depth + 1)) if ahead else (integrand.at(depth),)
+
+
 def recipe(bounce: Bounce, integrand: Integrand, depth: int) -> tuple[tuple, Callable]:
     """The key of a bounce on a tape, and the function that records it."""
-    def step(onward: Onward, L: Vec3 | None, at: Position) -> Played:
+    def step(onward: Onward, L: Vec3 | None, at: tuple[Position, ...]) -> Played:
         state, step, onward = bounce(integrand, onward, depth, L)
         counts = [border for queue in step.queues for border in (queue.first, queue.last)]
         return Played((state, step._replace(queues=()), onward), [*counts, len(onward.alive)], step.queues)

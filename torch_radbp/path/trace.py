@@ -8,7 +8,7 @@ from torch_radbp.jit.recording.lane_count import most_of
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import Flight, PathState
 from torch_radbp.path.step import Onward, Step
-from torch_radbp.path.taped_bounces import Bounce, bounces_taken
+from torch_radbp.path.taped_bounces import Bounce, bounces_taken, found_out
 from torch_radbp.path.wavefront import BroughtToFilm, bounced, film_buffer, radiance_buffer
 from torch_radbp.path.whole_paths import brought_by_whole_paths, traced_whole
 from torch_radbp.raycast.protocol import Hit
@@ -34,12 +34,15 @@ def trace(integrand: Integrand, start: PathState, visit: Visit | None = None, hi
         (N,) linear RGB, in the order of `start`; attached if `integrand.scene` is. If some lanes are of the derivative alone
         (`integrand.differentiated`), it is 0 there: nobody asks what these bring to the image.
     """
-    onward = Onward(start, None, hit, flight=flight)
-    L = traced_whole(integrand, onward, depth, bounce) if visit is None else None
-    if L is None:
-        L = radiance_buffer(integrand, start)
-        walk(integrand, onward, visit, L, depth, bounce)
-    return L
+    def traced(integrand: Integrand) -> Vec3:
+        onward = Onward(start, None, hit, flight=flight)
+        L = traced_whole(integrand, onward, depth, bounce) if visit is None else None
+        if L is None:
+            L = radiance_buffer(integrand, start)
+            walk(integrand, onward, visit, L, depth, bounce)
+        return L
+
+    return traced(integrand) if visit is not None else found_out(integrand, traced)
 
 
 def trace_to_film(integrand: Integrand, start: PathState, deposit: Callable[[BroughtToFilm], None],

@@ -11,6 +11,7 @@ from torch_radbp.interface.balls import TRIANGLES, Balls
 from torch_radbp.interface.instances import Instances
 from torch_radbp.raycast.ball import castable
 from torch_radbp.raycast.expanded import ExpandedCaster
+from torch_radbp.raycast.mesh import MeshExtremes
 from torch_radbp.raycast.protocol import Hit, Ray, RayCaster
 from torch_radbp.raycast.runs import MOST_TRIANGLES
 
@@ -25,7 +26,8 @@ FEW_BALLS = 128  # likewise; of incoherent rays, 256 take half of the time that 
 
 
 def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls | None = None,
-                instances: Instances | None = None, last: RayCaster | None = None) -> RayCaster:
+                instances: Instances | None = None, last: RayCaster | None = None,
+                known: MeshExtremes | None = None) -> RayCaster:
     """Builds the ray caster called `name` over a triangle mesh.
 
     Args:
@@ -37,6 +39,7 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls 
         instances: of groups, whose triangles come last and are seen only there; None: there are none. Only "embree" keeps
             the triangles of a group once.
         last: a caster whose parts the new one may take over; None: none.
+        known: of the mesh, if its device has been asked already.
 
     Raises:
         ValueError: unknown name, or a mesh that cannot be used.
@@ -50,17 +53,17 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls 
             if (direct if instances is None else direct.caster).cost <= FEW_TESTS:
                 return direct
         name = "embree"
-    return _new_caster(name or "warp", vertices, faces, balls, instances, last)
+    return _new_caster(name or "warp", vertices, faces, balls, instances, last, known)
 
 
 def _new_caster(name: str, vertices: Tensor, faces: Tensor, balls: Balls | None, instances: Instances | None,
-                last: RayCaster | None = None) -> RayCaster:
+                last: RayCaster | None = None, known: MeshExtremes | None = None) -> RayCaster:
     """Builds the ray caster called `name`, as `make_caster` does, without instances in casters that know none."""
     if name not in CASTERS:
         raise ValueError(f"unknown ray caster {name!r}; known are {', '.join(map(repr, CASTERS))}")
     caster = getattr(importlib.import_module(f"torch_radbp.raycast.{name}"), CASTERS[name])
     if instances is None:
-        return caster(vertices, faces, balls)
+        return caster(vertices, faces, balls, known) if name == "warp" else caster(vertices, faces, balls)
     if name == "embree":
         return caster(vertices, faces, balls, instances, last if isinstance(last, caster) else None)
     return ExpandedCaster(partial(caster, balls=balls), vertices, faces, instances)

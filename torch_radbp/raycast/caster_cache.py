@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from typing import NamedTuple
 
 import torch
@@ -20,6 +21,19 @@ class CastTriangles(NamedTuple):
     corners: tuple[Tensor, Tensor, Tensor]  # (T,) int32 each, rows of `p`
     balls: Balls | None  # the triangles that tessellate spheres
     instances: Instances | None = None  # of groups of these triangles
+    made_of: tuple[Tensor, ...] = ()  # what the positions are computed from: the same objects where that is the same
+
+    def is_made_of_the_same(self, other: CastTriangles) -> bool:
+        """True if nobody needs to compare the triangles of the other record."""
+        mine, others = ((mesh.balls, mesh.instances, *mesh.corners, *mesh.made_of) for mesh in (self, other))
+        return bool(self.made_of) and len(mine) == len(others) and all(map(operator.is_, mine, others))
+
+    def compared(self, other: CastTriangles) -> list[Tensor] | None:
+        """Flags, () bool each, that say whether the other record has the same triangles; None: it does not."""
+        mine, others = ((*mesh.p, *mesh.corners, *(mesh.balls or ()), *(mesh.instances or ())) for mesh in (self, other))
+        if len(mine) != len(others) or not all(map(of_one_kind, mine, others)):
+            return None
+        return [(a == b).all() for a, b in zip(mine, others) if a.data_ptr() != b.data_ptr()]
 
     def equals(self, other: CastTriangles) -> bool:
         """True if the other record has the same triangles."""
@@ -40,6 +54,9 @@ class CachedCaster(NamedTuple):
 
 def same_values(a: Tensor, b: Tensor) -> bool:
     """True if two tensors that are never written into have one dtype, one device and the same values."""
-    if (a.dtype, a.device, a.shape) != (b.dtype, b.device, b.shape):
-        return False
-    return a.data_ptr() == b.data_ptr() or torch.equal(a, b)
+    return of_one_kind(a, b) and (a.data_ptr() == b.data_ptr() or torch.equal(a, b))
+
+
+def of_one_kind(a: Tensor, b: Tensor) -> bool:
+    """True if two tensors have one dtype, one device and one shape."""
+    return (a.dtype, a.device, a.shape) == (b.dtype, b.device, b.shape)

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import torch
+
 from torch_radbp.raycast import RayCaster, make_caster
 from torch_radbp.raycast.caster_cache import CachedCaster, CastTriangles
+from torch_radbp.raycast.mesh import MeshExtremes
+from torch_radbp.tensors.asked_later import answered
 
 
 class KeptCaster:
@@ -19,10 +23,25 @@ class KeptCaster:
     def of(self, mesh: CastTriangles, name: str | None) -> RayCaster:
         """Returns the caster of the last rendering if its triangles are the same, else builds one by `make_caster`."""
         cached = self.cached
-        if cached is None or not cached.mesh.equals(mesh):
+        if cached is not None and cached.mesh.is_made_of_the_same(mesh):
+            return cached.caster
+        same, known = (False, None) if cached is None else same_mesh(cached.mesh, mesh)
+        if not same:
             # Freed first, if no graph and no thread holds it; but for groups, which the new one may take over.
             last = None if cached is None or mesh.instances is None else cached.caster
             cached = self.cached = None
-            cached = CachedCaster(make_caster(name, *mesh.stacked(), last), mesh)
+            cached = CachedCaster(make_caster(name, *mesh.stacked(), last, known), mesh)
         self.cached = cached._replace(mesh=mesh)  # the next one may bring the very same tensors again
         return cached.caster
+
+
+def same_mesh(mesh: CastTriangles, other: CastTriangles) -> tuple[bool, MeshExtremes | None]:
+    """Whether two meshes are the same; and the extremes of the other one, since a device is asked once for all."""
+    if other.p.x.is_cpu:
+        return mesh.equals(other), None
+    flags = mesh.compared(other)
+    if not flags:
+        return flags is not None, None
+    vertices, faces, *_ = other.stacked()
+    found = answered([torch.stack(flags).all(), *MeshExtremes.asked_of(vertices, faces)])
+    return bool(found[0]), MeshExtremes.of(found[1:])

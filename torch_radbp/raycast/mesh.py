@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -10,6 +11,31 @@ from torch import Tensor
 from torch_radbp.raycast.protocol import Ray
 
 DTYPES = (torch.float32, torch.float64)
+
+
+class MeshExtremes(NamedTuple):
+    """What a device is asked of a mesh, at once."""
+
+    finite: bool  # in float32
+    indices: tuple[int, int]  # the least and the greatest
+    extent: float  # the greatest, along an axis
+
+    @staticmethod
+    def asked_of(vertices: Tensor, faces: Tensor) -> list[Tensor]:
+        """The numbers, () each, of which a device is asked; none of what is no mesh: who checks it will say why."""
+        if vertices.ndim != 2 or faces.ndim != 2 or not vertices.numel() or not faces.numel() or faces.is_complex():
+            return []
+        points = vertices.detach().float().double()
+        low, high = points.amin(0), points.amax(0)
+        return [torch.isfinite(low + high).all(), *faces.aminmax(), (high - low).amax()]
+
+    @staticmethod
+    def of(numbers: Sequence[float]) -> MeshExtremes | None:
+        """The extremes, by what has been asked; None: nothing."""
+        if not numbers:
+            return None
+        finite, least, greatest, extent = numbers
+        return MeshExtremes(bool(finite), (int(least), int(greatest)), extent)
 
 
 def checked_vertices(vertices: Tensor, device: torch.device | None = None, finite: bool | None = None) -> Tensor:

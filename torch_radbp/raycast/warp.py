@@ -13,7 +13,6 @@ from collections.abc import Hashable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import repeat
 from threading import Lock
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -21,9 +20,10 @@ from torch import Tensor
 from torch_radbp.interface.balls import Balls
 from torch_radbp.jit.nvidia.launches import RayQuery
 from torch_radbp.jit.recording.recording import recording
-from torch_radbp.raycast.mesh import check_lanes, checked_faces, checked_vertices
+from torch_radbp.raycast.mesh import MeshExtremes, check_lanes, checked_faces, checked_vertices
 from torch_radbp.raycast.protocol import Hit, Ray
 from torch_radbp.raycast.refined import refined
+from torch_radbp.tensors.asked_later import answered
 from torch_radbp.threads.made_once import made_once
 
 try:
@@ -50,16 +50,20 @@ class Warp:
         vertices: (V, 3) float32 or float64, finite; copied.
         faces: (F, 3) integers in [0, V); copied. Triangles without area are never hit.
         balls: those among the triangles, which are nothing special here.
+        known: of the mesh; None: the device is asked.
 
     Raises:
         ValueError: the mesh is not as said above, or on a device that Warp does not know.
     """
 
-    def __init__(self, vertices: Tensor, faces: Tensor, balls: Balls | None = None) -> None:
+    def __init__(self, vertices: Tensor, faces: Tensor, balls: Balls | None = None,
+                 known: MeshExtremes | None = None) -> None:
         if vertices.device.type not in DEVICES:
             raise ValueError(f"the ray caster 'warp' works on CUDA and on the CPU, got vertices on {vertices.device}; "
                              "move the scene, or use 'brute'")
-        known = asked_of_mesh(vertices, faces)
+        if known is None:
+            asked = MeshExtremes.asked_of(vertices, faces)
+            known = MeshExtremes.of(answered(asked)) if asked else None
         self.vertices = checked_vertices(vertices, None, known and known.finite)
         self.faces = checked_faces(faces, len(self.vertices), self.vertices.device, known and known.indices)
         self.balls = balls
@@ -160,25 +164,6 @@ class Warp:
 def lanes_of(column: Tensor):
     """Warp's array descriptor of a tensor, of any stride; the tensor must outlive the launch."""
     return wp.from_torch(column, return_ctype=True, requires_grad=False)
-
-
-class MeshExtremes(NamedTuple):
-    """What a device is asked of a mesh, at once."""
-
-    finite: bool  # in float32
-    indices: tuple[int, int]  # the least and the greatest
-    extent: float  # the greatest, along an axis
-
-
-def asked_of_mesh(vertices: Tensor, faces: Tensor) -> MeshExtremes | None:
-    """Asks the device for all that is to be known of a mesh; None if that is none: who checks it will say why."""
-    if vertices.ndim != 2 or faces.ndim != 2 or not vertices.numel() or not faces.numel() or faces.is_complex():
-        return None
-    points = vertices.detach().float().double()
-    low, high = points.amin(0), points.amax(0)
-    parts = [torch.isfinite(low + high).all(), *faces.aminmax(), (high - low).amax()]
-    finite, least, greatest, extent = torch.stack([part.double() for part in parts]).tolist()
-    return MeshExtremes(bool(finite), (int(least), int(greatest)), extent)
 
 
 def in_units(vertices: Tensor, faces: Tensor, extent: float) -> tuple[Tensor, float]:

@@ -33,22 +33,29 @@ class FewFaces(NamedTuple):
 
 
 def few_faces(corners: Tensor) -> FewFaces | None:
-    """The faces of triangles, (F, 3, 3) float32; None: they are more than a ray should try."""
-    faces = faces_of(corners) if len(corners) <= 2 * FEW else None
-    if faces is None or len(faces.prims) > FEW:
+    """The faces of triangles, (F, 3, 3) float32; None: they are more than a ray should try.
+
+    They are found by the host, which would wait for a device a dozen times otherwise.
+    """
+    if len(corners) > 2 * FEW:
         return None
-    middle = ((corners.amax((0, 1)) + corners.amin((0, 1))) / 2).cpu()
-    around = faces.points.double()[faces.corners] - middle.to(corners.device).double()  # (P, 4, 3)
+    device, corners = corners.device, corners.cpu()
+    faces = faces_of(corners)
+    if len(faces.prims) > FEW:
+        return None
+    middle = (corners.amax((0, 1)) + corners.amin((0, 1))) / 2
+    around = faces.points.double()[faces.corners] - middle.double()  # (P, 4, 3)
     ends = torch.where(faces.parallelogram[:, None], around[:, 3], around[:, 2])
     plane, s, r = coordinates_on(around[:, 0], around[:, 1], ends)
     extent = around.abs().amax()
     below = ROUNDINGS * torch.finfo(torch.float32).eps * extent * torch.maximum(s[:, :3].norm(dim=1), r[:, :3].norm(dim=1))
     most = torch.where(faces.parallelogram, 3.0, 1.0 + below)
     limits = torch.stack([-below, 1.0 + below, most, torch.zeros_like(most)], 1)
-    own = corners.double() - middle.to(corners.device).double()
+    own = corners.double() - middle.double()
     _, u, v = coordinates_on(*own.unbind(1))
-    return FewFaces(tuple(middle.tolist()), torch.stack([plane, s, r, limits], 1).float().flatten(0, 1).contiguous(),
-                    faces.prims.flatten().contiguous(), torch.stack([u, v], 1).float().flatten(0, 1).contiguous())
+    tables = (torch.stack([plane, s, r, limits], 1).float().flatten(0, 1), faces.prims.flatten(),
+              torch.stack([u, v], 1).float().flatten(0, 1))
+    return FewFaces(tuple(middle.tolist()), *(table.contiguous().to(device) for table in tables))
 
 
 def coordinates_on(origin: Tensor, first: Tensor, second: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -107,12 +107,13 @@ def tables_of(leaves: Sequence[Tensor], parameters: Sequence[Tensor]) -> TableBy
     return TableBytes(sum(torch.float64.itemsize * leaf.numel() for leaf in leaves), allocated.peak)
 
 
-def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[int], PathState],
+def measured(integrand: Integrand, asked: Integrand, attached: Integrand | None, start: Callable[[int], PathState],
              wanted: tuple[bool, ...]) -> BounceMemory:
     """Measures the peak memory of a bounce, forwards and backwards.
 
     Args:
         integrand: of the detached scene.
+        asked: the same as it is differentiated.
         attached: of the attached scene, if derivatives are recorded by autograd; else None.
         start: makes so many camera paths.
         wanted: of each leaf of the scene, whether its derivative is.
@@ -128,7 +129,7 @@ def measured(integrand: Integrand, attached: Integrand | None, start: Callable[[
     def sweep_of(state: PathState, step: Step, numbered: SceneTensors) -> tuple[Gradients, Sweep]:
         record = PathRecord(lambda: state, None, {}, {0: step}, 1)
         gradients = Gradients([leaf for leaf, want in zip(tree_flatten(integrand.scene)[0], wanted) if want])
-        return gradients, Sweep(integrand, record, Vec3.full(state.pdf, 1.0), numbered, gradients)
+        return gradients, Sweep(asked, record, Vec3.full(state.pdf, 1.0), numbered, gradients)
 
     def of_adjoint(lanes: int) -> float:
         state = start(lanes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
@@ -36,15 +36,26 @@ OF_LAMPS = 0x2545F491  # tells the random numbers of paths from lamps from those
 
 
 def light_paths_of(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> str:
-    """Which light is that of paths that begin at lamps, as of `Settings`; says so where the user has not."""
-    caustic, chosen = renderer.jump_watch.caustic, renderer.light_paths
+    """Which light is that of paths that begin at lamps, as of `Settings`; says so where the user has not.
+
+    Raises:
+        ValueError: for caustics of lamps with an extent whose derivatives would be wrong.
+    """
+    caustic, chosen, attached = renderer.jump_watch.caustic, renderer.light_paths, renderer.sampling == "attached"
     if chosen == "auto":
-        wanted = call.can_begin_at_lamps if caustic is not None else edges.lamps_in_mirrors and call.can_follow_to_the_film
+        slid_over = edges.lamps_in_mirrors and call.can_follow_to_the_film and not attached
+        wanted = call.can_begin_at_lamps if caustic is not None else slid_over
         chosen = "caustics" if wanted else "camera"
         if caustic is not None and wanted:
             renderer.jump_watch.say(caustic.traced())
     if caustic is not None and chosen == "camera":
         renderer.jump_watch.say(caustic.lacking())
+    # There directions slide over edges, beside which the light is found that comes by paths from lamps, too.
+    found_twice = attached and (edges.casting is not None or edges.crossing is not None)
+    if chosen == "caustics" and found_twice and not all(kind.delta for kind in lights_of_paths(call.scene, chosen)):
+        raise ValueError("derivatives of caustics (light_paths='caustics') with sampling='attached', of lamps that have an "
+                         "extent, would count edges twice that scattered directions slide over: take sampling='hybrid', "
+                         "light_paths='camera', or terms without 'shadow'")
     return chosen
 
 
@@ -57,10 +68,37 @@ def shared_image(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> tu
         call: of the images.
         edges: that move.
     """
-    light_paths = light_paths_of(renderer, call, edges)
+    own = calls_of_light(renderer, call, light_paths_of(renderer, call, edges))
+    if not own.of_lamps:
+        return rendered(call), call
+    found = torch.cat([image_from_lamps(renderer, own, number) for number in range(len(call.views))])
+    if own.of_cameras is None:
+        return found, own.whole
+    images = rendered(own.of_cameras)
+    return images + found if images.shape[1] == 3 else torch.cat([images[:, :3] + found, images[:, 3:]], 1), own.whole
+
+
+class CallsOfLight(NamedTuple):
+    """The calls whose light is that of an image, each its own."""
+
+    whole: RenderCall  # of all light by paths from the camera, as boundary terms take it
+    of_cameras: RenderCall | None  # None: paths from the camera bring nothing
+    of_lamps: list[RenderCall]  # of each view; empty: paths from the camera bring all
+
+
+def calls_of_light(renderer: Renderer, call: RenderCall, light_paths: str) -> CallsOfLight:
+    """Shares the light of a call among paths from the camera and from lamps; nothing is said.
+
+    Args:
+        renderer, call: as for `shared_image`.
+        light_paths: see `Settings.light_paths`.
+
+    Raises:
+        ValueError: if a camera cannot tell where it sees points.
+    """
     lit = lights_of_paths(call.scene, light_paths)
     if light_paths == "camera" or not lit:
-        return rendered(call), call
+        return CallsOfLight(call, call, [])
     narrow = None if renderer.light_paths == "auto" else narrow_materials(call)
     whole, call = call, with_narrow_materials(call, narrow)
     # Paths from the camera find no light without extent by way of ideal vertices, so that there is nothing to share.
@@ -70,12 +108,21 @@ def shared_image(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> tu
     share = call if apart else sharing(call, light_paths, 1 if first_only else None)
     if light_paths == "all" and all(kind.aimed for kind in lit):
         whole = whole._replace(camera_share=share)
-    found = torch.cat([image_from_lamps(renderer, call, number, light_paths) for number in range(len(call.views))])
+    of_lamps = [call_from_lamps(renderer, call, number, light_paths) for number in range(len(call.views))]
     sees_nothing = first_only and all(kind.delta for kind in lit)  # of lights without extent, and no narrow scattering
-    if light_paths == "all" and call.quantities is None and (sees_nothing or not cameras_see_own_light(call)):
-        return found, whole
-    images = rendered(share)
-    return images + found if images.shape[1] == 3 else torch.cat([images[:, :3] + found, images[:, 3:]], 1), whole
+    nothing = light_paths == "all" and call.quantities is None and (sees_nothing or not cameras_see_own_light(call))
+    return CallsOfLight(whole, None if nothing else share, of_lamps)
+
+
+def calls_traced(renderer: Renderer, call: RenderCall) -> list[RenderCall]:
+    """The calls of which the image of a call is the sum, for predictions: of paths from lamps all that may belong to it."""
+    chosen = renderer.light_paths
+    if chosen == "auto":
+        caustic, turned = renderer.jump_watch.caustic, call.integrand.settings.moving and call.can_follow_to_the_film
+        mirrors = any(look.kind.delta for look in call.scene.layout.appearances)
+        chosen = "caustics" if mirrors and (turned or caustic is not None and call.can_begin_at_lamps) else "camera"
+    own = calls_of_light(renderer, call, chosen if call.can_begin_at_lamps else "camera")
+    return own.of_lamps if own.of_cameras is None else [own.of_cameras, *own.of_lamps]
 
 
 def narrow_materials(call: RenderCall) -> Tensor | None:
@@ -121,17 +168,21 @@ def left_out_of_paths(light_paths: str) -> SilhouetteWarning:
                              f"that turned light passes. check_gradient measures how much it is")
 
 
-def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_paths: str = "all") -> Tensor:
-    """(1, 3, H, W) what paths from lamps bring to the image of view `number`; attached to the scene, in either mode.
+def image_from_lamps(renderer: Renderer, own: CallsOfLight, number: int) -> Tensor:
+    """(1, 3, H, W) what paths from lamps bring to the image of view `number`; attached to the scene, in either mode."""
+    call, view = own.of_lamps[number], own.whole.views[number]
+    settings = call.integrand.settings
+    if any_differentiated((call.scene.triangles, view.camera, call.source.ray)):
+        renderer.jump_watch.say(left_out_of_paths(settings.light_paths))
+    if settings.moving and view.camera.film.kernel.flat:
+        renderer.jump_watch.say(SilhouetteWarning(
+            "light of paths from lamps lands elsewhere where what turns it changes, which a film with a box filter does not "
+            "see: derivatives lack it. Take a smooth filter, such as gaussian"))
+    return rendered(call)
 
-    Args:
-        renderer, call: as for `shared_image`.
-        number: of the view.
-        light_paths: see `Settings.light_paths`.
 
-    Raises:
-        ValueError: if the camera cannot tell where it sees points.
-    """
+def call_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_paths: str) -> RenderCall:
+    """The call of paths from lamps to view `number`; the other args and errors as of `calls_of_light`."""
     view: View = call.views[number]
     if not view.camera.kind.sees_points:
         raise ValueError(f"paths from lamps cannot end at a {view.sensor.type} camera: only perspective, thinlens and "
@@ -141,12 +192,6 @@ def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_pa
     lamps, scene = lamps_as_source(call.scene, keys, light_paths), from_lamps(call.scene, view.camera)
     settings = settings_of_integrand(renderer, scene, lamps.ray)._replace(
         nee=True, hide_emitters=False, light_paths=light_paths)
-    if any_differentiated((scene.triangles, view.camera, lamps.ray)):
-        renderer.jump_watch.say(left_out_of_paths(light_paths))
-    if settings.moving and view.camera.film.kernel.flat:
-        renderer.jump_watch.say(SilhouetteWarning(
-            "light of paths from lamps lands elsewhere where what turns it changes, which a film with a box filter does not "
-            "see: derivatives lack it. Take a smooth filter, such as gaussian"))
     still = detached(scene)
     integrand = call.integrand._replace(scene=still, proposal=proposal_of(still), settings=settings, parts={}, clipping=None)
 
@@ -158,7 +203,7 @@ def image_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_pa
     most = min(most, -(-paths // call.workers), MOST_ON_CPU if call.scene.device.type == "cpu" else paths)
     wavefronts = [Wavefront((LaneRange(first, min(most, paths - first)),)) for first in range(0, paths, most)]
     sink = LightFilm(detached(view.camera).film.without_border(), (view.height, view.width), paths)
-    return rendered(call._replace(
+    return call._replace(
         scene=scene, source=lamps, sink=sink,
         wavefronts=wavefronts, make_integrand=make_integrand, integrand=integrand, together=False,
-        following=settings.following, shared=True, quantities=None))
+        following=settings.following, shared=True, quantities=None)

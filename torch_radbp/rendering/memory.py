@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import inf
 from typing import NamedTuple
 
@@ -23,8 +23,8 @@ from torch_radbp.adjoint.outside import HELD
 from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState, start_path
-from torch_radbp.path.step import Step
-from torch_radbp.path.trace import trace
+from torch_radbp.path.step import Onward, Step
+from torch_radbp.path.trace import walk
 from torch_radbp.path.wavefront import take_step
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.rendering.bounce_memory import BounceMemory, LinearSize
@@ -96,7 +96,7 @@ def reaching(integrand: Integrand, pilot: PathState) -> list[float]:
     """The fraction of camera paths that reach each depth, estimated by pilot paths."""
     counts: list[int] = []
     with torch.no_grad():
-        trace(integrand, pilot, lambda depth, state, step: counts.append(len(state.lane)))
+        walk(integrand, Onward(pilot, None), lambda depth, state, step: counts.append(len(state.lane)))
     return [count / max(1, len(pilot.lane)) for count in counts] or [0.0]
 
 
@@ -147,6 +147,8 @@ class Workload(NamedTuple):
     row: int = 1  # lanes of a row of pixels
     jumps: int = 0  # bytes of discontinuity curves and samples on them; 0: no boundary terms
     launched: bool = False  # True if bounces are launches of a GPU, whose results have room for all lanes
+    most: int = 1 << 62  # lanes of a chunk
+    together: bool = False  # True if image and derivative are traced as one, and all is recorded
 
     @property
     def bounce_memory(self) -> BounceMemory:
@@ -204,6 +206,24 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
     return MemoryPlan(chunk, adjoint, retrace, int(kept), int(working) + work.images)
 
 
+def predict_all(works: Sequence[Workload], chunk: int, adjoint: AdjointStrategy, record_bytes: float = inf) -> MemoryPlan:
+    """As `predict`, of what is done one after the other: paths from the camera, and paths from lamps.
+
+    What is kept for the derivative, and images, are there at the same time, and `working` is that of the worst.
+    """
+    plans, images = [], sum(work.images for work in works)
+    for work in works:
+        if work.together:  # lanes of image and derivative, and all that is recorded
+            plan = predict(work._replace(lanes=2 * work.lanes), 2 * min(chunk, work.most), adjoint, inf)
+        else:
+            plan = predict(work, min(chunk, work.most), adjoint, record_bytes)
+        plans.append(plan._replace(working=plan.working + images - work.images))
+    worst = max(plans, key=lambda plan: plan.peak)._replace(chunk=chunk, retrace=any(plan.retrace for plan in plans))
+    if record_bytes == 0 and not adjoint.taped:  # records are made for one wavefront after the other
+        return worst
+    return worst._replace(kept=sum(plan.kept for plan in plans), working=max(plan.working for plan in plans))
+
+
 def states_kept(adjoint, bounces: int, work: Workload) -> float:
     """The number of states kept of a camera path after `bounces` bounces; 1 if the first serves for all."""
     depths = adjoint.kept(bounces, work.max_depth)
@@ -233,13 +253,13 @@ def bytes_text(count: float) -> str:
     return f"{count / UNITS[unit]:.3g} {unit}"
 
 
-def plan_memory(budget: int, work: Workload, chunk: int, adjoint: AdjointStrategy | None = None,
+def plan_memory(budget: int, works: Sequence[Workload], chunk: int, adjoint: AdjointStrategy | None = None,
                 shares_samples: bool = True) -> MemoryPlan:
     """Picks the fastest chunk size and strategy that fit `budget` bytes.
 
     Args:
         budget: bytes.
-        work: what is to be done.
+        works: what is to be done, one after the other.
         chunk: the largest to try, lanes.
         adjoint: the strategy if the user chose one: then only the chunk is planned; else None.
         shares_samples: image and derivative have the same samples, so that something may be kept of them.
@@ -247,7 +267,7 @@ def plan_memory(budget: int, work: Workload, chunk: int, adjoint: AdjointStrateg
     Raises:
         ValueError: if nothing fits; the message says how much the most frugal plan needs.
     """
-    plans = [predict(work, size, strategy, record_bytes)
+    plans = [predict_all(works, size, strategy, record_bytes)
              for size, strategy, record_bytes in _candidates(max(chunk, SMALLEST_CHUNK), adjoint, shares_samples)]
     fitting = next((plan for plan in plans if plan.peak <= budget), None)
     if fitting is None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from functools import partial
-from math import inf
 
 from torch import Tensor
 
@@ -15,7 +14,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lane_room import room_for
 from torch_radbp.path.taped_bounces import keeps_all_lanes
 from torch_radbp.rendering.bounce_memory import BounceMemory, measured, tables_of
-from torch_radbp.rendering.memory import MemoryPlan, Workload, plan_memory, predict, reaching, record_sizes
+from torch_radbp.rendering.memory import MemoryPlan, Workload, plan_memory, predict_all, reaching, record_sizes
 from torch_radbp.rendering.settings import PRIMARY, SHADOW
 from torch_radbp.tensors.differentiated import any_differentiated, detached, differentiable
 from torch_radbp.tensors.stage import EAGER
@@ -23,7 +22,6 @@ from torch_radbp.tensors.torch_internals import tree_flatten
 
 PILOT_LANES = 4096  # paths that predict the memory of a call
 FEW_LANES = 64  # that tell what records they have
-IMAGE_COPIES = 5  # the sums of its rows, the image, its gradient, that by sums of the filter, and what the loss makes
 
 
 class MemoryPlanner:
@@ -32,33 +30,27 @@ class MemoryPlanner:
     def __init__(self):
         self.measured: dict[tuple, BounceMemory] = {}  # by kind of call
 
-    def plan(self, call: RenderCall, budget: str | int | None, adjoint_is_chosen: bool,
+    def plan(self, call: RenderCall, traced: Sequence[RenderCall], budget: str | int | None, adjoint_is_chosen: bool,
              terms: Collection[str]) -> MemoryPlan:
         """Plans chunk size and strategy of a call, with its predicted memory, by pilot paths.
 
         Args:
             call: with the chunks and the strategy that it would have without a budget.
+            traced: what it consists of, one after the other: calls with the same strategy and no larger chunks.
             budget: bytes, or a string such as "2GiB"; None: the call is left as it is.
             adjoint_is_chosen: within a budget the strategy of the call is kept, too.
             terms: of derivatives, that are asked for.
         """
-        work = self.workload(call)
-        work = work._replace(jumps=bytes_of_edges(call, PRIMARY in terms, SHADOW in terms))
+        works = [self.workload(each) for each in traced]
+        works[0] = works[0]._replace(jumps=bytes_of_edges(call, PRIMARY in terms, SHADOW in terms))
         chunk = max(wavefront.lanes for wavefront in call.wavefronts)
         if budget is None:
-            if call.together:  # lanes of image and derivative, and all that is recorded
-                work = work._replace(lanes=2 * work.lanes)
-                return predict(work, 2 * chunk, call.adjoint, inf)._replace(chunk=chunk)
-            return predict(work, chunk, call.adjoint, call.record_bytes)
-        return plan_memory(budget, work, chunk, call.adjoint if adjoint_is_chosen else None, call.shares_samples)
+            return predict_all(works, chunk, call.adjoint, call.record_bytes)
+        return plan_memory(budget, works, chunk, call.adjoint if adjoint_is_chosen else None, call.shares_samples)
 
     def workload(self, call: RenderCall) -> Workload:
         """Measures the work of a call: path lengths, and the memory of a bounce."""
-        scene = detached(call.scene)
-        integrand = call.integrand.with_stages(EAGER)
-        lanes = call.spp * sum(view.grid.columns * view.grid.rows for view in call.views)
-        image_bytes = 3 * (lanes // call.spp) * scene.dtype.itemsize
-        columns = max(view.grid.columns for view in call.views)
+        scene, integrand, columns = detached(call.scene), call.integrand.with_stages(EAGER), call.source.columns
         moving = integrand.settings.moving
         triangles = (moving and integrand.settings.sampling != "attached"
                      and any_differentiated(call.scene.triangles.vertices.p))
@@ -67,11 +59,12 @@ class MemoryPlanner:
         launched = keeps_all_lanes(call.integrand)
         if launched:
             fractions = room_for(fractions)[:integrand.max_depth]
-        return Workload(fractions, lanes, integrand.max_depth, scene.dtype,
+        return Workload(fractions, sum(wavefront.lanes for wavefront in call.wavefronts), integrand.max_depth, scene.dtype,
                         call.stages.is_compiled, call.workers, moving,
-                        record_sizes(integrand, pilot_paths(still, FEW_LANES), triangles), IMAGE_COPIES * image_bytes,
+                        record_sizes(integrand, pilot_paths(still, FEW_LANES), triangles), call.sink.bytes_held(call),
                         self.bounce_memory_of(call, integrand, triangles),
-                        columns * min(call.spp, TOGETHER), columns * call.spp, launched=launched)
+                        columns * min(call.spp, TOGETHER), columns * call.spp, launched=launched,
+                        most=max(wavefront.lanes for wavefront in call.wavefronts), together=call.together)
 
     def bounce_memory_of(self, call: RenderCall, integrand: Integrand, triangles: bool) -> BounceMemory:
         """The memory of a bounce of a call; measured once for each kind of call.
@@ -87,6 +80,7 @@ class MemoryPlanner:
         if case not in self.measured:
             attached = call.make_integrand(call.scene).with_stages(EAGER) if taped else None
             tables = tables_of(differentiable(call.scene), list(call.parameters.values()))
-            found = measured(integrand, attached, partial(pilot_paths, call if taped else call.still()), wanted)
+            asked, start = call.sink.asked_everywhere(call, integrand), call if taped else call.still()
+            found = measured(integrand, asked, attached, partial(pilot_paths, start), wanted)
             self.measured[case] = found._replace(tables=tables)
         return self.measured[case]

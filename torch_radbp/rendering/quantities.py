@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-
 from torch import Tensor
 
 from torch_radbp.aov.images import channels_of, lane_values, render_aovs
-from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, TURNING, UNDIFFERENTIATED, plain
+from torch_radbp.aov.quantity import OF_PATHS, QUANTITIES, TURNING, UNDIFFERENTIATED, alpha_of_surroundings, plain
 from torch_radbp.boundary.curve.outline import Jumps
 from torch_radbp.boundary.terms.of_call import EdgesOfCall
 from torch_radbp.boundary.terms.primary import SeenByCamera, jumps_of_views
@@ -18,14 +16,18 @@ from torch_radbp.rendering.settings import INTERIOR
 from torch_radbp.tensors.differentiated import primal
 
 
-def images_of_quantities(call: RenderCall, edges: EdgesOfCall, names: tuple[str, ...], channels: Tensor | None,
-                         terms: Collection[str]) -> dict[str, Tensor]:
-    """AOV images by name; `call` and `channels` as for `render_aovs`, `edges` of the call, `terms` as settings."""
+def named_quantities(renderer, call: RenderCall, edges: EdgesOfCall, outputs: dict[str, str],
+                     channels: Tensor | None = None) -> dict[str, Tensor]:
+    """AOV images by name, of a renderer; `call`, `channels`: as for `render_aovs`, `edges`: of the call, `outputs`: the
+    quantities by name."""
+    names = tuple(dict.fromkeys(outputs.values()))
+    if call.scene.layout.surround is not None and not renderer.hide_emitters:
+        renderer.jump_watch.say(alpha_of_surroundings(names))
     images = render_aovs(call, names, channels)
-    images = images if INTERIOR in terms else {name: primal(image) for name, image in images.items()}
+    images = images if INTERIOR in renderer.terms else {name: primal(image) for name, image in images.items()}
     if edges.in_view is not None:
         images |= {name: images[name] + jump for name, jump in aov_jumps(call, edges.in_view, names).items()}
-    return images
+    return {output: images[quantity] for output, quantity in outputs.items()}
 
 
 def aov_jumps(call: RenderCall, jumps: list[Jumps], names: tuple[str, ...]) -> dict[str, Tensor]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from functools import partial
 from math import inf
 from types import MappingProxyType
 from typing import TYPE_CHECKING, overload
@@ -14,7 +15,7 @@ from torch.func import functional_call
 from torch_radbp.adjoint import AdjointStrategy, MemoizedAdjoint
 from torch_radbp.adjoint.forward_mode import inside_transforms, render_outside_transforms
 from torch_radbp.aov.images import beside_image
-from torch_radbp.aov.quantity import alpha_of_surroundings, checked_names
+from torch_radbp.aov.quantity import checked_names
 from torch_radbp.boundary.curve.rendering import rendering_of
 from torch_radbp.boundary.terms.jump_watch import JumpWatch
 from torch_radbp.boundary.terms.of_call import EdgesOfCall, edges_of_call
@@ -28,15 +29,15 @@ from torch_radbp.jit.target import COMPILED
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.public_call import public_call
 from torch_radbp.raycast import RayCaster
-from torch_radbp.raycast.caster_cache import CastTriangles
 from torch_radbp.raycast.kept_caster import KeptCaster
+from torch_radbp.rendering.cast_triangles import cast_triangles
 from torch_radbp.rendering.cost import Request, bytes_of_records
 from torch_radbp.rendering.lanes import plan_lanes, wavefronts_of
-from torch_radbp.rendering.light_paths import shared_image
+from torch_radbp.rendering.light_paths import calls_traced, shared_image
 from torch_radbp.rendering.memory import MemoryPlan
 from torch_radbp.rendering.noise_watch import NoiseWatch
 from torch_radbp.rendering.planner import MemoryPlanner
-from torch_radbp.rendering.quantities import images_of_quantities
+from torch_radbp.rendering.quantities import named_quantities
 from torch_radbp.rendering.radiance import radiance_outside
 from torch_radbp.rendering.settings import (
     INTERIOR,
@@ -44,6 +45,7 @@ from torch_radbp.rendering.settings import (
     PRIMARY,
     SHADOW,
     TERMS,
+    UNLIMITED,
     SensorChoice,
     check_settings,
     checked_scene,
@@ -58,15 +60,15 @@ from torch_radbp.scene.cache.pack_cache import PackCache
 from torch_radbp.scene.modules.parameters import check_names
 from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.scene.modules.wanted import wanted_parameters
-from torch_radbp.scene.packing.pack import pack
+from torch_radbp.scene.packing.geometry import PlacedShape
+from torch_radbp.scene.packing.pack import PLACED, pack
 from torch_radbp.scene.tables.scene_tensors import SceneTensors, proposal_of
 from torch_radbp.sensor.rays import given_rays
-from torch_radbp.tensors.differentiated import detached, primal
+from torch_radbp.tensors.asked_later import Presumptions
+from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.stage import EAGER
 from torch_radbp.threads.team import threads
 from torch_radbp.threads.zeroed_memory import ZeroedMemory
-
-UNLIMITED = 1024  # bounces; roulette ends a path long before
 
 
 class Renderer(nn.Module):
@@ -146,6 +148,7 @@ class Renderer(nn.Module):
         self.casters, self.cache, self.cache_for_aovs = KeptCaster(), PackCache(), PackCache()
         self.jump_watch, self.gradient_watch, self.noise_watch = JumpWatch(), GradientWatch(), NoiseWatch()
         self.planner, self.memory, self.repetitions = MemoryPlanner(), ZeroedMemory(), LearntRepetitions()
+        self.presumptions = Presumptions()
         check_settings(self)
 
     @property
@@ -211,6 +214,11 @@ class Renderer(nn.Module):
                          "window": window}
             return render_outside_transforms(lambda parameters: functional_call(self, parameters, kwargs=arguments),
                                              dict(self.named_parameters()))
+        return self.presumptions.tried(partial(self.rendered, seed, sensors, spp, seed_grad, aovs, window), self.forget)
+
+    def rendered(self, seed: int | None, sensors: SensorChoice, spp: int | None, seed_grad: int | None,
+                 aovs: Sequence[str] | None, window: WindowChoice) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
+        """What `forward` returns, which may presume."""
         outputs = None if aovs is None else self.outputs(aovs)
         call = self.prepare(seed, sensors, spp, seed_grad, aovs is not None, window)
         self.noise_watch.look(seed, call.parameters)
@@ -220,12 +228,12 @@ class Renderer(nn.Module):
         (images, shared), channels = shared_image(self, call, edges), None
         if outputs is not None:
             channels, images = images[:, 3:].detach(), images[:, :3].clone(memory_format=torch.contiguous_format)
-        images = self.gradient_watch.watched(self.with_terms(images, edges, shared), call)
-        return images if outputs is None else (images, self.quantities(call, edges, outputs, channels))
+        images = self.gradient_watch.watched(edges.added_to(images, shared, INTERIOR in self.terms), call)
+        return images if outputs is None else (images, named_quantities(self, call, edges, outputs, channels))
 
-    def with_terms(self, images: Tensor, edges: EdgesOfCall, call: RenderCall) -> Tensor:
-        """Adds the boundary terms to the images, as far as `terms` asks for them."""
-        return edges.added_to(images if INTERIOR in self.terms else primal(images), call)
+    def forget(self) -> None:
+        """Forgets all that was packed for the last calls."""
+        self.cache, self.cache_for_aovs = PackCache(), PackCache()
 
     @public_call
     def radiance(self, origins: Tensor, directions: Tensor, seed: int | None = None, spp: int | None = None,
@@ -263,7 +271,7 @@ class Renderer(nn.Module):
                              seed_grad, beside={"origins": origins, "directions": directions})
         self.noise_watch.look(seed, call.parameters)
         edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1])
-        image = self.with_terms(shared_image(self, call, edges)[0], edges, call)[0, :, :, 0].t()
+        image = edges.added_to(shared_image(self, call, edges)[0], call, INTERIOR in self.terms)[0, :, :, 0].t()
         return self.gradient_watch.watched(image.clone(memory_format=torch.contiguous_format), call)
 
     @public_call
@@ -301,7 +309,7 @@ class Renderer(nn.Module):
         outputs = self.outputs(names)
         call = self.prepare(seed, sensors, spp, seed_grad, aovs=True, window=window)
         edges = self.look(call, checked_seeds(seed, seed_grad, self.share_samples)[1], aovs=True)
-        return self.quantities(call, edges, outputs)
+        return named_quantities(self, call, edges, outputs)
 
     def outputs(self, names: Sequence[str] | None) -> dict[str, str]:
         """The quantities of the requested AOVs, by name; errors as for `aovs`."""
@@ -309,15 +317,6 @@ class Renderer(nn.Module):
         if not found:
             raise ValueError("the scene's integrator lists no outputs; name some, such as renderer.aovs([\"depth\"])")
         return found
-
-    def quantities(self, call: RenderCall, edges: EdgesOfCall, outputs: dict[str, str],
-                   channels: Tensor | None = None) -> dict[str, Tensor]:
-        """AOV images by name; `call`, `channels`: as for `render_aovs`, `edges`: of `look`."""
-        quantities = tuple(dict.fromkeys(outputs.values()))
-        if call.scene.layout.surround is not None and not self.hide_emitters:
-            self.jump_watch.say(alpha_of_surroundings(quantities))
-        images = images_of_quantities(call, edges, quantities, channels, self.terms)
-        return {output: images[quantity] for output, quantity in outputs.items()}
 
     def look(self, call: RenderCall, seed: int, aovs: bool = False) -> EdgesOfCall:
         """Finds the edges at which a call's images are discontinuous, and warns of what derivatives or image lack."""
@@ -342,8 +341,7 @@ class Renderer(nn.Module):
         named, seen, windows = self.scene.named_sensors, [shot.sensor for shot in shots], [shot.window for shot in shots]
         spp = samples_per_pixel(self.chosen_spp if spp is None else spp, seen)
         seeds = checked_seeds(seed, seed_grad, self.share_samples)
-        device, fused = self.scene.device, self.runs_compiled()
-        workers = threads() if device.type == "cpu" else 1
+        device, fused, workers = self.scene.device, self.runs_compiled(), threads() if self.scene.device.type == "cpu" else 1
         parameters = wanted_parameters(self.scene, seen, cache, beside)
         record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
@@ -351,14 +349,15 @@ class Renderer(nn.Module):
             len(shots), windows[0].columns.size, windows[0].rows.size, spp, self.chunk, self.depth_limit, self.scene.dtype,
             device, workers, self.adjoint if differentiating else None, record_bytes, fused))
         scene = pack(self.scene, cache, self.light_choice, aovs, [name for name, sensor in named.items() if sensor in seen])
-        caster = self.caster_of(scene)
+        caster = self.caster_of(scene, cache.made(PLACED))
         views = [view_of(shot, seeds, seeds[0] ^ OF_DERIVATIVE == seeds[1], spp, scene, cache) for shot in shots]
         setattr(self, "cache_for_aovs" if aovs else "cache", cache.close())
         stages = compiled() if fused else EAGER
         settings = settings_of_integrand(self, scene, [view.camera for view in views])
 
         def make_integrand(tensors: SceneTensors) -> Integrand:
-            made = Integrand(tensors, proposal_of(tensors), caster, settings, self.depth_limit, self.rr_depth, stages, {})
+            made = Integrand(tensors, proposal_of(tensors), caster, settings, self.depth_limit, self.rr_depth, stages, {},
+                             learnt=self.repetitions)
             return made.for_derivatives(of_image=True) if seeds[0] == seeds[1] else made
 
         integrand = make_integrand(detached(scene))
@@ -387,12 +386,11 @@ class Renderer(nn.Module):
 
     def plan(self, call: RenderCall) -> MemoryPlan:
         """Plans chunk size and strategy of a call; within the memory budget, if there is one."""
-        return self.planner.plan(call, self.memory_budget, self.adjoint_is_chosen, self.terms)
+        return self.planner.plan(call, calls_traced(self, call), self.memory_budget, self.adjoint_is_chosen, self.terms)
 
-    def caster_of(self, scene: SceneTensors) -> RayCaster:
+    def caster_of(self, scene: SceneTensors, placed: Sequence[PlacedShape] = ()) -> RayCaster:
         """The ray caster of a scene's triangles: that of the last call if they are the same, else a new one."""
-        return self.casters.of(CastTriangles(scene.triangles.vertices.p.map(primal), scene.triangles.corners,
-                                             scene.triangles.balls, scene.triangles.casting_instances), self.caster_name)
+        return self.casters.of(cast_triangles(scene.triangles, placed), self.caster_name)
 
     @property
     def last_caster(self) -> RayCaster | None:

@@ -28,6 +28,7 @@ TERMS = (INTERIOR, PRIMARY, SHADOW)  # of derivatives
 SAMPLINGS = ("hybrid", "detached", "attached")
 LIGHT_PATHS = ("camera", "caustics", "all", "auto")
 OF_DERIVATIVE = 0x3F84D5B5B5470917  # what the seed of a derivative differs by: digits of pi, so far from any counter
+UNLIMITED = 1024  # bounces; roulette ends a path long before
 
 
 class RendererSettings(TypedDict, total=False):

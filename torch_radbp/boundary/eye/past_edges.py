@@ -118,7 +118,7 @@ def flown_past_edges(call: RenderCall, integrand: Integrand, points: Viewpoints,
     return PastEdges(ray, hit, medium, flight)
 
 
-@stage("scene", "ray", "p")
+@stage("scene")
 def leaving_towards(scene: SceneTensors, ray: Ray, hit: Hit, flight: Flight, p: Vec3) -> tuple[Ray, Tensor | None]:
     """Rays from the vertices of paths to points p in the world, and the numbers of the media in which they begin, (N,) each;
     None: rays are not followed through media.

@@ -21,7 +21,7 @@ from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.light_share import ends_lamp_paths
 from torch_radbp.path.state import Arrival, BoundaryCrossing, Flight, PathState, Settings
 from torch_radbp.path.step import Onward, Step
-from torch_radbp.path.taped_bounces import bounces_taken
+from torch_radbp.path.taped_bounces import bounces_taken, found_out
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import LaneKey, SampleKey, hash32
@@ -151,7 +151,8 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, batch: PathB
         paths = joined([pilots, paths])
     pixel, sample, place, area, camera = paths
     chosen = key._replace(seed=hash32(key.seed ^ begun)) if begun else key
-    picked = picked_vertices(integrand, started(call, camera), chosen, following)
+    start = started(call, camera)
+    picked = found_out(integrand, lambda integrand: picked_vertices(integrand, start, chosen, following))
     beta = picked.beta * (area.to(picked.total.dtype) * picked.total / picked.promise.clamp_min(TINY))
     if camera.weight is not None:
         beta = beta * camera.weight

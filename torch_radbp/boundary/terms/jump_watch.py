@@ -269,7 +269,7 @@ class JumpWatch:
 def traces_from_lamps(rendering: Rendering) -> bool:
     """True if paths begin at lamps, where some light by way of mirrors and glass asks for it."""
     return rendering.light_paths in ("caustics", "all") or (
-        rendering.light_paths == "auto" and rendering.call.can_follow_to_the_film)
+        rendering.light_paths == "auto" and rendering.call.can_follow_to_the_film and rendering.sampling != "attached")
 
 
 def moving_names(rendering: Rendering) -> set[str]:

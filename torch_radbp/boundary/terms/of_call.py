@@ -25,6 +25,7 @@ from torch_radbp.boundary.terms.reflections import (
 from torch_radbp.boundary.terms.shadows import bytes_of_shadows, shadow_jumps, shadows_move, slides_over_edges
 from torch_radbp.boundary.warning.slid_over import lamps_beside_mirrors, slid_over
 from torch_radbp.call.render_call import RenderCall
+from torch_radbp.tensors.differentiated import primal
 
 
 class EdgesOfCall(NamedTuple):
@@ -37,8 +38,10 @@ class EdgesOfCall(NamedTuple):
     lines: LineNumbers | None = None  # of those among `crossing`
     lamps_in_mirrors: bool = False  # edges of lamps that surfaces see there move, which no term has
 
-    def added_to(self, images: Tensor, call: RenderCall) -> Tensor:
-        """The images, (B, 3, H, W), with the boundary terms of their derivatives."""
+    def added_to(self, images: Tensor, call: RenderCall, interior: bool) -> Tensor:
+        """The images, (B, 3, H, W), with the boundary terms of their derivatives; `interior`: and with those that they have
+        beside."""
+        images = images if interior else primal(images)
         if self.in_view is not None:
             images = images + image_jumps(call, self.in_view)
         if self.casting is not None or self.crossing is not None:

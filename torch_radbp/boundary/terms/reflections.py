@@ -30,6 +30,7 @@ from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.boundary.curve.outline import Outline
 from torch_radbp.boundary.curve.places import FEWEST
+from torch_radbp.boundary.curve.triangles_in_view import may_see_ideal_surfaces
 from torch_radbp.boundary.eye.deposit import Deposit, image_of
 from torch_radbp.boundary.eye.differences import SHADOW, parted
 from torch_radbp.boundary.eye.ideal_paths import only_ideal
@@ -88,6 +89,8 @@ def sharp_lights(call: RenderCall) -> bool:
 def bytes_of_reflections(call: RenderCall) -> int:
     """The usual greatest memory of scans and the crossings that they find."""
     paths = call.spp * max(view.width * view.height for view in call.views)
+    if not any(may_see_ideal_surfaces(view, call.still_scene, paths) for view in call.views):
+        return 0
     corners = max((view.grid.columns + 1) * (view.grid.rows + 1) for view in call.views)
     places = max(FEWEST, min(MOST, paths // SHARE))
     together = places if places <= BLOCK else min(places, BLOCK * call.workers)

@@ -14,6 +14,7 @@ from typing import NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.recording.lane_count import LaneCount
 from torch_radbp.tensors.asked_later import answered, asked_together
 
 Result = TypeVar("Result")
@@ -28,6 +29,17 @@ class Repetitions(NamedTuple):
 
     most: int
     left: list[Tensor]  # (1,) int64 each, of the lanes that went on after the last; added to
+
+    def add(self, left: Sequence[int | LaneCount]) -> None:
+        """Adds numbers of lanes that went on.
+
+        Raises:
+            TooFewRepetitions: if one that the host knows is not 0.
+        """
+        known = [number for number in left if isinstance(number, int)]
+        if any(known):
+            raise TooFewRepetitions
+        self.left.extend([number.alone for number in left if isinstance(number, LaneCount)])
 
 
 @dataclass
@@ -45,6 +57,16 @@ class LearntRepetitions:
                     return work(Repetitions(most, []))
             except TooFewRepetitions:
                 self.most = max(self.most, 2 * most + 1)
+
+
+    def found_out(self, work: Callable[[Repetitions], Result]) -> Result:
+        """The result of `work`, of which it is found out here whether the repetitions that it is given were enough."""
+        def asked(some: Repetitions) -> Result:
+            result = work(some)
+            read_together([], some)
+            return result
+
+        return self.enough(asked)
 
 
 def read_together(flags: Sequence[Tensor], repetitions: Repetitions | None = None) -> bool:

@@ -11,7 +11,8 @@ from torch import Tensor, nn
 
 from torch_radbp.scene.cache.inventory import Inventory
 from torch_radbp.scene.cache.module_attributes import parametrized_names
-from torch_radbp.scene.cache.same_bits import comparable, equal_on_device, same_bits, same_bits_each
+from torch_radbp.scene.cache.same_bits import comparable, differing_bytes, equal_on_device, same_bits, same_bits_each
+from torch_radbp.tensors.asked_later import mistaken_if_any, presuming
 from torch_radbp.tensors.differentiated import asks_for_derivatives, differentiated, primal
 
 
@@ -31,6 +32,9 @@ class Copies:
         self.fixed: set[int] = set() if around is None else set(around.fixed)  # ids of objects that will not change
         self.places: dict[Hashable, weakref.ref[Tensor]] = {}  # of tensors that are not on the CPU
         self.last_places = {} if last is None else last.places
+        # Of tensors that are not on the CPU, by their ids, how often torch knows that somebody has written into them.
+        self.versions: dict[int, tuple[weakref.ref[Tensor], int]] = {} if around is None else around.versions
+        self.last_versions = around.last_versions if around is not None else {} if last is None else last.versions
         # Whether tensors of a device are as they were in the last rendering, by places and ids; found when first asked for.
         self.compared: dict[tuple[Hashable, int], bool] | None = None
         self.numbers: dict[int, list[float]] = {}  # that were fetched meanwhile, by ids of tensors
@@ -44,6 +48,7 @@ class Copies:
     def close(self) -> Copies:
         """Drops what only the comparison with the last rendering needed."""
         self.last_copies, self.last_places, self.last_inventories, self.compared = {}, {}, {}, None
+        self.last_versions = {}
         self.numbers = {}
         self.seen, self.fixed, self.moved, self.computed = {}, set(), set(), {}
         self.inventories = {root: inventory for root, inventory in self.inventories.items() if inventory.lasts}
@@ -72,6 +77,8 @@ class Copies:
             inventory = last if last is not None and last.holds(root) else Inventory(root)
             self.inventories[id(root)] = inventory
             self.moved |= inventory.live | inventory.restless
+            for tensor in inventory.away:
+                self.note_version(tensor)
             if inventory.away and self.compared is None:  # the first, of all that is rendered
                 self.compare([], inventory.away)
             self.freeze(inventory)
@@ -140,25 +147,67 @@ class Copies:
         if self.compared is None:
             self.compare([(place, tensor)])
         self.places[place] = weakref.ref(tensor)
+        self.note_version(tensor)
         assert self.compared is not None
         return self.compared.get((place, id(tensor)))
+
+    def note_version(self, tensor: Tensor) -> None:
+        """Notes how often torch knows that somebody has written into a tensor."""
+        if not tensor.is_inference():
+            self.versions[id(tensor)] = weakref.ref(tensor), tensor._version
+
+    def untouched(self, tensor: int | Tensor) -> bool | None:
+        """True if torch knows of nobody who has written into a tensor, given itself or by its id, since the last rendering,
+        False if it does; None: it was not there."""
+        number = tensor if isinstance(tensor, int) else id(tensor)
+        now, last = self.versions.get(number), self.last_versions.get(number)
+        if isinstance(tensor, Tensor) and now is None and not tensor.is_inference():
+            now = weakref.ref(tensor), tensor._version
+        if now is None or last is None or now[0]() is None or now[0]() is not last[0]():
+            return None
+        return now[1] == last[1]
+
+    def presume(self, place: Hashable, tensor: Tensor, reach: frozenset[int]) -> None:
+        """Presumes that a tensor of a device is as it was in the last rendering, if that may be, or knows that it is not.
+
+        Args:
+            place, tensor: as of `frozen`.
+            reach: of the modules that it is computed from, as `Inventory.reach`.
+        """
+        copy, moved = self.last_copies.get(place), [self.untouched(number) for number in reach & self.moved]
+        if tensor.is_cpu or not presuming() or None in moved or copy is None or not comparable(tensor, copy):
+            return
+        if self.compared is None:
+            self.compare([])
+        assert self.compared is not None
+        self.compared[place, id(tensor)] = all(moved)
+        if all(moved):
+            mistaken_if_any(differing_bytes([tensor], [copy]))
 
     def compare(self, tensors: Sequence[tuple[Hashable, Tensor]], asked: Sequence[Tensor] = ()) -> None:
         """Compares tensors of a device with their copies, and those of the last rendering with theirs, all at once.
 
         To ask a device for one answer takes as long as to ask it for many; on the CPU each is compared when its turn comes.
+        Of tensors into which torch knows nobody to have written it is presumed that they are as they were, if that may be.
 
         Args:
             tensors: with their places.
-            asked: those of which the numbers are fetched, too, into `numbers`.
+            asked: those of which the numbers are fetched, too, into `numbers`, unless they may be asked for in the end.
         """
-        found = [each for each in tensors if not each[1].is_cpu]
+        found = [each for each in tensors if not each[1].is_cpu and (each[0], id(each[1])) not in (self.compared or {})]
         if self.compared is None:
             self.compared = {}
             found += [(place, tensor) for place, reference in self.last_places.items()
                       if (tensor := reference()) is not None]
         pairs = {(place, id(tensor)): (tensor, self.last_copies[place]) for place, tensor in found
                  if place in self.last_copies and comparable(tensor, self.last_copies[place])}
+        self.compared |= {key: True for key, (tensor, _) in pairs.items() if not tensor.numel()}
+        if presuming():
+            steady = {key: pair for key, pair in pairs.items() if key not in self.compared and self.untouched(pair[0])}
+            if steady:
+                mistaken_if_any(differing_bytes(*zip(*steady.values())))
+            asked, self.compared = (), self.compared | dict.fromkeys(steady, True)
+        pairs = {key: pair for key, pair in pairs.items() if key not in self.compared}
         there, copies = zip(*pairs.values()) if pairs else ((), ())
         equal, numbers = equal_on_device(there, copies, asked)
         self.compared |= zip(pairs, equal)

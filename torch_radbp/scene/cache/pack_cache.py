@@ -160,6 +160,10 @@ class PackCache(Copies):
         """A part of the packed scene as this rendering has computed it."""
         return self.parts[place].value
 
+    def made_last(self, place: Hashable) -> Any:
+        """A part of the packed scene as the last rendering had it; None: it had none."""
+        return self.last_parts[place].value if place in self.last_parts else None
+
     def twin(self, place: Hashable, thing):
         """A copy of a module, or another object, as it is now; that of the last rendering if nothing in it has changed.
 

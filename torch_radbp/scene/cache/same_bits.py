@@ -47,6 +47,22 @@ def equal_on_device(tensors: Sequence[Tensor], copies: Sequence[Tensor],
         tensors, copies: the pairs.
         asked: others, of which the numbers are fetched, too, in float64; of large ones the extremes.
     """
+    answers, order = counted_differences(tensors, copies)
+    parts = list(map(fetched_of, asked))
+    dtypes = list(dict.fromkeys([part.dtype for part in parts]))
+    joined = [torch.cat([part for part in parts if part.dtype == dtype]).double() for dtype in dtypes]
+    joined = [*([torch.cat(answers).double()] if answers else []), *joined]
+    found = (joined[0] if len(joined) == 1 else torch.cat(joined)).tolist() if joined else []
+    equal = {place: count == 0 for place, count in zip(order, found)}
+    left = iter(found[len(tensors):])
+    numbers = {place: list(itertools.islice(left, part.numel()))
+               for dtype in dtypes for place, part in enumerate(parts) if part.dtype == dtype}
+    return [equal[place] for place in range(len(tensors))], [numbers[place] for place in range(len(parts))]
+
+
+def counted_differences(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> tuple[list[Tensor], list[int]]:
+    """How many bytes of pairs of comparable tensors differ, at least, int64 on their device, and which pairs each part of
+    that is about. Args: as for `equal_on_device`."""
     few = [place for place, tensor in enumerate(tensors) if tensor.nbytes <= SMALL]
     many = sorted({*range(len(tensors))}.difference(few))
     answers = [(bits_of(tensors[place]) != bits_of(copies[place])).any().reshape(1).long() for place in many]
@@ -55,17 +71,18 @@ def equal_on_device(tensors: Sequence[Tensor], copies: Sequence[Tensor],
         different = torch.nn.functional.pad((joined != others).cumsum(0), (1, 0))
         ends = itertools.accumulate([tensors[place].nbytes for place in few], initial=0)
         answers.append(different.index_select(0, whole_numbers(tuple(ends), joined.device)).diff())
-    parts = [value.reshape(-1) if value.numel() <= MOST_FETCHED else torch.stack(value.aminmax())
-             for value in map(primal, asked)]
-    dtypes = list(dict.fromkeys([part.dtype for part in parts]))
-    joined = [torch.cat([part for part in parts if part.dtype == dtype]).double() for dtype in dtypes]
-    joined = [*([torch.cat(answers).double()] if answers else []), *joined]
-    found = (joined[0] if len(joined) == 1 else torch.cat(joined)).tolist() if joined else []
-    equal = {place: count == 0 for place, count in zip((*many, *few), found)}
-    left = iter(found[len(tensors):])
-    numbers = {place: list(itertools.islice(left, part.numel()))
-               for dtype in dtypes for place, part in enumerate(parts) if part.dtype == dtype}
-    return [equal[place] for place in range(len(tensors))], [numbers[place] for place in range(len(parts))]
+    return answers, [*many, *few]
+
+
+def differing_bytes(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> Tensor:
+    """The counts of `counted_differences` of some pairs, as one tensor: 0 where nothing differs."""
+    return torch.cat(counted_differences(tensors, copies)[0])
+
+
+def fetched_of(value: Tensor) -> Tensor:
+    """The numbers of a tensor by which it is checked, all of a small one, else the extremes; detached."""
+    value = primal(value)
+    return value.reshape(-1) if value.numel() <= MOST_FETCHED else torch.stack(value.aminmax())
 
 
 def numbers_on_host(values: Sequence[Tensor]) -> list[list[float]]:

@@ -20,10 +20,11 @@ from torch_radbp.plugin.domain import LARGEST_COORDINATE, LEEWAY, Domain
 from torch_radbp.scene.cache.inventory import reach_of, tensors_of
 from torch_radbp.scene.cache.module_attributes import modules_in
 from torch_radbp.scene.cache.pack_cache import PackCache
-from torch_radbp.scene.cache.same_bits import numbers_on_host
+from torch_radbp.scene.cache.same_bits import fetched_of, numbers_on_host
 from torch_radbp.scene.modules.scene import Scene, modules_of
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
+from torch_radbp.tensors.asked_later import asked_later, presuming
 from torch_radbp.tensors.differentiated import differentiated, primal
 from torch_radbp.texture.bitmap import reader_of
 from torch_radbp.texture.module_function import Use
@@ -176,9 +177,26 @@ def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str], leew
         away = [name for name, check in checks.items() if not check[1].is_cpu and not cache.knows(check_values, *check)]
         fetched = {name: cache.numbers[id(values[name])] for name in away if id(values[name]) in cache.numbers}
         others = [name for name in away if name not in fetched]
+        if presuming():
+            check_later([checks.pop(name) for name in others if differentiated(values[name])])
+            others = [name for name in others if name in checks]
         fetched |= zip(others, numbers_on_host([checks[name][1] for name in others]))
         for name, check in checks.items():
             cache(check_values, *check, instead=partial(check_values, *check, fetched.get(name)))
+
+
+def check_later(checks: Sequence[tuple[str, Tensor, tuple[Domain, ...], float]]) -> None:
+    """Checks values, arguments of `check_values`, when their device is asked in the end."""
+    if not checks:
+        return
+    parts = [fetched_of(check[1]).double() for check in checks]
+
+    def told(numbers: list[float]) -> None:
+        for check, part in zip(checks, parts):
+            check_values(*check, numbers[:part.numel()])
+            numbers = numbers[part.numel():]
+
+    asked_later(torch.cat(parts), told)
 
 
 def check_values(name: str, value: Tensor, domains: tuple[Domain, ...], leeway: float,

@@ -57,13 +57,23 @@ class Columns(NamedTuple):
     boundary: tuple[int, ...] | None = None  # of each shape, row of `BoundaryTable`; None: as for `TriangleTable`
 
 
-def placed_shapes_of(cache: PackCache, shapes: Sequence[Surface], instanced: Sequence[bool],
-                     dtype: torch.dtype) -> tuple[PlacedShape, ...]:
-    """The triangles of shapes as they are now; of those that instances show in the frame of their group."""
+def placed_shapes_of(cache: PackCache, shapes: Sequence[Surface], instanced: Sequence[bool], dtype: torch.dtype,
+                     reaches: Sequence[frozenset[int]]) -> tuple[PlacedShape, ...]:
+    """The triangles of shapes as they are now; of those that instances show in the frame of their group.
+
+    Args:
+        cache: what is known from the last rendering.
+        shapes: of the scene, then of each group.
+        instanced: whether instances show each.
+        dtype: of the scene.
+        reaches: of each shape, as `Inventory.reach`.
+    """
     surfaces = [cache(without_flat_normals, cache(oriented, cache.twin(id(shape), shape), connections(cache, shape)))
                 for shape in shapes]
     columns = [(((id(shape), "vertices"), surface.vertices.to(dtype)), ((id(shape), "faces"), surface.faces))
                for shape, surface in zip(shapes, surfaces)]
+    for (vertices, _), reach in zip(columns, reaches):
+        cache.presume(*vertices, reach)
     if any(not vertices.is_cpu for (_, vertices), _ in columns):
         cache.compare([column for own in columns for column in own], [vertices for (_, vertices), _ in columns])
     placed = tuple(PlacedShape(surface, cache.frozen(*vertices), cache.frozen(*faces),

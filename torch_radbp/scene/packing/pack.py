@@ -37,6 +37,7 @@ from torch_radbp.scene.packing.radiances import Radiances, bank_of_radiances, ra
 from torch_radbp.scene.tables.scene_tensors import SAME, BoundaryTable, Layout, LightTable, SceneTensors, TriangleTable
 from torch_radbp.shape.instance import Instance
 from torch_radbp.shape.surface import Surface
+from torch_radbp.tensors.asked_later import asked_later, presuming
 
 # Parts that others ask for: the shapes as triangles, and the materials.
 PLACED, MATERIALS = "placed", "materials"
@@ -109,11 +110,17 @@ def objects_of(scene: Scene) -> Objects:
 
 def placed_shapes(cache: PackCache, objects: Objects) -> tuple[PlacedShape, ...]:
     """All shapes as triangles; raises ValueError if one is too large."""
-    placed = placed_shapes_of(cache, objects.shapes, objects.grouped, objects.dtype)
-    check_extent(objects.scene, objects.shapes, [
-        cache(largest_vertex_coordinate, shape.vertices,
-              instead=partial(largest_vertex_coordinate, shape.vertices, cache.numbers.get(id(shape.vertices))))
-        for shape in placed])
+    inventory = cache.inventory(objects.scene)
+    placed = placed_shapes_of(cache, objects.shapes, objects.grouped, objects.dtype,
+                              [inventory.reach((shape,)) for shape in objects.shapes])
+    for shape, placed_shape in zip(objects.shapes, placed):
+        vertices = placed_shape.vertices
+        if presuming() and not vertices.is_cpu and not cache.knows(largest_vertex_coordinate, vertices):
+            asked_later(vertices.abs().amax().reshape(1), partial(check_extent, objects.scene, [shape]))
+        else:
+            known = cache.numbers.get(id(vertices))
+            check_extent(objects.scene, [shape], [cache(
+                largest_vertex_coordinate, vertices, instead=partial(largest_vertex_coordinate, vertices, known))])
     return placed
 
 

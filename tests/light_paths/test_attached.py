@@ -1,0 +1,45 @@
+"""Caustics with attached sampling: what would be wrong is refused, and nothing else."""
+
+import pytest
+import torch
+
+import torch_radbp as rb
+from tests.light_paths.scenes import lit_ball
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+MIRROR, SETTINGS = {"type": "conductor", "material": "none"}, {"spp": 4, "sampling": "attached"}
+
+
+def scene_of(lamp: str, name: str | None) -> rb.Scene:
+    scene = lit_ball(lamp, rfilter="gaussian", bsdf=MIRROR)
+    if name is not None:
+        scene.get_parameter(name).requires_grad_()
+    return scene
+
+
+@pytest.mark.parametrize("name", ["ball.to_world", "lamp.to_world"])
+def test_edges_would_be_counted_twice_beside_lamps_of_some_extent(name):
+    scene = scene_of("area", name)
+    with pytest.raises(ValueError, match="count edges twice"):
+        rb.Renderer(scene, light_paths="caustics", **SETTINGS)()
+    with torch.no_grad():
+        assert rb.Renderer(scene, light_paths="caustics", **SETTINGS)().any()
+
+
+@pytest.mark.parametrize("lamp, name, settings", [
+    ("area", "floor.bsdf.reflectance.value", {}), ("point", "ball.to_world", {}),
+    ("area", "ball.to_world", {"terms": ("interior", "primary")}), ("area", "ball.to_world", {"sampling": "hybrid"})])
+def test_all_else_has_derivatives(lamp, name, settings):
+    scene = scene_of(lamp, name)
+    rb.Renderer(scene, light_paths="caustics", **SETTINGS | settings)().sum().backward()
+    assert scene.get_parameter(name).grad.isfinite().all() and scene.get_parameter(name).grad.any()
+
+
+def test_by_default_attached_sampling_has_light_by_paths_from_the_camera():
+    """Of lamps with an extent, which these find, if by chance."""
+    found = {}
+    for way in ("auto", "camera"):
+        scene = scene_of("area", "ball.to_world")
+        rb.Renderer(scene, light_paths=way, **SETTINGS)(seed=2).sum().backward()
+        found[way] = scene.get_parameter("ball.to_world").grad
+    assert found["auto"].any() and torch.equal(found["auto"], found["camera"])
