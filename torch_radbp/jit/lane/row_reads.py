@@ -14,6 +14,9 @@ from torch_radbp.jit.lane.graph import LANES, Program, Value
 from torch_radbp.jit.lane.instructions import SCALARS
 from torch_radbp.tensors.interleaved import AT_ONCE  # also the lanes of which a square of entries is turned
 
+# Of loads that none of these parts LLVM compares each with every other. It is no instruction of the processor's.
+FENCE = 'fence syncscope("singlethread") seq_cst'
+
 
 def in_rows(program: Program, width: int) -> dict[tuple[Value, int], list[Value]]:
     """Groups gathers by index and rows, where columns are read together; for blocks of `width` lanes."""
@@ -45,6 +48,7 @@ class RowReading:
         start = self.line(f"getelementptr i32, ptr {self.emitter.names[table.arguments[0]]}, i64 {-first}",
                           self.emitter.entry)
         rows = [self.row(start, lane, width) for lane in range(self.emitter.width)]
+        self.emitter.here.append(FENCE)
         columns = {}
         for place in sorted({place // AT_ONCE * AT_ONCE for place in tables}):
             columns |= zip(range(place, place + AT_ONCE), self.turned([self.entries(row, place, width - place)
