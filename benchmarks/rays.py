@@ -106,9 +106,9 @@ def recorded(scene: rb.Scene, resolution: int) -> Recorder:
     renderer = rb.Renderer(scene, spp=SPP, max_depth=DEPTH, rr_depth=10_000, chunk=resolution**2 * SPP)
     recorder = None
 
-    def caster_of(tensors):
+    def caster_of(tensors, *placed):
         nonlocal recorder
-        recorder = recorder or Recorder(rb.Renderer.caster_of(renderer, tensors))
+        recorder = recorder or Recorder(rb.Renderer.caster_of(renderer, tensors, *placed))
         return recorder
 
     renderer.caster_of = caster_of

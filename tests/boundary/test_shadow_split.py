@@ -68,9 +68,9 @@ def test_what_is_not_worth_it_gets_fewer_samples(monkeypatch):
     """The shadow of a lamp is far stronger than that of the light that a floor sends back to what stands on it."""
     amounts, cuts = [], hidden_light.cuts_of_view
 
-    def noted(call, number, casting, amount, *, first):
+    def noted(call, number, casting, amount, *, counted):
         amounts.append(amount)
-        return cuts(call, number, casting, amount, first=first)
+        return cuts(call, number, casting, amount, counted=counted)
 
     monkeypatch.setattr(hidden_light, "cuts_of_view", noted)
     moving = SHADOWS["cube, rectangle"]
@@ -130,8 +130,8 @@ def test_the_derivative_is_the_same_with_those_that_tell_the_noise(monkeypatch):
         worth.append(effort(first, tried))
         return worth[-1]
 
-    def as_worth(call, number, casting, amount, *, first):
-        return split.as_worth(NOISE, lambda amount: cuts(call, number, casting, amount, first=first))
+    def as_worth(call, number, casting, amount, *, counted):
+        return split.as_worth(NOISE, lambda amount: cuts(call, number, casting, amount, counted=counted))
 
     monkeypatch.setattr(split, "effort", noted)
     for name, taken in (("all", cuts), ("split", as_worth)):
