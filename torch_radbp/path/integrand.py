@@ -22,7 +22,6 @@ from torch_radbp.scene.tables.appearance import Appearance
 from torch_radbp.scene.tables.part import part_of
 from torch_radbp.scene.tables.scene_tensors import SceneTensors, extent_of
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.stage import Stage, Stages
 
 SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
@@ -97,10 +96,10 @@ class Integrand(NamedTuple):
         kinds = self.proposal.layout.media
         if not self.proposal.layout.scattering_media:
             return self
-        extent = extent_of(self.proposal)
-        scene = self.scene._replace(media=tuple(
-            kind.sampled_for_derivatives(table, extent, of_image) for kind, table in zip(kinds, self.scene.media)))
-        proposal = self.proposal._replace(media=detached(scene.media))  # the same tables in memory
+        extent = extent_of(self.proposal).to(self.proposal.dtype)  # one tensor in both parts, as all that they share
+        scene, proposal = (scene._replace(media=tuple(
+            kind.sampled_for_derivatives(table, extent, of_image) for kind, table in zip(kinds, scene.media)))
+            for scene in (self.scene, self.proposal))
         return self._replace(scene=scene if self.attached else proposal, proposal=proposal, parts={})
 
     def part(self, event: Event) -> QueueStages:
