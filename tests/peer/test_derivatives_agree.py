@@ -16,6 +16,7 @@ from tests.bsdf.reference import ROUGH_COAT
 from tests.plugin.plugin_table import beyond_mitsuba
 from tests.scenes.materials import MATERIALS
 from tests.scenes.pairs import Pair, pairs_of, registered
+from torch_radbp.bsdf import plastic
 from torch_radbp.bsdf.microfacet import Beckmann
 from torch_radbp.bsdf.rough_coat import TABLE
 from torch_radbp.bsdf.roughplastic import RoughPlasticKind
@@ -83,13 +84,14 @@ def between_cosines(passes):
 
 @pytest.fixture(scope="module")
 def ours(tmp_path_factory):
-    """Our derivatives of a subject, with two approximations of Mitsuba's in the place of what is exact here."""
+    """Our derivatives of a subject, with two approximations of Mitsuba's in the place of what is exact here, and with the
+    lobes of smooth plastic drawn as rarely as there."""
     folder, by_table = tmp_path_factory.mktemp("files"), between_cosines(RoughPlasticKind.passes)
 
     @cache
     def found(name: str) -> Derivatives:
         with mock.patch.object(Beckmann, "projected_area", by_walter), mock.patch.object(
-                RoughPlasticKind, "passes", by_table):
+                RoughPlasticKind, "passes", by_table), mock.patch.object(plastic, "LEAST_CHANCE", 0.0):
             return derivatives(SUBJECTS[name], folder)
 
     return found
