@@ -174,7 +174,7 @@ def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, name)
 
 @pytest.mark.parametrize("sampling", deep_but(["hybrid"], ["detached", "hybrid", "attached"]))
 @pytest.mark.parametrize("compile", [deep(False, id="eager"), pytest.param(True, id="compiled")])
-@pytest.mark.parametrize("name, glow", [("thin", None), ("bitmap", None), deep("thin", GLOW), ("bitmap", GLOW)])
+@pytest.mark.parametrize("name, glow", [("thin", None), deep("bitmap", None), deep("thin", GLOW), ("bitmap", GLOW)])
 def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, name, glow, sampling):
     names = [*MOVING, f"ball.bsdf.{PARAMETERS[name][0]}"]
     settings = SETTINGS | {"sampling": sampling}
@@ -191,7 +191,7 @@ def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, na
 @pytest.mark.parametrize("compile", [deep(False, id="eager"), pytest.param(True, id="compiled")])
 @pytest.mark.parametrize("name, parameter", [
     ("thin", "ball.bsdf.eta"), ("thin", "ball.bsdf.specular_transmittance.value"), ("mask", "ball.bsdf.opacity.value"),
-    ("thin", "ball.to_world"), ("bitmap", "ball.to_world"), ("bitmap", "camera.to_world")])
+    deep("thin", "ball.to_world"), ("bitmap", "ball.to_world"), ("bitmap", "camera.to_world")])
 def test_forward_mode_is_the_transpose_of_backward(compile, name, parameter):
     more = {"terms": ("interior",)} if parameter.endswith("to_world") else {}
     assert_transposed(room(PANES[name]), parameter, **SETTINGS | more | {"compile": compile})

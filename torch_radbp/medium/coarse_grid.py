@@ -49,7 +49,7 @@ def bounds_of(volume: VolumeFunction) -> tuple[Tensor, Tensor, Tensor]:
         largest, least = volume.extremes()
         return largest.reshape(1, 1, 1), least.reshape(1, 1, 1), to_unit
     # Those of the cells between whose centres points of a coarse cell are, a half and the nudge beyond its borders.
-    bound, least = largest_nearby(cells).amax(0), -largest_nearby(-cells).amax(0)
+    bound, least = largest_nearby(cells).amax(0), least_nearby(cells).amin(0)
     scale = torch.tensor([count / (COARSER * of) for count, of in zip(cells.shape[1:], bound.shape)]).flip(0)
     return bound, least, to_unit * scale.to(to_unit)[:, None]
 
@@ -57,6 +57,13 @@ def bounds_of(volume: VolumeFunction) -> tuple[Tensor, Tensor, Tensor]:
 def largest_nearby(cells: Tensor) -> Tensor:
     """The largest values of (C, Z, Y, X) cells in and beside each coarse cell."""
     return max_pool3d(cells[:, None], COARSER + 2, stride=COARSER, padding=1, ceil_mode=True)[:, 0]
+
+
+def least_nearby(cells: Tensor) -> Tensor:
+    """The least values likewise; layer by layer, since pooling knows the largest alone, of values with the other sign."""
+    layers = [cells[:, max(0, first - 1):first + COARSER + 1] for first in range(0, cells.shape[1], COARSER)]
+    return -torch.cat([max_pool3d(-layer[:, None], (layer.shape[1], COARSER + 2, COARSER + 2), stride=COARSER,
+                                  padding=(0, 1, 1), ceil_mode=True)[:, 0] for layer in layers], 1)
 
 
 def cell_of(grid: CoarseGrid, ray: Ray, t: Tensor) -> Tensor:
