@@ -18,6 +18,8 @@ from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
 from tests.scenes.media import BLACK
 from tests.scenes.smoke import MOVING, NAMES, NULL, SETTINGS, box, grid, placed, room, smoke, varied
+from torch_radbp.medium.coarse_grid import COARSER, bounds_of
+from torch_radbp.volume.gridvolume import GridVolume
 
 CHANNELS = (1, 3)
 
@@ -235,3 +237,13 @@ def test_derivatives_by_what_moves_are_those_of_differences(name, depth):
     error = float((found.standard_error * along).norm())
     wanted = float((found.difference * along).sum())
     assert 0 < error < 0.05 * abs(wanted) and abs(float((found.jvp * along).sum()) - wanted) < 4 * error
+
+
+@pytest.mark.parametrize("shape", [(16, 9, 8), (17, 18, 19), (1, 5, 33), (8, 8, 24)], ids=str)
+def test_bounds_of_a_coarse_cell_are_those_of_all_values_in_and_beside_it(shape):
+    values = torch.rand(*shape, generator=torch.Generator().manual_seed(3))
+    bound, least, _ = bounds_of(GridVolume(data=values))
+    assert bound.shape == least.shape == tuple(-(-count // COARSER) for count in shape)
+    for cell in torch.cartesian_prod(*map(torch.arange, bound.shape)).tolist():
+        near = values[tuple(slice(max(0, COARSER * at - 1), COARSER * at + COARSER + 1) for at in cell)]
+        assert (bound[tuple(cell)], least[tuple(cell)]) == (near.max(), near.min())
