@@ -10,8 +10,10 @@ import torch
 import torch_radbp as rb
 from tests.deep import deep_but
 from tests.gradients import assert_informative, image_and_gradients
-from tests.scenes import cornell
+from tests.scenes import SKY, cornell, load, overhead
 from tests.scenes.everything import EVERYTHING, build_everything
+from tests.scenes.smoke import box, grid, smoke
+from torch_radbp.adjoint import scatter
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
 SETTINGS = {"spp": 5, "max_depth": 4, "rr_depth": 2}
@@ -61,3 +63,21 @@ def test_a_pixel_whose_samples_are_in_several_chunks_has_the_same_bits(dtype, wi
     for chunk, threads in DIVIDED_PIXELS:
         with_threads(threads)
         assert torch.equal(image(chunk=chunk), expected), (chunk, threads)
+
+
+def test_the_totals_of_a_large_table_are_there_once(with_threads, monkeypatch):
+    """Where those of one worker are larger than a bound, all threads work for one; gradients agree to rounding."""
+    def rendered() -> tuple[int, torch.Tensor]:
+        data = torch.nn.Parameter(grid(size=(52, 52, 52)).float())  # totals of a megabyte are kept for the next step
+        scene = load(torch.float32, sky=SKY, camera=overhead(), box=box(smoke(data)))
+        renderer = rb.Renderer(scene, compile=True, chunk=40, **SETTINGS)
+        renderer(seed=1).sum().backward()
+        return len(renderer.memory.unused), data.grad
+
+    with_threads(2)
+    tables, expected = rendered()
+    assert tables == 2 and expected.isfinite().all() and expected.abs().max() > LEAST_GRADIENT
+    monkeypatch.setattr(scatter, "MOST_BESIDE", 1 << 20)
+    tables, gradient = rendered()
+    assert tables == 1
+    torch.testing.assert_close(gradient, expected, rtol=1e-6, atol=1e-9)

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch_radbp.adjoint.checked_sweep import CheckedSweep
 from torch_radbp.adjoint.images import render_images
 from torch_radbp.adjoint.record import record_wavefront
-from torch_radbp.adjoint.scatter import Gradients, gradients_of
+from torch_radbp.adjoint.scatter import Gradients, bytes_of_totals, gradients_of, workers_beside
 from torch_radbp.adjoint.sweep import Sweep, numbered_leaves
 from torch_radbp.adjoint.taped_sweep import sweep_of
 from torch_radbp.call.chunks import LaneBlock
@@ -149,7 +149,8 @@ class RenderFunction(torch.autograd.Function):
 
         def differentiate(some: Repetitions, call: RenderCall) -> tuple[list[Tensor], bool]:
             share_of = partial(differentiate_share, call, repeating(integrand, some))
-            shares = in_turns(len(call.wavefronts), call.workers, share_of)
+            workers = workers_beside(call.workers, bytes_of_totals((*leaves, *of_source)))
+            shares = in_turns(len(call.wavefronts), workers, share_of)
             found = gradients_of(shares, some)
             call.memory.give_back(rows for share in shares for rows in share.rows)
             return found

@@ -3,7 +3,8 @@
 A table may have four entries, to which millions of lanes add, or millions, most of which nobody reads. Totals are float64
 (one float32 sum loses what is small against the total: 2% of the lamp's gradient at 4 million paths). Memory of large ones
 comes zeroed from the operating system when it is first touched, pages that were touched are noted, and only these are
-summed over the workers and converted in the end, and are zeroed for the next step (`ZeroedMemory`).
+summed over the workers and converted in the end, and are zeroed for the next step (`ZeroedMemory`). Where the totals of one
+worker would be larger than `MOST_BESIDE`, there is only one worker, and all threads share each of its loops over lanes.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from torch_radbp.threads.zeroed_memory import ZeroedMemory, zeros
 
 PAGE = 1 << PAGE_BITS  # entries
 PIECE = 1 << 16  # totals that a thread sums at a time: half a megabyte, which its cache holds
+MOST_BESIDE = 1 << 26  # bytes of totals that each worker may have beside those of the others
 FEW = 1 << 8  # entries of a table below which it takes less to sum several in one go than each
 
 
@@ -60,6 +62,16 @@ def lie_together(one: Tensor, other: Tensor) -> bool:
     stride, apart = one.stride(0), other.storage_offset() - one.storage_offset()
     return one.numel() < FEW or (other.stride(0) == stride and 0 < apart < stride
                                  and other.untyped_storage().data_ptr() == one.untyped_storage().data_ptr())
+
+
+def bytes_of_totals(tables: Iterable[Tensor]) -> int:
+    """The bytes of one worker's totals of some tables."""
+    return torch.float64.itemsize * sum([table.numel() for table in tables])
+
+
+def workers_beside(workers: int, totals: float) -> int:
+    """How many of the workers differentiate side by side, if each has so many bytes of totals: all, or one."""
+    return workers if totals <= MOST_BESIDE else 1
 
 
 class Gradients:

@@ -17,7 +17,7 @@ from torch.utils.weak import WeakIdKeyDictionary
 
 from torch_radbp.adjoint.attached import trace_attached
 from torch_radbp.adjoint.outside import ModuleGradients, values_that_move
-from torch_radbp.adjoint.scatter import Gradients
+from torch_radbp.adjoint.scatter import Gradients, bytes_of_totals
 from torch_radbp.adjoint.sweep import PathRecord, Sweep, numbered_leaves
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState
@@ -104,7 +104,7 @@ def tables_of(leaves: Sequence[Tensor], parameters: Sequence[Tensor]) -> TableBy
     with torch.enable_grad(), AllocatedBytes() as allocated:
         gradients = [torch.zeros_like(leaf) for leaf in leaves]
         torch.autograd.grad(leaves, parameters, gradients, retain_graph=True, allow_unused=True)
-    return TableBytes(sum(torch.float64.itemsize * leaf.numel() for leaf in leaves), allocated.peak)
+    return TableBytes(bytes_of_totals(leaves), allocated.peak)
 
 
 def measured(integrand: Integrand, asked: Integrand, attached: Integrand | None, start: Callable[[int], PathState],

@@ -20,6 +20,7 @@ from torch import Tensor
 from torch_radbp.adjoint.bounce import Memo, empty_memo
 from torch_radbp.adjoint.memoized import MemoizedAdjoint
 from torch_radbp.adjoint.outside import HELD
+from torch_radbp.adjoint.scatter import workers_beside
 from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState, start_path
@@ -197,7 +198,7 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
     working = max(working, WASTE * tables.packing)
     if work.jumps:  # paths beside curves are traced as the others are
         working = max(working, work.jumps + together * unlike * waste * share * bounce.per_lane)
-    working += work.workers * tables.totals
+    working += workers_beside(work.workers, tables.totals) * tables.totals
     # What is traced again is recorded chunk by chunk; and what is kept, chunk by chunk, too.
     kept = min(lanes * per_lane, max(record_bytes, together * per_lane))
     retrace = kept < lanes * per_lane
