@@ -4,7 +4,8 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.light_paths.scenes import lit_ball
+from tests.light_paths.scenes import BALL, LAMPS, camera_named, lit_ball
+from tests.scenes import diffuse, load, rectangle
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 MIRROR, SETTINGS = {"type": "conductor", "material": "none"}, {"spp": 4, "sampling": "attached"}
@@ -43,3 +44,13 @@ def test_by_default_attached_sampling_has_light_by_paths_from_the_camera():
         rb.Renderer(scene, light_paths=way, **SETTINGS)(seed=2).sum().backward()
         found[way] = scene.get_parameter("ball.to_world").grad
     assert found["auto"].any() and torch.equal(found["auto"], found["camera"])
+
+
+@pytest.mark.filterwarnings("error::torch_radbp.SceneWarning")
+def test_by_default_it_is_said_that_caustics_of_a_point_are_missing_beside_a_lamp_of_some_extent():
+    scene = load(torch.float32, camera=camera_named("perspective", 8, "gaussian"), ball=BALL | {"bsdf": MIRROR},
+                 floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)), point=LAMPS["point"], panel=LAMPS["area"])
+    for needed in (False, True):  # the same light with and without a derivative
+        scene.get_parameter("ball.to_world").requires_grad_(needed)
+        with pytest.raises(rb.SceneWarning, match="the image lacks them"):
+            rb.Renderer(scene, **SETTINGS)()

@@ -39,20 +39,20 @@ def light_paths_of(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> 
     """Which light is that of paths that begin at lamps, as of `Settings`; says so where the user has not.
 
     Raises:
-        ValueError: for caustics of lamps with an extent whose derivatives would be wrong.
+        ValueError: for caustics of lamps with an extent whose derivatives would be wrong, if they are asked for.
     """
     caustic, chosen, attached = renderer.jump_watch.caustic, renderer.light_paths, renderer.sampling == "attached"
+    # Attached directions slide over edges, beside which the light is found that comes by paths from lamps, too.
+    slides = attached and not all(kind.delta for kind in lights_of_paths(call.scene, "caustics"))
     if chosen == "auto":
         slid_over = edges.lamps_in_mirrors and call.can_follow_to_the_film and not attached
-        wanted = call.can_begin_at_lamps if caustic is not None else slid_over
+        wanted = call.can_begin_at_lamps and not slides if caustic is not None else slid_over
         chosen = "caustics" if wanted else "camera"
         if caustic is not None and wanted:
             renderer.jump_watch.say(caustic.traced())
     if caustic is not None and chosen == "camera":
         renderer.jump_watch.say(caustic.lacking())
-    # There directions slide over edges, beside which the light is found that comes by paths from lamps, too.
-    found_twice = attached and (edges.casting is not None or edges.crossing is not None)
-    if chosen == "caustics" and found_twice and not all(kind.delta for kind in lights_of_paths(call.scene, chosen)):
+    if chosen == "caustics" and slides and (edges.casting is not None or edges.crossing is not None):
         raise ValueError("derivatives of caustics (light_paths='caustics') with sampling='attached', of lamps that have an "
                          "extent, would count edges twice that scattered directions slide over: take sampling='hybrid', "
                          "light_paths='camera', or terms without 'shadow'")
