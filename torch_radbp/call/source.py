@@ -84,6 +84,10 @@ class PathSource(ABC):
 
     def still(self) -> PathSource:
         """The same source without derivatives."""
+        return self._still
+
+    @functools.cached_property
+    def _still(self) -> PathSource:
         return self.with_tensors(detached(self.tensors))
 
 

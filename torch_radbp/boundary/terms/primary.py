@@ -130,7 +130,7 @@ def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps
         prepared = stages(edge_weight).taken(geometry=geometry_of(still.scene), sight=sight)
         rims = any(seen.turns) and still.scene.triangles.vertices.n is not None
         viewed = ExaminedView(stages, *prepared, sight.camera, rims, view.clips)
-        found = once("jumps in view", lambda: (still.facts(), number, detached(jumps), seen.turns), find) \
+        found = once(("jumps in view", number), lambda: (still.facts(), detached(jumps), seen.turns), find) \
             if seen.is_radiance else find()
     deposits = []
     if found is not None:

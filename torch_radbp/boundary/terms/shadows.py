@@ -75,8 +75,8 @@ def shadow_jumps(call: RenderCall, casting: Outline | None, crossing: Segments |
         terms = terms_of(ShadowSearch(call, still, edges, crossing, lines))
     for number in range(len(call.views)):
         with torch.no_grad():
-            found = once("borders of shadows", lambda number=number: (
-                still.facts(), number, list(map(type, terms)), casting, crossing, detached(lines)),
+            found = once(("borders of shadows", number), lambda: (
+                still.facts(), list(map(type, terms)), casting, crossing, detached(lines)),
                 partial(samples_of_view, still, number, terms))
         deposits = [deposit for term, own in zip(terms, found) if own is not None for deposit in term.jumps(number, own)]
         images.append(image_of(call, number, deposits))
