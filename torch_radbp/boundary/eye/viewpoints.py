@@ -67,6 +67,7 @@ class Viewpoints(NamedTuple):
     tried: Tensor | None  # (M,) bool: pilot samples, which only estimate noise; None: none are
     flight: Flight | None = None  # by which the ray comes there through media, or ends before `hit`; see `Arrival`
     boundary: Hit | None = None  # that it passes last; triangle -1: none; None: rays pass none, or carry no derivatives
+    by_chance: Tensor | None = None  # (M,) bool: the ray's direction is entirely random
 
     @property
     def in_medium(self) -> Tensor:
@@ -159,7 +160,7 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, batch: PathB
     found = Viewpoints(pixel, sample, place, picked.depth.long(), picked.ray, picked.hit, picked.slides, beta, camera.key,
                        lobe_around(picked.onwards, picked.density),
                        torch.arange(len(sample), device=sample.device) < tried if tried else None, picked.flight,
-                       picked.boundary)
+                       picked.boundary, ~picked.slides)
     found = rows(found, (found.depth >= 0).nonzero().squeeze(1))
     if call.camera_share is not None:
         lit_from_lamps = (found.depth == 0) & ends_lamp_paths(call.camera_share.integrand.scene, found.standing.prim)
