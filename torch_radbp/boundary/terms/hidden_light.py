@@ -60,7 +60,7 @@ from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
 from torch_radbp.sampling.sampler import SampleKey
-from torch_radbp.tensors.vec import Ray, Vec3, masked, rows
+from torch_radbp.tensors.vec import Ray, Vec3, masked, max_component, rows
 
 SALT = 0x3C6EF372  # tells the random numbers of these places from others
 SHARE, MOST = 16, 1 << 16  # one path for so many of the image; and at most at once
@@ -69,6 +69,8 @@ LOOKS, PLACES = 8, 4  # for edges from each, and places on edges that were found
 FEWEST_PATHS = 16
 FEW = 1024  # paths of a warning
 GRAZING = 0.1  # cosine with the normal below which a warning leaves edges out: all such give 1% of a uniform sky's light
+TIMES_AS_MANY = 4  # paths whose vertices are wanted or not,
+WANTED = 64.0  # and how much more those are that mirrors and glass lead to, where only these see lamps
 BYTES_OF_WAY = 120  # down the tree of edges: where it is, and what it has found
 
 
@@ -211,9 +213,12 @@ def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting:
         counted: as for `cuts_of_view`.
     """
     geometry = geometry_of(call.scene)
-    points = viewpoints(call, number, integrand, batch)
+    more = wider(call, batch, counted)
+    points = viewpoints(call, number, integrand, more)
     if not len(points.depth):
         return None
+    if more is not batch:
+        points = wanted(points, batch, salted(call.views[number], SALT + 1))
     if batch.begun:
         call = split.with_numbers(call, SALT + batch.begun)
     at = vertex_at(call, geometry, number, points)
@@ -221,6 +226,27 @@ def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting:
     passed = places_seen(call.stages, geometry, casting, eyes, salted(call.views[number], SALT), LOOKS,
                          PLACES * len(points.depth), points.tried)
     return None if passed is None else EdgeSightings(points, at, passed)
+
+
+def wider(call: RenderCall, batch: PathBatch, counted: Straight) -> PathBatch:
+    """More paths, of which those go on that are wanted, where only vertices that mirrors and glass lead to see lamps."""
+    narrow = any(look.kind.delta for look in call.scene.layout.appearances)
+    if counted.by_chance.soft or not narrow:
+        return batch
+    times = max(1, min(TIMES_AS_MANY, MOST // (batch.count + batch.tried)))
+    return PathBatch(batch.count * times, batch.density, batch.begun * times, batch.tried * times, WANTED)
+
+
+def wanted(points: Viewpoints, batch: PathBatch, key: SampleKey) -> Viewpoints:
+    """Thins the viewpoints of more paths to those of a batch; see `eye/thinning.py`. `key`: of random numbers."""
+    own = torch.ones_like(points.slides) if points.tried is None else ~points.tried
+    after_ideal = (points.depth > 0) & ~points.by_chance
+    size = max_component(points.beta).double() * torch.where(after_ideal, WANTED, 1.0)
+    chance = torch.where(own, chances(torch.where(own, size, 0.0), batch.count),
+                         chances(torch.where(own, 0.0, size), batch.tried))
+    kept = thinned(chance, uniform_numbers(key, batch.begun + points.sample.new_zeros(1), SALT, torch.float64))
+    points, chance = rows((points, chance), kept)
+    return points._replace(beta=points.beta * (1.0 / chance).to(points.beta.x.dtype))
 
 
 def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoints, at: Vec3, counted: Straight) -> Eyes:
