@@ -9,8 +9,8 @@ and L jumps at the border, which moves over the surface as it does over the film
 slide (`eye/slid.py`). Each place on a border is connected to one vertex of a path, which says where along the edge it
 lies (`spread_borders.py`).
 
-Paths rarely meet the half shadow of a small lamp, and from there see it past an edge: found so (`hidden_light.py`) few samples
-would hold nearly all of the variance. Here all of them lie on borders.
+Paths rarely meet the half shadow of a small lamp, and see it past an edge from there: found so (`hidden_light.py`), few
+samples would hold nearly all of the variance. Here all of them lie on borders.
 """
 
 from __future__ import annotations

@@ -310,7 +310,8 @@ def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at:
         if (surfaces, media) != (SOFT, SOFT):
             way = None if flight is None else flight._replace(emission=None)  # what media emit there counts
             straight = trace(integrand._replace(max_depth=depth + 2), state, hit=met, depth=depth + 1, flight=way)
-            on_surfaces, in_media = (torch.where(met.prim >= 0, not some.soft, not some.around) for some in (surfaces, media))
+            on_surfaces, in_media = (torch.where(met.prim >= 0, not some.soft, not some.around)
+                                     for some in (surfaces, media))
             if depth > 0:
                 on_surfaces = on_surfaces & (own.by_chance & free)[lanes]
             found = found - masked(torch.where(rows(own.in_medium, lanes), in_media, on_surfaces), straight)
