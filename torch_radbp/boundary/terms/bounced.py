@@ -61,11 +61,11 @@ class BouncedShadows(ShadowTerm):
 
     @classmethod
     def size(cls, call: RenderCall) -> TermSize:
-        samples = bounced_samples(call) if glues(call) and bounces(call) else 0
+        samples = bounced_samples(call) if glues(call) and borders_bounce(call) else 0
         return TermSize(0, samples, samples)
 
     def applies(self) -> bool:
-        return glues(self.call) and bounces(self.call)
+        return glues(self.call) and borders_bounce(self.call)
 
     def samples(self, number: int) -> CutOff | None:
         call, casting = self.still, self.casting
@@ -105,7 +105,7 @@ class ConnectedPlaces(NamedTuple):
     passed: Passed  # the edges
 
 
-def bounces(call: RenderCall) -> bool:
+def borders_bounce(call: RenderCall) -> bool:
     """True if there are lights whose borders are looked for at later vertices."""
     of_scene = Lights.bounced(call).of(call.scene)
     return bool(of_scene.any())
