@@ -106,9 +106,11 @@ class PlasticKind(Kind):
         return base * scale, density * (1.0 - chance_of_lobe(chance, fixed_lobes))
 
     def choose(self, values: Values, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> LobeChoice:
-        chance, _ = self.chance(tuple(value.detach() for value in values), wi.detach())
-        picked = coat_or_base(chance, choice)
+        picked = coat_or_base(self.chance_of_delta(values, wi), choice)
         return picked._replace(delta=picked.lobe == 0)
+
+    def chance_of_delta(self, values: Values, wi: Vec3) -> Tensor | None:
+        return self.chance(tuple(value.detach() for value in values), wi.detach())[0]
 
     def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         return where(choice.delta, Vec3(-wi.x, -wi.y, wi.z), square_to_cosine_hemisphere(u, v))

@@ -178,6 +178,11 @@ class TurnedKind(Kind):
         return LobeChoice(turned_round.to(chance.dtype), own.probability * chance_of_frame(chance, turned_round), own.delta,
                           (own,))
 
+    def chance_of_delta(self, values: Values, wi: Vec3) -> Tensor | None:
+        if self.draws_frames:
+            return None
+        return self.nested.chance_of_delta(values[self.normal_values:], self.frame(values, wi).to_local(wi).detach())
+
     def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         frame, own = self.drawn_frame(values, wi, choice)
         turned = self.nested.sample(values[self.normal_values:], frame.to_local(wi), own, u, v)

@@ -106,6 +106,12 @@ class TwoSidedKind(Kind):
                       torch.where(front, parts[0].probability, parts[-1].probability),
                       torch.where(front, delta[0], delta[-1]), parts)
 
+    def chance_of_delta(self, values: Values, wi: Vec3) -> Tensor | None:
+        side = side_of(wi)
+        of_sides = [kind.chance_of_delta(side_values, mirrored(wi, side))
+                    for kind, side_values in zip(self.sides, self.parts(values))]
+        return None if any(chance is None for chance in of_sides) else torch.where(side > 0, of_sides[0], of_sides[-1])
+
     def sample(self, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
         side = side_of(wi)
         of_sides = [kind.sample(side_values, mirrored(wi, side), part, u, v)

@@ -131,6 +131,13 @@ class Kind(ABC):
         """
         return LobeChoice(torch.zeros_like(wi.z), torch.ones_like(wi.z))
 
+    def chance_of_delta(self, values: Values, wi: Vec3) -> Tensor | None:
+        """The probability of delta lobes, where `choose` picks them by all numbers below it and no others; detached.
+
+        None if it does not, or if the kind has no other lobes.
+        """
+        return None
+
     def chance_by_direction(self, values: Values, wi: Vec3, wo: Vec3, choice: LobeChoice) -> Tensor | None:
         """The probability of the chosen lobe as a function of the directions, to which it is attached; up to a factor.
 

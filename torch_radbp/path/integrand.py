@@ -137,7 +137,7 @@ class Integrand(NamedTuple):
         ends = self.proposal.layout.from_lamps and depth + 1 >= self.bounces
         settings, first = self.settings, depth == 0
         return settings._replace(hide_emitters=settings.hide_emitters and first, ends=ends,
-                                 fixed_start=settings.fixed_start and first)
+                                 fixed_start=settings.fixed_start and first, ideal=settings.ideal and first)
 
     def image_lanes(self, state: PathState) -> ImageLanes | None:
         """The paths that are not differentiated; None: all may be."""

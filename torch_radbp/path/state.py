@@ -32,6 +32,7 @@ class Settings(NamedTuple):
     following: bool = False  # states record whether hybrid sampling has differentiated a direction of a smooth lobe
     shown: bool = True  # vertices have Le, Ld and F, not only the next path state
     ends: bool = False  # at this bounce, though light is scattered to the camera
+    ideal: bool = False  # at this bounce delta lobes alone are sampled, where kinds can tell their probability
     fixed_start: bool = False  # nobody asks for derivatives by the rays with which paths begin, which reach this bounce
     # Which light is that of paths that begin at lamps: "camera": none; "caustics": what reaches a vertex that the camera
     # sees by way of an ideal one beside the lamp; "all": what reaches any such vertex. None of it counts twice.

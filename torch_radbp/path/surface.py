@@ -91,7 +91,7 @@ class SurfaceVertex(VertexKind):
 
         # F: sample the BSDF for the next direction.
         choice = lobe_number(arrival, number(BSDF_CHOICE)) if material.kind.discrete else None
-        chosen = sample(material, si.wi, choice, number(BSDF_U), number(BSDF_V), settings.sampling)
+        chosen = sample(material, si.wi, choice, number(BSDF_U), number(BSDF_V), settings.sampling, settings.ideal)
 
         # Play roulette. The floor keeps black paths alive: a reflectance of zero still has a derivative.
         promise = max_component(attenuated(state.beta * chosen.weight, through).detach())

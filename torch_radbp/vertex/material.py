@@ -102,17 +102,19 @@ def turning_values(kind: Kind, sampling: str) -> tuple[int, ...]:
     return kind.steering if sampling == "attached" else kind.bending if sampling == "hybrid" else ()
 
 
-def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor, sampling: str) -> BSDFSample:
+def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor, sampling: str,
+           ideal: bool = False) -> BSDFSample:
     """Samples a direction from the BSDF. The choice of a lobe never carries a derivative.
 
     Args:
         choice, u, v: (N,) uniform numbers, the first for the lobe (None: `kind` is not `discrete`).
         sampling: which directions carry derivatives: "attached" all, "hybrid" those of delta lobes and of kinds that it
             follows, "detached" none.
+        ideal: delta lobes alone are sampled, where the kind can tell their probability.
     """
     kind, values = material.kind, material.values
     sampling = sampling_at(kind, sampling)
-    lobe = kind.choose(values_for_choice(values), wi.map(settled), choice, u, v)
+    lobe = chosen_lobe(material, wi, choice, u, v, ideal)
     if followed(kind, sampling):
         wo = kind.sample(values, wi, lobe, u, v)
         if sampling == "hybrid" and kind.smooth:
@@ -133,6 +135,16 @@ def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Te
         return glossy
     mirror = specular(material, wi, wo, lobe)
     return BSDFSample(wo, where(lobe.delta, mirror.weight, glossy.weight), torch.where(lobe.delta, mirror.pdf, glossy.pdf))
+
+
+def chosen_lobe(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor, ideal: bool) -> LobeChoice:
+    """The lobe that is sampled; args as for `sample`."""
+    kind, values, wi = material.kind, values_for_choice(material.values), wi.map(settled)
+    chance = kind.chance_of_delta(values, wi) if ideal else None
+    if chance is None:
+        return kind.choose(values, wi, choice, u, v)
+    lobe = kind.choose(values, wi, choice * chance, u, v)
+    return lobe._replace(probability=lobe.probability / chance)
 
 
 def relative_chance(material: Material, wi: Vec3, wo: Vec3, lobe: LobeChoice) -> Tensor | float:

@@ -48,6 +48,15 @@ def only_ideal(integrand: Integrand) -> Integrand:
                               max_depth=min(integrand.max_depth, MOST_VERTICES))
 
 
+def ideal_at_first(integrand: Integrand) -> Integrand:
+    """The integrand of which ideal lobes alone count where the camera sees materials that have others, too.
+
+    What is seen by way of a coat jumps; what its base scatters does not, and paths that choose it would bring nothing.
+    """
+    coated = any(look.kind.delta and look.kind.smooth for look in integrand.scene.layout.appearances)
+    return integrand._replace(settings=integrand.settings._replace(ideal=coated))
+
+
 def ideal_path(integrand: Integrand, start: PathState, surfaces: Surfaces) -> IdealPath:
     """Follows paths until they hit something that does not scatter ideally, or nothing; at most to the last bounce.
 

@@ -67,6 +67,7 @@ class Viewpoints(NamedTuple):
     tried: Tensor | None  # (M,) bool: pilot samples, which only estimate noise; None: none are
     flight: Flight | None = None  # by which the ray comes there through media, or ends before `hit`; see `Arrival`
     boundary: Hit | None = None  # that it passes last; triangle -1: none; None: rays pass none, or carry no derivatives
+    by_chance: Tensor | None = None  # (M,) bool: the ray's direction is entirely random
 
     @property
     def in_medium(self) -> Tensor:
@@ -96,6 +97,7 @@ class PathBatch(NamedTuple):
     density: Tensor | None = None  # (cells,) float64, by which they are spread over the cells of the film; None: evenly
     begun: int = 0  # how many others have begun before, with random numbers of their own
     tried: int = 0  # of how many paths more the vertices only tell how much noise there is, likewise; they come first
+    ideal: float = 1.0  # how much more vertices are wanted that ideal mirrors or glass lead to
 
 
 class Picked(NamedTuple):
@@ -144,7 +146,7 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, batch: PathB
         batch: the paths.
         following: vertices whose scattered directions carry derivatives are meant; else those after which points are glued.
     """
-    key, (_, _, begun, tried) = salted(call.views[number], SALT), batch
+    key, (_, _, begun, tried, ideal) = salted(call.views[number], SALT), batch
     paths = paths_begun(call, number, key, batch)
     if tried:
         pilots = paths_begun(call, number, salted(call.views[number], OF_TRIED), batch._replace(count=tried))
@@ -152,14 +154,14 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, batch: PathB
     pixel, sample, place, area, camera = paths
     chosen = key._replace(seed=hash32(key.seed ^ begun)) if begun else key
     start = started(call, camera)
-    picked = found_out(integrand, lambda integrand: picked_vertices(integrand, start, chosen, following))
+    picked = found_out(integrand, lambda integrand: picked_vertices(integrand, start, chosen, following, ideal))
     beta = picked.beta * (area.to(picked.total.dtype) * picked.total / picked.promise.clamp_min(TINY))
     if camera.weight is not None:
         beta = beta * camera.weight
     found = Viewpoints(pixel, sample, place, picked.depth.long(), picked.ray, picked.hit, picked.slides, beta, camera.key,
                        lobe_around(picked.onwards, picked.density),
                        torch.arange(len(sample), device=sample.device) < tried if tried else None, picked.flight,
-                       picked.boundary)
+                       picked.boundary, ~picked.slides)
     found = rows(found, (found.depth >= 0).nonzero().squeeze(1))
     if call.camera_share is not None:
         lit_from_lamps = (found.depth == 0) & ends_lamp_paths(call.camera_share.integrand.scene, found.standing.prim)
@@ -173,7 +175,7 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, batch: PathB
 
 def paths_begun(call: RenderCall, number: int, key: SampleKey, batch: PathBatch) -> Begun:
     """Starts paths that are distributed over the film; args as for `viewpoints`, `key`: of random numbers."""
-    view, grid, (count, density, begun, _) = call.views[number], call.views[number].grid, batch
+    view, grid, (count, density, begun, *_) = call.views[number], call.views[number].grid, batch
     sample = torch.arange(begun, begun + count, dtype=torch.int32, device=call.scene.device)
     jitter = uniform_numbers(key, sample, SALT, torch.float64)
     cell, area = cells_begun(sample - begun + jitter, count, grid.columns * grid.rows, density)
@@ -200,7 +202,7 @@ def cells_begun(along: Tensor, count: int, cells: int, density: Tensor | None) -
     return cell.to(torch.int32), total[-1] / count / density[cell]
 
 
-def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, following: bool) -> Picked:
+def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, following: bool, ideal: float = 1.0) -> Picked:
     """Samples one vertex of each path; the last hit is no candidate.
 
     Args:
@@ -208,6 +210,7 @@ def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, foll
         start: of the paths.
         key: of random numbers.
         following: as for `viewpoints`.
+        ideal: as of `PathBatch`.
     """
     picked = Picked.nothing(start, integrand.proposal.triangles.instances is not None)
     stages, onward, L, depth = integrand.stages, Onward(start, None), Vec3.buffer(start.pdf), 0
@@ -224,14 +227,15 @@ def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, foll
             if meant:
                 reached = PathsAtBounce(state, step.hit, step.order, step.survives, onward.paths, flight, boundary)
                 at = int32_number(SALT + 1 + depth, key.seed.device)
-                put_rows(picked, *stages(picked_vertex)(picked, reached, torch.cat(meant), key, at, attached))
+                put_rows(picked, *stages(picked_vertex)(picked, reached, torch.cat(meant), key, at,
+                                                               (attached, ideal if depth else 1.0)))
             depth += 1
     return picked
 
 
 @stage("picked", "reached")
 def picked_vertex(picked: Picked, reached: PathsAtBounce, vertex: Tensor, key: SampleKey, counter: Tensor,
-                  attached: bool) -> tuple[Tensor, Picked]:
+                  settings: tuple[bool, float]) -> tuple[Tensor, Picked]:
     """Updates the selection with the vertices of one bounce: their paths, (N,) int32, and the new selection.
 
     Args:
@@ -239,11 +243,13 @@ def picked_vertex(picked: Picked, reached: PathsAtBounce, vertex: Tensor, key: S
         reached: the bounce.
         vertex: (N,) int32, which vertices.
         key, counter: of random numbers, the latter () int32.
-        attached: whether rays are never left to chance.
+        settings: whether rays are never left to chance; and as `PathBatch.ideal`.
     """
+    attached, ideal = settings
     state, hit, flight, boundary = rows((reached.state, reached.hit, reached.flight, reached.boundary),
                                         rows(reached.order, vertex))
     before, weight = rows(picked, state.lane), max_component(state.beta)
+    weight = weight if ideal == 1.0 else weight * torch.where(torch.isinf(state.pdf), ideal, 1.0)
     total = before.total + weight
     taken = uniform_numbers(key, state.lane, counter, weight.dtype) * total < weight
     slides = torch.isinf(state.pdf) if state.followed is None else torch.isinf(state.pdf) | state.followed

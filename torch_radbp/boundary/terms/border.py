@@ -93,6 +93,16 @@ class Lights(NamedTuple):
         return lights._replace(soft=False, around=False) if call.scene.layout.traces_segments else lights
 
     @staticmethod
+    def bounced(call: RenderCall) -> Lights:
+        """The lights whose borders `BouncedShadows` samples, on surfaces that paths meet by chance after the first.
+
+        What comes from all around alike is better found by who sees it, and so are lamps behind boundaries of media.
+        """
+        lights = Lights.sampled_whole(call) if call.integrand.max_depth > 2 else Lights(False, False, False)
+        soft = lights.sharp and lights.soft and not call.scene.layout.traces_segments
+        return Lights(lights.sharp, soft, False)
+
+    @staticmethod
     def with_shafts(call: RenderCall) -> Lights:
         """The lights whose shafts in media `Shafts` samples; single rays of cameras see of others what vertices see."""
         lights = Lights.sampled_whole(call)

@@ -1,14 +1,16 @@
-"""Boundary term of sharp shadows at later path vertices: borders of lights without extent.
+"""Boundary term of shadows at later path vertices: borders of the light of light samples.
 
-Light from points and single directions reaches a surface through next-event estimation alone, so that its shadows have hard
-borders on every surface that a path meets. Those on the first are counted in `border.py`. On the next, x_{k+1}, glued
-to its surface, what vertex x_k receives from there is
+The light of one light sample has hard borders on every surface that a path meets. Those on the first are counted in
+`border.py`. On the next, x_{k+1}, glued to its surface, what vertex x_k receives from there is
 
     integral of f |cos x_k| |cos x_{k+1}| / r^2  L(x_{k+1}) dA
 
 and L jumps at the border, which moves over the surface as it does over the film there; the points of a surface close to x_k
 slide (`eye/slid.py`). Each place on a border is connected to one vertex of a path, which says where along the edge it
 lies (`spread_borders.py`).
+
+Paths rarely meet the half shadow of a small lamp, and see it past an edge from there: found so (`hidden_light.py`), few
+samples would hold nearly all of the variance. Here all of them lie on borders.
 """
 
 from __future__ import annotations
@@ -27,8 +29,8 @@ from torch_radbp.boundary.eye.past_edges import leaving_towards
 from torch_radbp.boundary.eye.seen_edges import BEFORE, Casting, Passed, corners_of, course_of, crossed_at, uniform_numbers
 from torch_radbp.boundary.eye.slid import less_what_slides
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, path_of, vertex_at, viewpoints
-from torch_radbp.boundary.terms.border import Borders, Lights, light_through, lit_edges, shadows_cast
-from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, cut_off, glues, shadow_term, sharp_lights_later
+from torch_radbp.boundary.terms.border import Borders, Lights, light_through, lit_edges, samples_of, shadows_cast
+from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, glues, shadow_term
 from torch_radbp.boundary.terms.spread_borders import spread_borders
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.direct_light import light_sent_back
@@ -52,17 +54,22 @@ class ConnectedBorders(NamedTuple):
 
 @shadow_term
 class BouncedShadows(ShadowTerm):
-    """Borders of lights without extent on surfaces that paths meet after the first, glued to them."""
+    """Borders of light samples on surfaces that paths meet after the first, glued to them."""
 
     rank = 5
     through_media = True
 
+    @classmethod
+    def size(cls, call: RenderCall) -> TermSize:
+        samples = bounced_samples(call) if glues(call) and borders_bounce(call) else 0
+        return TermSize(0, samples, samples)
+
     def applies(self) -> bool:
-        return glues(self.call) and sharp_lights_later(self.call)
+        return glues(self.call) and borders_bounce(self.call)
 
     def samples(self, number: int) -> CutOff | None:
         call, casting = self.still, self.casting
-        pairs = pairs_of(call, number, casting, False)
+        pairs = pairs_of(call, number, casting, Lights.bounced(call), False)
         if pairs is None:
             return None
         points, start, borders, inwards, times, passed = pairs
@@ -98,14 +105,25 @@ class ConnectedPlaces(NamedTuple):
     passed: Passed  # the edges
 
 
-def pairs_of(call: RenderCall, number: int, casting: Casting, following: bool) -> ConnectedPlaces | None:
+def borders_bounce(call: RenderCall) -> bool:
+    """True if there are lights whose borders are looked for at later vertices."""
+    of_scene = Lights.bounced(call).of(call.scene)
+    return bool(of_scene.any())
+
+
+def bounced_samples(call: RenderCall) -> int:
+    """The greatest number of samples on such borders for a view."""
+    return max(samples_of(call, view, SHARE) for view in call.views)
+
+
+def pairs_of(call: RenderCall, number: int, casting: Casting, lights: Lights, following: bool) -> ConnectedPlaces | None:
     """Samples borders, each paired with a path vertex of view `number`; None: there are none.
 
     Args:
-        call, number, casting: as for `border.lit_edges`.
+        call, number, casting, lights: as for `border.lit_edges`.
         following: as for `viewpoints`.
     """
-    lit = lit_edges(call, number, casting, Lights(sharp=True, soft=False, around=False), SHARE)
+    lit = lit_edges(call, number, casting, lights, SHARE)
     if lit is None:
         return None
     integrand, geometry, count = integrand_of(call, call.integrand, number), geometry_of(call.scene), len(lit.passed.edge)

@@ -125,7 +125,8 @@ class CrossedSurfaces(ShadowTerm):
         passed = joined([passed, passed])
         hit = hit_at(sheets, sheets.beside, integrand.proposal.dtype)
         past = straight_past_edges(call.scene, at, passed, hit)
-        light = light_beyond(call, integrand, points, at, passed, past, EVERYTHING) * sheets.growth
+        everywhere = torch.ones_like(passed.edge, dtype=torch.bool)
+        light = light_beyond(call, integrand, points, at, passed, past, EVERYTHING, everywhere) * sheets.growth
         kept = ((light != 0) & torch.isfinite(light)).any(0).nonzero().squeeze(1)
         if not len(kept):
             return None

@@ -18,7 +18,7 @@ from torch_radbp.boundary.curve.outline import Outline
 from torch_radbp.boundary.eye.drawn_directions import DirectionNumbers, drawn
 from torch_radbp.boundary.eye.seen_edges import course_of
 from torch_radbp.boundary.eye.viewpoints import Viewpoints, arriving, path_of, vertex_on
-from torch_radbp.boundary.terms.border import Borders, border
+from torch_radbp.boundary.terms.border import Borders, Lights, border
 from torch_radbp.boundary.terms.bounced import light_sent_on, pairs_of, way_to
 from torch_radbp.boundary.terms.followed_light import moved_directions
 from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, cut_off, follows, shadow_term, sharp_lights_later
@@ -48,7 +48,7 @@ class FollowedShadows(ShadowTerm):
 
     def samples(self, number: int) -> CutOff | None:
         call, casting = self.still, self.casting
-        pairs = pairs_of(call, number, casting, True)
+        pairs = pairs_of(call, number, casting, Lights(sharp=True, soft=False, around=False), True)
         if pairs is None:
             return None
         points, start, borders, inwards, times, passed = pairs

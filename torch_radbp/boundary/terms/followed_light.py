@@ -26,9 +26,16 @@ from torch_radbp.boundary.eye.drawn_directions import DirectionNumbers, Drawn, d
 from torch_radbp.boundary.eye.lines_through_edges import solid_angle
 from torch_radbp.boundary.eye.seen_edges import BEFORE, BESIDE, Passed, places_seen, salted, unhidden
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, arriving, path_of, vertex_at, vertex_on, viewpoints
-from torch_radbp.boundary.terms.border import Lights
 from torch_radbp.boundary.terms.cuts import CutsOfView, all_cuts, cut_at, matter, some_cuts
-from torch_radbp.boundary.terms.hidden_light import EVERYTHING, LOOKS, eyes_of, most_paths, number_of_paths
+from torch_radbp.boundary.terms.hidden_light import (
+    EVERYTHING,
+    LOOKS,
+    Straight,
+    eyes_of,
+    most_paths,
+    number_of_paths,
+    on_no_surface,
+)
 from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, follows, shadow_term
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.integrand import Integrand
@@ -119,7 +126,8 @@ class FollowedLight(ShadowTerm):
         own = rows(points, passed.eye)._replace(key=passed.key)
         eager = integrand.with_stages(EAGER)
         found = drawn(eager, path_of(call, own.ray, own.key), own.hit, beyond.back.ray.d)
-        light = light_beside(call, integrand, own, beyond, found, Lights.uncovered(call))
+        elsewhere = own.by_chance & on_no_surface(casting.outline, passed.edge)
+        light = light_beside(call, integrand, own, beyond, found, elsewhere)
 
         def cuts_at(hit: Hit, lost: Tensor) -> CutsOfView:
             return all_cuts(call.stages, geometry, casting, points, at, passed, hit, lambda cuts: lost)
@@ -175,7 +183,7 @@ def _beside(integrand: Integrand, passed: Passed, start: Vec3, off: Tensor) -> B
 
 
 def light_beside(call: RenderCall, integrand: Integrand, points: Viewpoints, beyond: Beyond, found: Drawn,
-                 first: Lights) -> LightBeside:
+                 elsewhere: Tensor) -> LightBeside:
     """The light on either side of edges that reaches a view.
 
     Args:
@@ -183,8 +191,9 @@ def light_beside(call: RenderCall, integrand: Integrand, points: Viewpoints, bey
         points: (N,) that see the edges.
         beyond: what lies beside these.
         found: how the vertices draw their directions.
-        first: of which lights picked points count at the first vertices of paths.
+        elsewhere: (N,) bool: of lights whose borders `bounced.py` samples picked points count there, but at first vertices.
     """
+    first, later = Straight.uncovered(call)[:2]
     none = torch.zeros(3, len(points.depth), dtype=torch.float64, device=call.scene.device)
     by_drawing, by_picking = none, none.clone()
     for depth in points.depth.unique().tolist():
@@ -200,8 +209,9 @@ def light_beside(call: RenderCall, integrand: Integrand, points: Viewpoints, bey
         if integrand.settings.nee and (depth > 0 or any(first)):
             straight = integrand._replace(max_depth=depth + 2)
             L = trace(straight, sure, hit=back.hit, depth=depth + 1) - trace(straight, behind, hit=back.hit, depth=depth + 1)
-            if depth == 0:
-                L = masked(torch.where(back.hit.prim >= 0, first.soft, first.around), L)
+            some = first if depth == 0 else later
+            counts = torch.where(back.hit.prim >= 0, some.soft, some.around)
+            L = masked(counts if depth == 0 else counts | ~elsewhere[lanes], L)
             by_picking[:, lanes] = torch.stack(tuple(L)).double()
     scale = torch.stack(tuple(points.beta * found.scattered)).double()
     return LightBeside(by_drawing * scale * found.share.double(), by_picking * scale)

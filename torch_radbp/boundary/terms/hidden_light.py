@@ -14,8 +14,9 @@ with n into what is hidden no longer and v its velocity over these points; close
 z has no part in this: its own points move with its edge.
 Where nothing lies behind, directions take the place of the points.
 
-Light that the first surface receives straight from lamps is counted in `border.py`, and that of vertices in media in
-`shafts.py`; but what no light sample finds, and what comes evenly from all around, is better found here.
+Light that the first surface receives straight from lamps is counted in `border.py`, that of later ones that are met by
+chance in `bounced.py`, and that of vertices in media in `shafts.py`; but what no light sample finds, and what comes evenly
+from all around, is better found here.
 
 References: Li, Aittala, Durand and Lehtinen 2018, "Differentiable Monte Carlo Ray Tracing through Edge Sampling", section 4;
 Zhang, Miller, Yan, Gkioulekas and Zhao 2020, "Path-Space Differentiable Rendering", section 5.
@@ -29,6 +30,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.curve.geometry import geometry_of
+from torch_radbp.boundary.curve.outline import Outline
 from torch_radbp.boundary.curve.rendering import Rendering
 from torch_radbp.boundary.eye import film_density
 from torch_radbp.boundary.eye.deposit import Deposit
@@ -58,7 +60,7 @@ from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
 from torch_radbp.sampling.sampler import SampleKey
-from torch_radbp.tensors.vec import Ray, Vec3, masked, rows
+from torch_radbp.tensors.vec import Ray, Vec3, masked, max_component, rows
 
 SALT = 0x3C6EF372  # tells the random numbers of these places from others
 SHARE, MOST = 16, 1 << 16  # one path for so many of the image; and at most at once
@@ -67,23 +69,27 @@ LOOKS, PLACES = 8, 4  # for edges from each, and places on edges that were found
 FEWEST_PATHS = 16
 FEW = 1024  # paths of a warning
 GRAZING = 0.1  # cosine with the normal below which a warning leaves edges out: all such give 1% of a uniform sky's light
+TIMES_AS_MANY = 4  # paths whose vertices are wanted or not,
+WANTED = 64.0  # and how much more those are that mirrors and glass lead to, where only these see lamps
 BYTES_OF_WAY = 120  # down the tree of edges: where it is, and what it has found
 
 
 class Straight(NamedTuple):
     """Which lights of some extent count here that vertices of paths see straight; others count elsewhere."""
 
-    from_surfaces: Lights  # of first vertices; later ones see all here
+    from_surfaces: Lights  # of first vertices
+    by_chance: Lights  # of later ones that are met by chance, past edges that lie on no surface; all others see all here
     in_media: Lights
 
     @staticmethod
     def uncovered(call: RenderCall) -> Straight:
         """Those that no other term has."""
         shafts = Lights.with_shafts(call)
-        return Straight(Lights.uncovered(call), Lights(False, not shafts.soft, not shafts.around))
+        return Straight(Lights.uncovered(call), SOFT._replace(soft=not Lights.bounced(call).soft),
+                        Lights(False, not shafts.soft, not shafts.around))
 
 
-EVERYTHING = Straight(SOFT, SOFT)
+EVERYTHING = Straight(SOFT, SOFT, SOFT)
 
 
 @shadow_term
@@ -111,7 +117,7 @@ class HiddenLight(ShadowTerm):
         return cuts_of_view(self.still, number, self.casting, amount, counted=Straight.uncovered(self.still))
 
     def left_out(self, rendering: Rendering) -> set[str]:
-        counted, outline, names = Straight(Lights.uncovered(self.still), SOFT), self.casting.outline, set()
+        counted, outline, names = Straight(Lights.uncovered(self.still), SOFT, SOFT), self.casting.outline, set()
         if rendering.shadows or not any(counted.from_surfaces):
             return names
         call = self.still._replace(integrand=self.still.integrand._replace(max_depth=2))  # light straight from lamps
@@ -172,7 +178,8 @@ def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, look
     if not len(passed.edge):
         return None
     return cuts_that_matter(call.stages, geometry, casting, points, at, passed, past.fixed_to(call.scene),
-                            lambda cuts: light_beyond(call, integrand, points, at, passed, past, counted))
+                            lambda cuts: light_beyond(call, integrand, points, at, passed, past, counted,
+                                                      on_no_surface(casting.outline, passed.edge)))
 
 
 def fewer(found: CutsOfView, key: SampleKey, begun: int, most: int) -> CutsOfView:
@@ -206,9 +213,12 @@ def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting:
         counted: as for `cuts_of_view`.
     """
     geometry = geometry_of(call.scene)
-    points = viewpoints(call, number, integrand, batch)
+    more = wider(call, batch, counted)
+    points = viewpoints(call, number, integrand, more)
     if not len(points.depth):
         return None
+    if more is not batch:
+        points = wanted(points, batch, salted(call.views[number], SALT + 1))
     if batch.begun:
         call = split.with_numbers(call, SALT + batch.begun)
     at = vertex_at(call, geometry, number, points)
@@ -216,6 +226,27 @@ def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting:
     passed = places_seen(call.stages, geometry, casting, eyes, salted(call.views[number], SALT), LOOKS,
                          PLACES * len(points.depth), points.tried)
     return None if passed is None else EdgeSightings(points, at, passed)
+
+
+def wider(call: RenderCall, batch: PathBatch, counted: Straight) -> PathBatch:
+    """More paths, of which those go on that are wanted, where only vertices that mirrors and glass lead to see lamps."""
+    narrow = any(look.kind.delta for look in call.scene.layout.appearances)
+    if counted.by_chance.soft or not narrow:
+        return batch
+    times = max(1, min(TIMES_AS_MANY, MOST // (batch.count + batch.tried)))
+    return PathBatch(batch.count * times, batch.density, batch.begun * times, batch.tried * times, WANTED)
+
+
+def wanted(points: Viewpoints, batch: PathBatch, key: SampleKey) -> Viewpoints:
+    """Thins the viewpoints of more paths to those of a batch; see `eye/thinning.py`. `key`: of random numbers."""
+    own = torch.ones_like(points.slides) if points.tried is None else ~points.tried
+    after_ideal = (points.depth > 0) & ~points.by_chance
+    size = max_component(points.beta).double() * torch.where(after_ideal, WANTED, 1.0)
+    chance = torch.where(own, chances(torch.where(own, size, 0.0), batch.count),
+                         chances(torch.where(own, 0.0, size), batch.tried))
+    kept = thinned(chance, uniform_numbers(key, batch.begun + points.sample.new_zeros(1), SALT, torch.float64))
+    points, chance = rows((points, chance), kept)
+    return points._replace(beta=points.beta * (1.0 / chance).to(points.beta.x.dtype))
 
 
 def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoints, at: Vec3, counted: Straight) -> Eyes:
@@ -230,8 +261,9 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
     lobes = ()
     if call.scene.layout.lights:
         lights = light_points(call.stages, call.scene, call.views[number], len(points.depth))
-        surfaces, media, everywhere = (some.of(call.scene)[lights.kind] for some in (*counted, SOFT))
-        meant = torch.where(points.in_medium, media, torch.where(points.depth > 0, everywhere, surfaces))
+        surfaces, by_chance, media, everywhere = (some.of(call.scene)[lights.kind] for some in (*counted, SOFT))
+        later = torch.where(points.by_chance, by_chance, everywhere)
+        meant = torch.where(points.in_medium, media, torch.where(points.depth > 0, later, surfaces))
         lobe = integrand.part(Ends.SURROUNDINGS).call(light_lobes, at, lights.draw)
         lobes = lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),
     return eyes_at(geometry_of(call.scene), points, at, lobes)
@@ -247,8 +279,13 @@ def most_paths(call: RenderCall) -> int:
     return max(number_of_paths(call, view) for view in call.views)
 
 
+def on_no_surface(outline: Outline, edge: Tensor) -> Tensor:
+    """(N,) bool: parts of edges that lie on no surface of another body; `edge`: (N,) int32, which."""
+    return torch.ones_like(edge, dtype=torch.bool) if outline.parts is None else rows(outline.parts.counts, edge) == 1.0
+
+
 def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, passed: Passed, past: PastEdges,
-                 counted: Straight) -> Tensor:
+                 counted: Straight, free: Tensor) -> Tensor:
     """(3, N) float64 light past the edges that reaches the view, per unit of `cut_at`'s coordinates.
 
     Args:
@@ -256,6 +293,7 @@ def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at:
         passed: (N,) the edges, as the viewpoints `passed.eye` see them.
         past: (N,) what the light comes from.
         counted: what counts of the light that vertices receive straight.
+        free: (N,) bool: the edges lie on no surface.
     """
     scene, scatters = integrand.proposal, bool(call.scene.layout.scattering_media)
     own, start = rows((points, at), passed.eye)
@@ -267,12 +305,16 @@ def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at:
         (ray, met, medium, flight), key = rows((past, passed.key), lanes)
         state = path_of(call, ray, key)._replace(medium=medium)
         found = trace(integrand, state, hit=met, depth=depth + 1, flight=flight)
-        here = Straight(counted.from_surfaces if depth == 0 else SOFT, counted.in_media if scatters else SOFT)
-        if here != EVERYTHING:
+        surfaces = counted.from_surfaces if depth == 0 else counted.by_chance
+        media = counted.in_media if scatters else SOFT
+        if (surfaces, media) != (SOFT, SOFT):
             way = None if flight is None else flight._replace(emission=None)  # what media emit there counts
             straight = trace(integrand._replace(max_depth=depth + 2), state, hit=met, depth=depth + 1, flight=way)
-            from_surfaces, in_media = (torch.where(met.prim >= 0, not some.soft, not some.around) for some in here)
-            found = found - masked(torch.where(rows(own.in_medium, lanes), in_media, from_surfaces), straight)
+            on_surfaces, in_media = (torch.where(met.prim >= 0, not some.soft, not some.around)
+                                     for some in (surfaces, media))
+            if depth > 0:
+                on_surfaces = on_surfaces & (own.by_chance & free)[lanes]
+            found = found - masked(torch.where(rows(own.in_medium, lanes), in_media, on_surfaces), straight)
         L[:, lanes] = torch.stack(tuple(found)).double()
     angle = solid_angle(scene, past.fixed_to(scene), Ray(start, reach))
     return torch.stack(tuple(own.beta * beta)).double() * L * angle

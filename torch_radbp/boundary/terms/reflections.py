@@ -33,7 +33,7 @@ from torch_radbp.boundary.curve.places import FEWEST
 from torch_radbp.boundary.curve.triangles_in_view import may_see_ideal_surfaces
 from torch_radbp.boundary.eye.deposit import Deposit, image_of
 from torch_radbp.boundary.eye.differences import SHADOW, parted
-from torch_radbp.boundary.eye.ideal_paths import only_ideal
+from torch_radbp.boundary.eye.ideal_paths import ideal_at_first, only_ideal
 from torch_radbp.boundary.eye.rays import Follows, adjoint_of_start, chains_of, following, follows_chains
 from torch_radbp.boundary.eye.seen_on_film import camera_sample
 from torch_radbp.boundary.eye.surfaces import LineTable, surfaces_of
@@ -112,7 +112,7 @@ def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
         surfaces = surfaces_of(still, reflected.meshes, detached(reflected.lines))
         tables, = call.stages(parted).taken(surfaces=surfaces)
     for number in range(len(call.views)):
-        integrand = integrand_of(still, still.integrand, number)
+        integrand = ideal_at_first(integrand_of(still, still.integrand, number))
         searched = Searched(still, number, only_ideal(integrand), surfaces, tables, reflected.shadows)
         found = _jumps_in_view(call, searched, integrand, reflected)
         images.append(image_of(call, number, [] if found is None else [found]))
@@ -152,7 +152,7 @@ def moved(call: RenderCall, searched: Searched, found: CurveCrossings, lines: Li
     view, draw = call.views[searched.number], draw_of(crossed)
     sample = camera_sample(call, view, crossed.low, crossed.aperture, crossed.key)
     if call.adjoint.taped or has_tangents((call.scene, view.camera, lines)):
-        integrand = integrand_of(call, call.make_integrand(call.scene), searched.number)
+        integrand = ideal_at_first(integrand_of(call, call.make_integrand(call.scene), searched.number))
         ray = rays_reaching(follows_chains(integrand), started(call, sample), crossed.depth)
         seen = level(call.scene, lines, curves, ray, draw)
         return seen - primal(seen)
