@@ -49,7 +49,7 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
         bounce: takes one bounce.
     """
     samples, recorder = camera_samples(call, wavefront, which), Recorder(call.adjoint, integrand.bounces, record)
-    integrand = integrand_of_wavefront(call, integrand, wavefront, which)
+    integrand, bounce = integrand_of_wavefront(call, integrand, wavefront, which), recorder.bounce if record else bounce
     if call.sink.at_vertices:
         deposits, hit = call.sink.deposits(call), None
         if integrand.settings.moving and (integrand.attached or any_differentiated((samples.ray, samples.power))):
@@ -92,7 +92,8 @@ def traced_apart(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
 
     def derivative() -> CameraSample:
         samples = camera_samples(call, wavefront, 1)
-        walk(integrand_of_wavefront(call, integrand, wavefront, 1), Onward(started(call, samples), None), recorder.visit)
+        walk(integrand_of_wavefront(call, integrand, wavefront, 1), Onward(started(call, samples), None), recorder.visit,
+             bounce=recorder.bounce)
         return samples
 
     (seen, L), differentiated = each(lambda side: side(), (image, derivative), threads())
@@ -109,7 +110,7 @@ def traced_as_one(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
         weight=joined([samples.weight for samples in own]), place=joined([samples.place for samples in own]))
         for first, own in ((lanes, image), (0, derivative)))
     integrand = integrand._replace(differentiated=both.ray.d.x.new_full((), lanes, dtype=torch.int32))
-    L = trace(integrand, started(call, both), recorder.visit)
+    L = trace(integrand, started(call, both), recorder.visit, bounce=recorder.bounce)
     hit, L = (rows_between(part, lanes, 2 * lanes) for part in (recorder.hit, L))
     return image, derivative, hit, L
 
@@ -135,8 +136,27 @@ def record_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefron
     if call.adjoint.keep_radiance:
         return trace_wavefront(call, integrand, wavefront, 1, record=True)[1]
     samples, recorder = camera_samples(call, wavefront, 1), Recorder(call.adjoint, integrand.bounces)
-    walk(integrand_of_wavefront(call, integrand, wavefront, 1), Onward(started(call, samples), None), recorder.visit)
+    walk(integrand_of_wavefront(call, integrand, wavefront, 1), Onward(started(call, samples), None), recorder.visit,
+         bounce=recorder.bounce)
     return recorder.record(partial(start_paths, call, wavefront, 1), None, samples)
+
+
+def bounced_in_part(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) -> tuple[PathState, Step, Onward]:
+    """As `bounced`, with the part of the state that is kept where the backward pass replays no bounce."""
+    state, step, onward = bounced(integrand, onward, depth, L)
+    return part_kept(integrand, state), step, onward
+
+
+def part_kept(integrand: Integrand, state: PathState) -> PathState:
+    """The part of a state that the backward pass reads where it replays no bounce, and all decisions are known.
+
+    Lights are selected. Rays are cast, and their origins are read only where rays carry derivatives or pass media. Random
+    numbers are drawn by the key that the lane has had from the start; but where textures of lights are evaluated outside
+    these are drawn there, too, and the state has its own.
+    """
+    layout = integrand.proposal.layout
+    ray = state.ray if integrand.settings.moving or layout.media else state.ray._replace(o=None)
+    return state._replace(ray=ray, key=state.key if layout.lit else None, vantage=None)
 
 
 class Recorder:
@@ -152,6 +172,11 @@ class Recorder:
         self.states: dict[int, PathState] = {}
         self.steps: dict[int, Step] = {}
 
+    @property
+    def bounce(self) -> Bounce:
+        """Takes a bounce of which what is kept is kept in part, if that is enough."""
+        return bounced_in_part if self.keeping and self.strategy.records_all else bounced
+
     def visit(self, depth: int, state: PathState, step: Step) -> None:
         if depth == 0:
             self.hit = step.hit
@@ -166,7 +191,8 @@ class Recorder:
             self.steps[depth] = step
 
     def record(self, start: Callable[[], PathState], radiance: Vec3 | None, samples: CameraSample) -> PathRecord:
-        return PathRecord(start, radiance, self.states, self.steps, self.bounces, samples.weight, samples.place)
+        key = samples.key if any(state.key is None for state in self.states.values()) else None
+        return PathRecord(start, radiance, self.states, self.steps, self.bounces, samples.weight, samples.place, key)
 
 
 class Allowance:
