@@ -11,6 +11,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 from torch_radbp.adjoint.bounce import DifferentiatedPart, LanesOfChunk, Memo, bounce_adjoint, is_asked
+from torch_radbp.adjoint.kept_state import part_kept
 from torch_radbp.adjoint.local_map import verdict_of
 from torch_radbp.adjoint.outside import values_that_move
 from torch_radbp.adjoint.scatter import Contribution
@@ -104,7 +105,9 @@ class LocalAdjoints:
             depth: of the bounce.
         """
         state, step = cut_to_count(state, step)
-        integrand, arrival = self.integrand, step.arrival(state)
+        integrand = self.integrand
+        state = state if chunk.key is None else part_kept(integrand, state)
+        arrival = step.arrival(state)
         reached, of_chunk, at, settings = integrand.stages(bounce_adjoint).taken(
             arrival=arrival, chunk=chunk, at=integrand.at(depth), settings=integrand.settings_at(depth))
         queues = [(queue, values) for queue, values in zip(step.queues, step.texture_values)

@@ -9,6 +9,7 @@ from threading import Lock
 import torch
 from torch import Tensor
 
+from torch_radbp.adjoint.kept_state import part_kept
 from torch_radbp.adjoint.sweep import PathRecord
 from torch_radbp.call.pixels import weighted
 from torch_radbp.call.render_call import (
@@ -147,18 +148,6 @@ def bounced_in_part(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | 
     return part_kept(integrand, state), step, onward
 
 
-def part_kept(integrand: Integrand, state: PathState) -> PathState:
-    """The part of a state that the backward pass reads where it replays no bounce, and all decisions are known.
-
-    Lights are selected. Rays are cast, and their origins are read only where rays carry derivatives or pass media. Random
-    numbers are drawn by the key that the lane has had from the start; but where textures of lights are evaluated outside
-    these are drawn there, too, and the state has its own.
-    """
-    layout = integrand.proposal.layout
-    ray = state.ray if integrand.settings.moving or layout.media else state.ray._replace(o=None)
-    return state._replace(ray=ray, key=state.key if layout.lit else None, vantage=None)
-
-
 class Recorder:
     """Records camera hits, and bounces as the strategy asks, up to `most`.
 
@@ -191,8 +180,7 @@ class Recorder:
             self.steps[depth] = step
 
     def record(self, start: Callable[[], PathState], radiance: Vec3 | None, samples: CameraSample) -> PathRecord:
-        key = samples.key if any(state.key is None for state in self.states.values()) else None
-        return PathRecord(start, radiance, self.states, self.steps, self.bounces, samples.weight, samples.place, key)
+        return PathRecord(start, radiance, self.states, self.steps, self.bounces, samples.weight, samples.place, samples.key)
 
 
 class Allowance:

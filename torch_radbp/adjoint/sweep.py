@@ -84,6 +84,11 @@ class Sweep:
         """True if rays carry derivatives, so that bounces must be differentiated from the deepest up."""
         return self.integrand.settings.moving
 
+    @property
+    def chunk(self) -> LanesOfChunk:
+        """What there is of all lanes."""
+        return LanesOfChunk(self.adj_L, self.memo, self.record.key)
+
     def advance(self, state: PathState, depth: int) -> PathState:
         """Replays one bounce."""
         vertex, _, step = take_step(self.integrand, state, depth, self.record.steps.get(depth), with_light=False)
@@ -99,7 +104,7 @@ class Sweep:
         step = self.record.steps.get(depth)
         if step is None:
             step = take_step(self.integrand, state, depth, with_light=False)[-1]
-        adj_modules = self.differentiate(state, step, LanesOfChunk(self.adj_L, self.memo, self.record.key), depth)
+        adj_modules = self.differentiate(state, step, self.chunk, depth)
         # Networks are asked for their gradients when enough lanes wait for them.
         self.modules.hold(adj_modules, len(state.lane))
         if self.modules.lanes > HELD:

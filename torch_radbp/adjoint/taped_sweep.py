@@ -98,7 +98,7 @@ class TapedSweep(Sweep):
             step = take_step(integrand, state, depth, with_light=False)[-1]
             return Played(super(TapedSweep, self).differentiate(state, step, chunk, depth))
 
-        arguments = state._replace(number=None), LanesOfChunk(self.adj_L, self.memo), integrand.at(depth)
+        arguments = state._replace(number=None), self.chunk, integrand.at(depth)
         played = self.tape.play(("again", *integrand.kind_at(depth)), taken_again, arguments, state.count, waits=False)
         if played is None:
             super().adjoint(state, depth)

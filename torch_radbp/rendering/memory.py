@@ -18,9 +18,9 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.bounce import Memo, empty_memo
+from torch_radbp.adjoint.kept_state import part_kept
 from torch_radbp.adjoint.memoized import MemoizedAdjoint
 from torch_radbp.adjoint.outside import HELD
-from torch_radbp.adjoint.record import part_kept
 from torch_radbp.adjoint.scatter import workers_beside
 from torch_radbp.adjoint.strategy import AdjointStrategy
 from torch_radbp.path.integrand import Integrand
@@ -172,8 +172,7 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
         record_bytes: that are kept between the passes at most.
     """
     fractions, lanes, dtype = work.fractions, work.lanes, work.dtype
-    state, kept_state, step, memo = least_records(dtype) if work.records is None else work.records
-    kept_state = kept_state if adjoint.records_all else state
+    state, part, step, memo = least_records(dtype) if work.records is None else work.records
     radiance, place = (len(kind._fields) * dtype.itemsize for kind in (Vec3, Vec2))
     chunk = min(max(chunk, work.least), lanes)
     together = min(lanes, work.workers * chunk)  # lanes that are worked on at a time
@@ -184,8 +183,9 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
         working = max(together * (WASTE * bounce.per_lane + SPARE * dtype.itemsize), work.jumps)
         return MemoryPlan(chunk, adjoint, False, kept, int(working) + work.images)
     depths = adjoint.kept(bounces, work.max_depth)
-    per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1)) * kept_state
-    per_lane += 0 if kept_state == state else len(LaneKey._fields) * torch.int32.itemsize
+    per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1))
+    per_lane *= part if adjoint.records_all else state
+    per_lane += len(LaneKey._fields) * torch.int32.itemsize  # of the start
     per_lane += sum(fractions) * step * adjoint.keep_hits + radiance * adjoint.keep_radiance + place
     replayed = adjoint.replayed(fractions, depths, work.moving) * state
     held = radiance + memo + state + step * (not adjoint.keep_hits)
