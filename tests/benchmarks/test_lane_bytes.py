@@ -14,8 +14,8 @@ MOVING = RecordSizes(52, 44, 22, 92)
 
 @pytest.mark.parametrize("name", deep_but(["cornell-box", "metal-mesh"], SCENES))
 def test_a_path_carries_few_bytes_and_memory_is_planned_closely(name):
-    """A state is a ray, throughput, density, two random keys and a place, of which origin and keys are not kept where nothing
-    moves, and keys where something does; of a bounce stay hit, order and two flags."""
+    """A state is a ray, throughput, density, two random keys and a place; keys are not kept, origins only where something
+    moves. Of a bounce stay hit, order and two flags."""
     found = lane_bytes(name, 32, 64)
     still = RecordSizes(6 * 4 + 3 * 4 + 4 + 2 * 4 + 4, 3 * 4 + 3 * 4 + 4 + 4, 4 * 4 + 4 + 2, 3 * 4)
     others = {"metal-mesh-vertices": MOVING, "material-room": still._replace(step=still.step + 1)}
