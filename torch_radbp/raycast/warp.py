@@ -71,7 +71,7 @@ class Warp:
         self._rays_counted = torch.zeros(1, dtype=torch.int64, device=self.vertices.device)  # of which only the device knows
         self._device = _started(self.vertices.device)
         self._streams: set[torch.cuda.Stream] = set()
-        self._unit = 1.0 if known is None else unit_of(known.extent)
+        self._unit = 1.0 if known is None else power_of_2_units(known.extent)
         warp_few, few = few_kernels(self.vertices.device), None
         if known is not None and known.corners:
             fetched = torch.tensor(known.corners, dtype=torch.float32, device=torch.device("cpu")).view(-1, 3, 3)
@@ -169,7 +169,7 @@ def lanes_of(column: Tensor):
     return wp.from_torch(column, return_ctype=True, requires_grad=False)
 
 
-def unit_of(extent: float) -> float:
+def power_of_2_units(extent: float) -> float:
     """The power of two, which rounds nothing, that scales a mesh of some extent to about unit extent."""
     exponent = math.frexp(extent)[1] if extent > 0 else 0
     return 2.0 ** max(-120, min(120, -exponent))
