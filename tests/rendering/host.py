@@ -17,7 +17,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map_only
 from torch.utils.weak import WeakIdKeyDictionary
 
-CPU, CUDA = torch.device("cpu"), torch.device("cuda", 0)
+CUDA = torch.device("cuda", 0)
+CPU, HOST = torch.device("cpu"), torch.device("cpu", 0)  # where tensors truly are; what those say that are the host's
 ANSWERS = {Tensor.is_cuda.__get__: lambda tensor: True, Tensor.is_cpu.__get__: lambda tensor: False,
            Tensor.device.__get__: lambda tensor: CUDA}
 # By what they are called: on CUDA each of them waits until the device has come to the end of its work.
@@ -62,9 +63,10 @@ class SaysCuda(TorchFunctionMode):
         kwargs = kwargs or {}
         of_host = self.host.has_all((args, kwargs))
         if function in ANSWERS:
-            return function(*args) if of_host else ANSWERS[function](*args)
+            found = function(*args) if of_host else ANSWERS[function](*args)
+            return HOST if found == CPU else found
         devices = [each for each in (*args, *kwargs.values()) if isinstance(each, torch.device)]
-        if (of_host or devices == [CPU]) and CUDA not in devices:
+        if (of_host or HOST in devices or (function in FROM_HOST and CPU in devices)) and CUDA not in devices:
             self.host.add(found := function(*args, **kwargs))
             return found
         if function in TO_HOST or function in FROM_HOST:
