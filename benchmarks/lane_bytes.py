@@ -1,9 +1,9 @@
 """Bytes that a path takes on a GPU: ``python -m benchmarks.lane_bytes``. Needs no GPU.
 
-Of each scene, in float32: what a path carries from bounce to bounce (`PathState`), what is remembered of each bounce for the
-backward pass (`Step`), and the memo of that pass (`Memo`); then what a forward and backward pass takes at its peak, and what
-`Renderer.memory_plan` predicts. As in `benchmarks.launches`, kernels run on the processor and tensors say that they lie on
-CUDA; counted is what torch is asked for, tensor by tensor.
+Of each scene, in float32: what a path carries from bounce to bounce (`PathState`), how much of that is kept for the backward
+pass, what is remembered beside it of each bounce (`Step`), and the memo of that pass (`Memo`); then what a forward and
+backward pass takes at its peak, and what `Renderer.memory_plan` predicts. As in `benchmarks.launches`, kernels run on the
+processor and tensors say that they lie on CUDA; counted is what torch is asked for, tensor by tensor.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ class LaneBytes(NamedTuple):
         return f"| {' | '.join(map(str, cells))} |"
 
 
-HEADER = """| scene | state | remembered | memo | bounces | peak, forward | both | planned | planned / peak |
-|---|---|---|---|---|---|---|---|---|"""
+HEADER = """| scene | state | kept | remembered | memo | bounces | peak, forward | both | planned | planned / peak |
+|---|---|---|---|---|---|---|---|---|---|"""
 
 
 def peaks(renderer: rb.Renderer) -> tuple[int, int]:

@@ -39,6 +39,7 @@ from tests.jit.emulated import Emulated
 from tests.rendering.host import exchanges
 from tests.rendering.on_gpu import render_on
 from tests.scenes import media, networks, smoke
+from tests.scenes.closed_box import closed_box
 from torch_radbp.adjoint.function import RenderFunction
 from torch_radbp.jit.nvidia.gpu import Gpu
 from torch_radbp.jit.run import LaneFunction
@@ -214,10 +215,12 @@ def driven_of_rarer(name: str) -> list[Driven]:
     return driven(name, renderer, parameters)
 
 
-# Scenes that bounces do more for: boundaries of media that are passed, media that vary in space, and networks as textures.
+# Scenes that bounces do more for: boundaries of media that are passed, media that vary in space, and networks as textures;
+# and one of few triangles, some of which move, in the light of a surface.
 RARER = {"boundaries": (media.room, ["ball.interior.sigma_t.value.value"]),
          "smoke": (lambda: smoke.room(smoke.varied(3)), ["box.interior.sigma_t.data"]),
-         "networks": (networks.room, [f"{name}.bsdf.reflectance.module.0.weight" for name in ("floor", "wall", "box")])}
+         "networks": (networks.room, [f"{name}.bsdf.reflectance.module.0.weight" for name in ("floor", "wall", "box")]),
+         "moving box": (lambda: closed_box({"type": "diffuse"}), ["thing.vertex_positions"])}
 HEADER = f"""| scene | pass | a bounce: {' | '.join(COUNTED)} | a call: {' | '.join(COUNTED)} |
 |{'---|' * (2 + 2 * len(COUNTED))}"""
 

@@ -8,7 +8,9 @@ from torch.utils._pytree import tree_map_only
 
 import torch_radbp as rb
 from tests.scenes import cornell, parameters
+from tests.scenes.closed_box import closed_box
 from torch_radbp.adjoint.local_map import Verdict, local_map
+from torch_radbp.adjoint.record import record_wavefront
 from torch_radbp.call.pixels import Films
 from torch_radbp.call.render_call import start_paths
 from torch_radbp.path.state import Arrival
@@ -49,6 +51,26 @@ def test_the_derivative_is_that_of_the_recorded_survivors():
         weight = torch.stack(tuple(local.F))
         assert (weight[:, ~decided.survives] == 0).all() and torch.isfinite(weight).all()
         assert (weight[:, decided.survives] > 0).any(0).float().mean() > 0.9
+
+
+def recorded(adjoint: rb.AdjointStrategy, asked: str):
+    """The record of a box with lights that are selected by place, and of these a derivative by a parameter."""
+    scene = closed_box({"type": "roughconductor"}, lamps=8)
+    scene.get_parameter(asked).requires_grad_()
+    call = rb.Renderer(scene, **SETTINGS, adjoint=adjoint, terms=()).prepare(0, None, SETTINGS["spp"], None)
+    return record_wavefront(call, call.integrand, call.wavefronts[0])
+
+
+def test_of_states_that_are_not_replayed_from_only_what_is_read_is_kept():
+    """Strategies agree, which tests/adjoint/test_oracle.py holds, so that nothing is missing."""
+    still, moving, replayed = (recorded(adjoint, asked) for adjoint, asked in (
+        (rb.MemoizedAdjoint(), "thing.bsdf.alpha.value"), (rb.MemoizedAdjoint(), "thing.to_world"),
+        (rb.MemoizedAdjoint(2), "thing.bsdf.alpha.value")))
+    for record, origin, whole in ((still, False, False), (moving, True, False), (replayed, True, True)):
+        assert len(record.states) > 1 and record.key is not None
+        for state in record.states.values():
+            assert (state.ray.o is not None) == origin
+            assert (state.key is not None) == (state.vantage is not None) == whole
 
 
 def test_nothing_of_a_chunk_is_held_once_it_is_added_to_the_image(monkeypatch):

@@ -21,7 +21,7 @@ def test_between_bounces_the_host_waits_for_nothing_and_makes_one_call(name):
     assert backward.of_call["waits"] == 1  # whether the gradients are finite
 
 
-@pytest.mark.parametrize("name", launches.RARER)
+@pytest.mark.parametrize("name", ["boundaries", "smoke", "networks"])
 def test_media_are_passed_without_the_host_and_networks_asked_at_once(name):
     """Through media that scatter paths of the image and of its derivative are sampled otherwise: a call for each. Networks
     are run by torch, on as many lanes as ask each, for which the host waits once; not at the last bounce."""
@@ -32,6 +32,13 @@ def test_media_are_passed_without_the_host_and_networks_asked_at_once(name):
     assert forward.of_bounce["waits"] == networks and backward.of_bounce["waits"] == 0
     assert networks or (forward.of_bounce["Python"], backward.of_bounce["Python"]) == (2, 1)
     assert forward.of_call["waits"] == 1 - networks and 1 <= backward.of_call["waits"] <= (3 if networks else 1)
+
+
+def test_a_scene_of_few_triangles_that_move_waits_three_times():
+    """Before its rays are cast, for whether the areas of lamps are as they were, and in the end."""
+    forward, backward = launches.driven_of_rarer("moving box")
+    assert forward.of_bounce["waits"] == backward.of_bounce["waits"] == 0
+    assert (forward.of_call["waits"], backward.of_call["waits"]) == (3, 1)
 
 
 def test_what_the_host_does_between_bounces_is_found(monkeypatch):

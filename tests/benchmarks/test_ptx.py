@@ -33,7 +33,7 @@ def test_kernels_of_a_room_with_networks_are_assembled():
     assert {"bounce", "bounce_adjoint", "places", "rows"} <= check("networks", "hybrid", ARCHITECTURES[-1:])
 
 
-# Of all their kernels one spills: the adjoint of rough metal whose vertices move, with 232 bytes.
+# Of all their kernels one spills: the adjoint of rough metal whose vertices move, with 236 bytes.
 @pytest.mark.parametrize("scene", deep_but(["cornell-box", "metal-mesh-vertices"], BENCHMARKS))
 def test_kernels_of_the_benchmarks_spill_hardly_anything(scene):
     pytest.importorskip("warp")

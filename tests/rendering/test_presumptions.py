@@ -62,7 +62,7 @@ CHANGES = {
     "a colour that is not differentiated": Change(ALBEDO, False, lambda value: value.mul_(0.5), 8),
     "a colour past torch": Change(ALBEDO, True, lambda value: value.data.mul_(0.5), 1),
     "a colour past torch that is not differentiated": Change(ALBEDO, False, lambda value: value.data.mul_(0.5), None),
-    "a pose": Change(POSE, True, moved(0.3), 13),  # of few faces the host merges some, which is counted as if it asked
+    "a pose": Change(POSE, True, moved(0.3), 2),  # before triangles that move get a new caster, too
     "a pose past torch": Change(POSE, True, lambda pose: moved(0.3)(pose.data), None),
     "a pose that stays": Change(POSE, True, lambda pose: None, 1),
     "a pose beyond the far plane": Change(POSE, True, moved(60.0, axis=1), None),

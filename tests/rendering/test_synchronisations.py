@@ -83,3 +83,16 @@ def test_exchanges_are_found():
     assert sum(exchanges(lambda: x.tolist()).values()) == 1
     assert sum(exchanges(lambda: torch.tensor(3.0, device=x.device)).values()) == 1
     assert not exchanges(lambda: x.new_zeros(3) + x[:3] * torch.full((), 2.0, device=x.device))
+
+
+def test_what_the_host_has_fetched_it_does_not_ask_for():
+    x, found = torch.arange(6.0), []
+
+    def ask() -> None:
+        of_host = x.cpu()
+        there = of_host[of_host > 2] + torch.arange(3, device=of_host.device)
+        back = there.to(x.device)
+        found.extend([of_host.device.type, there.device.type, back.device.type, there.tolist(), back.tolist()])
+
+    assert sum(exchanges(ask).values()) == 2  # for x, and for what has been sent back
+    assert found == ["cpu", "cpu", "cuda", [3.0, 5.0, 7.0], [3.0, 5.0, 7.0]]

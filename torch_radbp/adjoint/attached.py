@@ -106,7 +106,7 @@ def arguments_of(integrand: Integrand, state: PathState, depth: int, step: Step,
 def room_for_paths(integrand: Integrand, state: PathState, lanes: int) -> tuple[Vec3, PathState, Vec2 | None]:
     """Empty results of `attached_vertices` in forward mode, to write into."""
     from_lamps = integrand.proposal.layout.from_lamps
-    values, tangents = (room_for_vertices(state, lanes, True, from_lamps) for _ in range(2))
+    values, tangents = (room_for_vertices(state, lanes, True, False, from_lamps) for _ in range(2))
     film = dual(values.film, tangents.film) if from_lamps else None
     E, ahead = dual(values.Le, tangents.Le), values.next._replace(vantage=None)
     settings, of = integrand.settings, tangents.next

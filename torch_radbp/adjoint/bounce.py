@@ -19,6 +19,7 @@ from torch_radbp.adjoint.local_map import BothCorners, Verdict, local_map
 from torch_radbp.interface.texture import TextureValue
 from torch_radbp.path.state import Arrival, Position, Settings
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.sampling.sampler import LaneKey
 from torch_radbp.scene.tables.scene_tensors import Layout, SceneTensors
 from torch_radbp.scene.tables.triangle_corners import Corners, at_corners
 from torch_radbp.tensors.lookup import Tap, tapped
@@ -104,6 +105,7 @@ class LanesOfChunk(NamedTuple):
 
     adj_L: Vec3  # derivative of the loss with respect to L_1
     memo: Memo
+    key: LaneKey | None = None  # of random numbers; None: states have theirs
 
 
 @stage("part", "arrival", "chunk")
@@ -126,7 +128,8 @@ def bounce_adjoint(part: DifferentiatedPart, arrival: Arrival, lanes: Tensor, ve
     arrival = rows(arrival, lanes)
     state, hit, scene = arrival.state, arrival.hit, part.scene
     # adj_k = adj_1 beta_k, and L_{k+1} from the memo.
-    adj_L, memo = rows(chunk, state.lane)
+    adj_L, memo, key = rows(chunk, state.lane)
+    state = state if key is None else state._replace(key=key)
     adj_L = adj_L * state.beta
     # theta, attached: the tables that are differentiated, the ray, and values from outside.
     taps: list[Tap] = []

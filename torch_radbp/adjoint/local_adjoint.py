@@ -11,6 +11,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 from torch_radbp.adjoint.bounce import DifferentiatedPart, LanesOfChunk, Memo, bounce_adjoint, is_asked
+from torch_radbp.adjoint.kept_state import part_kept
 from torch_radbp.adjoint.local_map import verdict_of
 from torch_radbp.adjoint.outside import values_that_move
 from torch_radbp.adjoint.scatter import Contribution
@@ -94,19 +95,21 @@ class LocalAdjoints:
                                                    self.integrand.stages(bounce_adjoint).knowing(part))
         return self.of_events[event]
 
-    def maps(self, state: PathState, step: Step, memo: Memo, adj_L: Vec3, depth: int) -> Iterator[LocalAdjoint]:
+    def maps(self, state: PathState, step: Step, chunk: LanesOfChunk, depth: int) -> Iterator[LocalAdjoint]:
         """The local maps of a bounce, of each queue that is differentiated.
 
         Args:
             state: of the paths that reach the bounce.
             step: what was decided there.
-            memo, adj_L: of all lanes of the chunk.
+            chunk: of the sweep.
             depth: of the bounce.
         """
         state, step = cut_to_count(state, step)
-        integrand, arrival = self.integrand, step.arrival(state)
-        reached, chunk, at, settings = integrand.stages(bounce_adjoint).taken(
-            arrival=arrival, chunk=LanesOfChunk(adj_L, memo), at=integrand.at(depth), settings=integrand.settings_at(depth))
+        integrand = self.integrand
+        state = state if chunk.key is None else part_kept(integrand, state)
+        arrival = step.arrival(state)
+        reached, of_chunk, at, settings = integrand.stages(bounce_adjoint).taken(
+            arrival=arrival, chunk=chunk, at=integrand.at(depth), settings=integrand.settings_at(depth))
         queues = [(queue, values) for queue, values in zip(step.queues, step.texture_values)
                   if queue.first < queue.last and queue.derivative]
         asking = [(integrand.scatterer(queue.event),
@@ -115,10 +118,10 @@ class LocalAdjoints:
             here = slice(queue.first, queue.last)
             lanes = step.order[here]
             verdict = rows_between(verdict_of(step), queue.first, queue.last) if queue.event.scatters else None
-            if memo.asked is not None and verdict is not None:
-                kept = chosen(integrand.stages(is_asked)(memo.asked, state.lane, lanes, verdict.visible))
+            if chunk.memo.asked is not None and verdict is not None:
+                kept = chosen(integrand.stages(is_asked)(chunk.memo.asked, state.lane, lanes, verdict.visible))
                 lanes, verdict = integrand.stages(rows)((lanes, verdict), kept)
-            yield LocalAdjoint(self.of_event(queue.event), (reached, lanes, verdict, chunk, at, settings, values),
+            yield LocalAdjoint(self.of_event(queue.event), (reached, lanes, verdict, of_chunk, at, settings, values),
                                scatterer, places, integrand.stages(rows)(state.lane, lanes), queue,
                                (self.of_positions, integrand) if depth == 0 else None)
 

@@ -9,6 +9,7 @@ from threading import Lock
 import torch
 from torch import Tensor
 
+from torch_radbp.adjoint.kept_state import part_kept
 from torch_radbp.adjoint.sweep import PathRecord
 from torch_radbp.call.pixels import weighted
 from torch_radbp.call.render_call import (
@@ -49,7 +50,7 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
         bounce: takes one bounce.
     """
     samples, recorder = camera_samples(call, wavefront, which), Recorder(call.adjoint, integrand.bounces, record)
-    integrand = integrand_of_wavefront(call, integrand, wavefront, which)
+    integrand, bounce = integrand_of_wavefront(call, integrand, wavefront, which), recorder.bounce if record else bounce
     if call.sink.at_vertices:
         deposits, hit = call.sink.deposits(call), None
         if integrand.settings.moving and (integrand.attached or any_differentiated((samples.ray, samples.power))):
@@ -92,7 +93,8 @@ def traced_apart(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
 
     def derivative() -> CameraSample:
         samples = camera_samples(call, wavefront, 1)
-        walk(integrand_of_wavefront(call, integrand, wavefront, 1), Onward(started(call, samples), None), recorder.visit)
+        walk(integrand_of_wavefront(call, integrand, wavefront, 1), Onward(started(call, samples), None), recorder.visit,
+             bounce=recorder.bounce)
         return samples
 
     (seen, L), differentiated = each(lambda side: side(), (image, derivative), threads())
@@ -109,7 +111,7 @@ def traced_as_one(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
         weight=joined([samples.weight for samples in own]), place=joined([samples.place for samples in own]))
         for first, own in ((lanes, image), (0, derivative)))
     integrand = integrand._replace(differentiated=both.ray.d.x.new_full((), lanes, dtype=torch.int32))
-    L = trace(integrand, started(call, both), recorder.visit)
+    L = trace(integrand, started(call, both), recorder.visit, bounce=recorder.bounce)
     hit, L = (rows_between(part, lanes, 2 * lanes) for part in (recorder.hit, L))
     return image, derivative, hit, L
 
@@ -135,8 +137,15 @@ def record_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefron
     if call.adjoint.keep_radiance:
         return trace_wavefront(call, integrand, wavefront, 1, record=True)[1]
     samples, recorder = camera_samples(call, wavefront, 1), Recorder(call.adjoint, integrand.bounces)
-    walk(integrand_of_wavefront(call, integrand, wavefront, 1), Onward(started(call, samples), None), recorder.visit)
+    walk(integrand_of_wavefront(call, integrand, wavefront, 1), Onward(started(call, samples), None), recorder.visit,
+         bounce=recorder.bounce)
     return recorder.record(partial(start_paths, call, wavefront, 1), None, samples)
+
+
+def bounced_in_part(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) -> tuple[PathState, Step, Onward]:
+    """As `bounced`, with the part of the state that is kept where the backward pass replays no bounce."""
+    state, step, onward = bounced(integrand, onward, depth, L)
+    return part_kept(integrand, state), step, onward
 
 
 class Recorder:
@@ -152,6 +161,11 @@ class Recorder:
         self.states: dict[int, PathState] = {}
         self.steps: dict[int, Step] = {}
 
+    @property
+    def bounce(self) -> Bounce:
+        """Takes a bounce of which what is kept is kept in part, if that is enough."""
+        return bounced_in_part if self.keeping and self.strategy.records_all else bounced
+
     def visit(self, depth: int, state: PathState, step: Step) -> None:
         if depth == 0:
             self.hit = step.hit
@@ -166,7 +180,7 @@ class Recorder:
             self.steps[depth] = step
 
     def record(self, start: Callable[[], PathState], radiance: Vec3 | None, samples: CameraSample) -> PathRecord:
-        return PathRecord(start, radiance, self.states, self.steps, self.bounces, samples.weight, samples.place)
+        return PathRecord(start, radiance, self.states, self.steps, self.bounces, samples.weight, samples.place, samples.key)
 
 
 class Allowance:

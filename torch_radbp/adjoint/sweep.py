@@ -22,7 +22,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.bounce import Memo, empty_memo
+from torch_radbp.adjoint.bounce import LanesOfChunk, empty_memo
 from torch_radbp.adjoint.local_adjoint import LocalAdjoints
 from torch_radbp.adjoint.outside import HELD, ModuleAdjoint, ModuleGradients
 from torch_radbp.adjoint.scatter import Gradients
@@ -31,6 +31,7 @@ from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Step, survivors
 from torch_radbp.path.wavefront import take_step
+from torch_radbp.sampling.sampler import LaneKey
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.record import with_leaves
 from torch_radbp.tensors.vec import Vec2, Vec3
@@ -41,11 +42,12 @@ class PathRecord(NamedTuple):
 
     start: Callable[[], PathState]  # makes the camera paths again
     radiance: Vec3 | None  # L_1 of each lane, kept for path replay only
-    states: dict[int, PathState]  # by depth, where the schedule keeps them; depth 0 is `start`
+    states: dict[int, PathState]  # by depth, where the schedule keeps them; depth 0 is `start`, or the `part_kept` of them
     steps: dict[int, Step]  # by depth, empty with keep_hits=False
     bounces: int
     weight: Tensor | None = None  # camera weight of each lane's radiance; None: 1
     place: Vec2 | None = None  # position of each lane in its pixel
+    key: LaneKey | None = None  # of random numbers, of each lane; None: states have theirs
 
 
 def numbered_leaves(scene: SceneTensors, wanted: tuple[bool, ...]) -> SceneTensors:
@@ -82,6 +84,11 @@ class Sweep:
         """True if rays carry derivatives, so that bounces must be differentiated from the deepest up."""
         return self.integrand.settings.moving
 
+    @property
+    def chunk(self) -> LanesOfChunk:
+        """What there is of all lanes."""
+        return LanesOfChunk(self.adj_L, self.memo, self.record.key)
+
     def advance(self, state: PathState, depth: int) -> PathState:
         """Replays one bounce."""
         vertex, _, step = take_step(self.integrand, state, depth, self.record.steps.get(depth), with_light=False)
@@ -97,17 +104,17 @@ class Sweep:
         step = self.record.steps.get(depth)
         if step is None:
             step = take_step(self.integrand, state, depth, with_light=False)[-1]
-        adj_modules = self.differentiate(state, step, self.memo, self.adj_L, depth)
+        adj_modules = self.differentiate(state, step, self.chunk, depth)
         # Networks are asked for their gradients when enough lanes wait for them.
         self.modules.hold(adj_modules, len(state.lane))
         if self.modules.lanes > HELD:
             self.finish()
 
-    def differentiate(self, state: PathState, step: Step, memo: Memo, adj_L: Vec3, depth: int) -> tuple[ModuleAdjoint, ...]:
+    def differentiate(self, state: PathState, step: Step, chunk: LanesOfChunk, depth: int) -> tuple[ModuleAdjoint, ...]:
         """As `adjoint`, of a bounce whose decisions are known; returns what networks are still to be asked for."""
         adj_modules: tuple[ModuleAdjoint, ...] = ()
         # Surface by surface: the lanes that meet one appearance go through the functions of that.
-        for local in self.local.maps(state, step, memo, adj_L, depth):
+        for local in self.local.maps(state, step, chunk, depth):
             # (E_k, F_k) is a function of theta. Its vector-Jacobian product with (adj_k, adj_k L_{k+1}), for which L_{k+1}
             # stands in the memo.
             here, adj_reads, adj_values = local.vector_jacobian_product()
@@ -116,7 +123,7 @@ class Sweep:
             adj_modules += tuple(adjoint._replace(first=local.queue.first, last=local.queue.last) for adjoint in
                                  self.modules.adjoints(local.scatterer, local.places, adj_values))
             # L_k = E_k + F_k L_{k+1} stands in the memo for the bounce above.
-            put_rows(memo.parts_of(here), local.lane, here)
+            put_rows(chunk.memo.parts_of(here), local.lane, here)
         return adj_modules
 
     def finish(self) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from torch_radbp.adjoint.bounce import Memo
+from torch_radbp.adjoint.bounce import LanesOfChunk
 from torch_radbp.adjoint.outside import ModuleAdjoint
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.adjoint.sweep import PathRecord, Sweep
@@ -94,16 +94,16 @@ class TapedSweep(Sweep):
             super().adjoint(state, depth)
             return
 
-        def taken_again(state: PathState, memo: Memo, adj_L: Vec3, at: Position) -> Played:
+        def taken_again(state: PathState, chunk: LanesOfChunk, at: Position) -> Played:
             step = take_step(integrand, state, depth, with_light=False)[-1]
-            return Played(super(TapedSweep, self).differentiate(state, step, memo, adj_L, depth))
+            return Played(super(TapedSweep, self).differentiate(state, step, chunk, depth))
 
-        arguments = state._replace(number=None), self.memo, self.adj_L, integrand.at(depth)
+        arguments = state._replace(number=None), self.chunk, integrand.at(depth)
         played = self.tape.play(("again", *integrand.kind_at(depth)), taken_again, arguments, state.count, waits=False)
         if played is None:
             super().adjoint(state, depth)
 
-    def differentiate(self, state: PathState, step: Step, memo: Memo, adj_L: Vec3, depth: int) -> tuple[ModuleAdjoint, ...]:
+    def differentiate(self, state: PathState, step: Step, chunk: LanesOfChunk, depth: int) -> tuple[ModuleAdjoint, ...]:
         integrand, events = self.integrand, self.integrand.events(depth)
         values = self.known_values(step, events)
         borders = queue_borders({queue.event: queue for queue in step.queues if queue.derivative}, events)
@@ -113,18 +113,17 @@ class TapedSweep(Sweep):
             queues = list(map(Queue, events, [0, *borders[1::2]], borders[::2]))
             return *without_contents(lanes, reserve), in_queues(step, queues, reserve), at
 
-        def differentiated(state: PathState, memo: Memo, adj_L: Vec3, step: Step, at: Position) -> Played:
-            adjoints = super(TapedSweep, self).differentiate(state, step, memo, adj_L, depth)
+        def differentiated(state: PathState, chunk: LanesOfChunk, step: Step, at: Position) -> Played:
+            adjoints = super(TapedSweep, self).differentiate(state, step, chunk, depth)
             return Played(tuple([adjoint._replace(first=None, last=None) for adjoint in adjoints]),
                           [border for adjoint in adjoints for border in (adjoint.first, adjoint.last)])
 
-        arguments = (state._replace(number=None), memo, adj_L, step._replace(queues=(), texture_values=values),
-                     integrand.at(depth))
+        arguments = state._replace(number=None), chunk, step._replace(queues=(), texture_values=values), integrand.at(depth)
         name = step.front is None, *[of_queue is None for of_queue in values]
         played = self.tape.play(integrand.kind_at(depth), differentiated, arguments, state.count, blank, name, borders,
                                 waits=False)
         if played is None:
-            return super().differentiate(state, step, memo, adj_L, depth)
+            return super().differentiate(state, step, chunk, depth)
         borders = zip(played.counts[::2], played.counts[1::2])
         return tuple([adjoint._replace(first=first, last=last) for adjoint, (first, last) in zip(played.results, borders)])
 

@@ -135,7 +135,7 @@ def checked_stages(finding: FirstNonFinite) -> PlainStages:
 
         return call
 
-    return PlainStages({bounce: checked(bounce, lambda vertex: [*vertex.Le, *vertex.Ld, *vertex.F]),
+    return PlainStages({bounce: checked(bounce, lambda vertex: [*vertex.Le, *vertex.Ld, *vertex.next.beta]),
                         ending: checked(ending, list)})
 
 

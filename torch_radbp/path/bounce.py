@@ -33,9 +33,9 @@ from torch_radbp.tensors.vec import Ray, Vec2, Vec3, masked, rows
 class Vertex(NamedTuple):
     """A path vertex as the loop over bounces sees it: its terms, its shadow ray and its continuation."""
 
-    Le: Vec3 | None  # None, as the next two, if radiance is not computed
+    Le: Vec3 | None  # None, as the next one, if radiance is not computed
     Ld: Vec3 | None
-    F: Vec3 | None
+    F: Vec3 | None  # None unless `Settings.factors`
     shadow: Ray
     shadow_distance: Tensor  # 0: nothing to connect to
     shadow_medium: Tensor | None  # int32, in which it begins, -1: none; None: rays are not followed
@@ -96,9 +96,9 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
     if scene.layout.traces_segments:
         of_shadow, of_ray = (kind.medium(scene, terms, arrival, ray.d) for ray in (shadow, ahead.ray))
         ahead = ahead._replace(medium=of_ray)
-    shown = (terms.Le, terms.Ld, F) if settings.shown else (None, None, None)
+    shown = (terms.Le, terms.Ld) if settings.shown else (None, None)
     film = terms.film(scene) if settings.shown else None
-    return Vertex(*shown, shadow, distance, of_shadow, ahead, terms.survives, film)
+    return Vertex(*shown, F if settings.factors else None, shadow, distance, of_shadow, ahead, terms.survives, film)
 
 
 def gathered(Le: Vec3, Ld: Vec3, visible: Tensor) -> Vec3:

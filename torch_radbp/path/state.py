@@ -30,7 +30,8 @@ class Settings(NamedTuple):
     moving: bool = False  # rays carry derivatives
     sampling: str = "detached"  # if they do, which sampled directions are differentiated: "detached", "hybrid", "attached"
     following: bool = False  # states record whether hybrid sampling has differentiated a direction of a smooth lobe
-    shown: bool = True  # vertices have Le, Ld and F, not only the next path state
+    shown: bool = True  # vertices have Le and Ld, not only the next path state
+    factors: bool = False  # vertices have F, too, which is a part of the next throughput
     ends: bool = False  # at this bounce, though light is scattered to the camera
     ideal: bool = False  # at this bounce delta lobes alone are sampled, where kinds can tell their probability
     fixed_start: bool = False  # nobody asks for derivatives by the rays with which paths begin, which reach this bounce

@@ -26,10 +26,11 @@ FEW = 4
 
 
 def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step,
-                  with_light: bool) -> tuple[Vertex, Vec3 | None]:
-    """Computes the vertices of lanes that hit a surface, queue by queue, and the emission seen by the others."""
+                  with_light: bool, factors: bool = False) -> tuple[Vertex, Vec3 | None]:
+    """Computes the vertices of lanes that hit a surface, queue by queue, and the emission seen by the others. Args as for
+    `take_step`."""
     settings, from_lamps = integrand.settings_at(depth), integrand.proposal.layout.from_lamps
-    settings = settings._replace(moving=False, sampling="detached")
+    settings = settings._replace(moving=False, sampling="detached", factors=factors)
     arrival, at, known = step.arrival(state), integrand.at(depth), dict(zip(step.queues, step.texture_values))
 
     def arguments(queue: Queue, reached, at, settings) -> tuple:
@@ -44,7 +45,7 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
     queues = [queue for queue in step.queues if queue.event.scatters]
     bounces = [integrand.part(queue.event).evaluate for queue in queues]
     if not bounces:
-        return room_for_vertices(state, 0, with_light, from_lamps), light
+        return room_for_vertices(state, 0, with_light, factors, from_lamps), light
     reached, at = bounces[0].taken(arrival=arrival, at=at)
     apart = len(integrand.proposal.layout.appearances) <= FEW
     shows = [(with_light and queue.image) or not apart for queue in queues]
@@ -52,14 +53,13 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
     prepared = [arguments(queue, reached, at, kinds[shown]) for queue, shown in zip(queues, shows)]
     if len(bounces) == 1 or not bounces[0].is_compiled:
         return joined([bounce(*of_queue) for bounce, of_queue in zip(bounces, prepared)]), light
-    vertices = room_for_vertices(state, step.scattered, any(shows), from_lamps)
+    vertices = room_for_vertices(state, step.scattered, any(shows), factors, from_lamps)
     if integrand.attached and inside_dual_level():
-        tangents = room_for_vertices(state, step.scattered, any(shows), from_lamps)
-        vertices = vertices._replace(Le=dual(vertices.Le, tangents.Le), Ld=dual(vertices.Ld, tangents.Ld),
-                                     F=dual(vertices.F, tangents.F), next=vertices.next._replace(
-                                         beta=dual(vertices.next.beta, tangents.next.beta)),
-                                     film=None if vertices.film is None else dual(vertices.film, tangents.film))
-    rooms = {True: vertices, False: vertices._replace(Le=None, Ld=None, F=None, film=None)}
+        tangents = room_for_vertices(state, step.scattered, any(shows), factors, from_lamps)
+        ahead = vertices.next._replace(beta=dual(vertices.next.beta, tangents.next.beta))
+        vertices = vertices._replace(**{part: dual(getattr(vertices, part), getattr(tangents, part)) for part in (
+            "Le", "Ld", "F", "film") if getattr(vertices, part) is not None}, next=ahead)
+    rooms = {True: vertices, False: vertices._replace(Le=None, Ld=None, film=None)}
     rooms = {shown: bounces[0].room(rooms[shown]) for shown in kinds}
     with loops_together():
         for bounce, queue, of_queue, shown in zip(bounces, queues, prepared, shows):
@@ -82,8 +82,8 @@ def texture_values_of(integrand: Integrand, arrival: Arrival, depth: int, queues
         for queue in queues])
 
 
-def room_for_vertices(state: PathState, lanes: int, with_light: bool, from_lamps: bool = False) -> Vertex:
-    """Empty vertices to write results into."""
+def room_for_vertices(state: PathState, lanes: int, with_light: bool, factors: bool, from_lamps: bool) -> Vertex:
+    """Empty vertices to write results into; `factors`: see `Settings`."""
     def room(part):
         if part is None or isinstance(part, Tensor):
             return None if part is None else part.new_empty(lanes)
@@ -92,7 +92,7 @@ def room_for_vertices(state: PathState, lanes: int, with_light: bool, from_lamps
     def number() -> Tensor:
         return state.pdf.new_empty(lanes)
 
-    Le, Ld, F = (Vec3(number(), number(), number()) if with_light else None for _ in range(3))
+    Le, Ld, F = (Vec3(number(), number(), number()) if there else None for there in (with_light, with_light, factors))
     survives = number().new_empty(lanes, dtype=torch.bool)
     film = Vec2(number(), number()) if with_light and from_lamps else None
     return Vertex(Le, Ld, F, room(state.ray), number(), room(state.medium), room(state), survives, film)

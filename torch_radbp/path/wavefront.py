@@ -57,17 +57,17 @@ def bounced(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) ->
 
 def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | None = None,
               hit: Hit | None = None, flight: Flight | None = None,
-              with_light: bool = True) -> tuple[Vertex, Vec3 | None, Step]:
+              with_light: bool = True, factors: bool = False) -> tuple[Vertex, Vec3 | None, Step]:
     """Takes one bounce of every lane; casts rays only where `step`, `hit` and `flight` do not hold their answers.
 
-    What lanes bring to the image is computed where it counts there and `with_light` asks for it.
+    What lanes bring to the image is computed where it counts there and `with_light` asks for it; `factors`: see `Settings`.
 
     Returns:
         The vertices of the lanes that scatter, the light that those meet that end (None: none do), and the decisions.
     """
     state, step = cut_to_count(state, step)
     if step is not None:
-        vertex, light = bounce_queues(integrand, state, depth, step, with_light)
+        vertex, light = bounce_queues(integrand, state, depth, step, with_light, factors)
         return with_connections(integrand, vertex, step), light, step
     # What does each ray meet, and does its flight end in a medium before? Lanes with the same event form a queue.
     hit = first_hit(integrand, state.ray, depth) if hit is None else hit
@@ -79,7 +79,7 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
     # Textures that are networks are evaluated for all queues together.
     step = with_texture_values(integrand, state, depth, step, with_light)
     # E_k, but for shadows, F_k and the next rays, queue by queue.
-    vertex, light = bounce_queues(integrand, state, depth, step, with_light)
+    vertex, light = bounce_queues(integrand, state, depth, step, with_light, factors)
     # Which connections are free?
     visible, way = nothing(vertex.survives), None
     if integrand.settings.nee and not integrand.is_last(depth):
@@ -184,7 +184,7 @@ def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mappi
         with_light: see `take_step`.
     """
     while depth < integrand.bounces and len(state.lane):
-        vertex, light, step = take_step(integrand, state, depth, steps.get(depth), hit, with_light=with_light)
+        vertex, light, step = take_step(integrand, state, depth, steps.get(depth), hit, with_light=with_light, factors=True)
         yield Bounce(depth, state, vertex, light, step)
         state, depth, hit = survivors(integrand, vertex.next, step), depth + 1, None
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch_radbp.raycast.protocol import Ray
 
 DTYPES = (torch.float32, torch.float64)
+MOST_FETCHED = 64  # triangles of which a device is asked for all corners
 
 
 class MeshExtremes(NamedTuple):
@@ -19,23 +20,25 @@ class MeshExtremes(NamedTuple):
     finite: bool  # in float32
     indices: tuple[int, int]  # the least and the greatest
     extent: float  # the greatest, along an axis
+    corners: Sequence[float]  # of few triangles the 9 coordinates of each, in float32; else none
 
     @staticmethod
     def asked_of(vertices: Tensor, faces: Tensor) -> list[Tensor]:
-        """The numbers, () each, of which a device is asked; none of what is no mesh: who checks it will say why."""
+        """The numbers of which a device is asked; none of what is no mesh: who checks it will say why."""
         if vertices.ndim != 2 or faces.ndim != 2 or not vertices.numel() or not faces.numel() or faces.is_complex():
             return []
         points = vertices.detach().float().double()
         low, high = points.amin(0), points.amax(0)
-        return [torch.isfinite(low + high).all(), *faces.aminmax(), (high - low).amax()]
+        corners = [points[faces.long().clamp(0, len(points) - 1)]] if len(faces) <= MOST_FETCHED else []
+        return [torch.isfinite(low + high).all(), *faces.aminmax(), (high - low).amax(), *corners]
 
     @staticmethod
     def of(numbers: Sequence[float]) -> MeshExtremes | None:
         """The extremes, by what has been asked; None: nothing."""
         if not numbers:
             return None
-        finite, least, greatest, extent = numbers
-        return MeshExtremes(bool(finite), (int(least), int(greatest)), extent)
+        finite, least, greatest, extent, *corners = numbers
+        return MeshExtremes(bool(finite), (int(least), int(greatest)), extent, corners)
 
 
 def checked_vertices(vertices: Tensor, device: torch.device | None = None, finite: bool | None = None) -> Tensor:

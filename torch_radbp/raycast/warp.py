@@ -71,9 +71,11 @@ class Warp:
         self._rays_counted = torch.zeros(1, dtype=torch.int64, device=self.vertices.device)  # of which only the device knows
         self._device = _started(self.vertices.device)
         self._streams: set[torch.cuda.Stream] = set()
-        corners, self._unit = in_units(self.vertices, self.faces, 0.0 if known is None else known.extent)
-        warp_few = few_kernels(self.vertices.device)
-        few = warp_few.few_faces(corners)
+        self._unit = 1.0 if known is None else power_of_2_units(known.extent)
+        warp_few, few = few_kernels(self.vertices.device), None
+        if known is not None and known.corners:
+            fetched = torch.tensor(known.corners, dtype=torch.float32, device=torch.device("cpu")).view(-1, 3, 3)
+            few = warp_few.few_faces(in_units(fetched, self._unit), self.vertices.device)
         if few is not None:
             self._closest, self._any = warp_few.closest_of_few, warp_few.any_of_few
             self._geometry = few
@@ -81,6 +83,7 @@ class Warp:
             self._head = [*(wp.from_torch(table, dtype=kind, return_ctype=True) for table, kind in tables),
                           len(few.prims) // 2, wp.vec3(*few.middle)]
         else:
+            corners = in_units(self.vertices.float()[self.faces.long()], self._unit)
             points = widened(corners)
             numbers = torch.arange(len(points), dtype=torch.int32, device=points.device)
             with wp.ScopedStream(self._stream(), sync_enter=False):
@@ -166,19 +169,18 @@ def lanes_of(column: Tensor):
     return wp.from_torch(column, return_ctype=True, requires_grad=False)
 
 
-def in_units(vertices: Tensor, faces: Tensor, extent: float) -> tuple[Tensor, float]:
-    """The corners of triangles, (F, 3, 3) float32, scaled to about unit extent, and the power of two that they were scaled
-    by; `extent`: the greatest of the mesh along an axis.
-
-    That is a power of two, which rounds nothing. Triangles without area are points, of which Warp is sure.
-    """
-    vertices = vertices.to(torch.float32)
+def power_of_2_units(extent: float) -> float:
+    """The power of two, which rounds nothing, that scales a mesh of some extent to about unit extent."""
     exponent = math.frexp(extent)[1] if extent > 0 else 0
-    unit = 2.0 ** max(-120, min(120, -exponent))
-    corners = (vertices * unit)[faces.long()]
+    return 2.0 ** max(-120, min(120, -exponent))
+
+
+def in_units(corners: Tensor, unit: float) -> Tensor:
+    """The corners of triangles, (F, 3, 3) float32, scaled. Triangles without area are points, of which Warp is sure."""
+    corners = corners * unit
     first, second, third = corners.double().unbind(1)
     flat = (torch.linalg.cross(second - first, third - first) == 0).all(dim=1)
-    return torch.where(flat[:, None, None], corners[:, :1], corners), unit
+    return torch.where(flat[:, None, None], corners[:, :1], corners)
 
 
 def widened(corners: Tensor) -> Tensor:

@@ -16,10 +16,11 @@ import warp as wp
 from torch import Tensor
 
 from torch_radbp.raycast.faces import faces_of
+from torch_radbp.raycast.mesh import MOST_FETCHED
 from torch_radbp.raycast.warp_rays import FARTHEST, is_beyond, query_of
 
 wp.set_module_options({"enable_backward": False})
-FEW = 32  # faces at most, of which each ray tries all; how many would be best was not measured on a card
+FEW = MOST_FETCHED // 2  # faces at most, of which each ray tries all; how many would be best was not measured on a card
 ROUNDINGS = 16  # units in the last place of numbers as large as the mesh, by which faces are larger
 
 
@@ -32,14 +33,13 @@ class FewFaces(NamedTuple):
     places: Tensor  # (2 F, 4) float32: barycentric u and v of points in the plane of each triangle
 
 
-def few_faces(corners: Tensor) -> FewFaces | None:
-    """The faces of triangles, (F, 3, 3) float32; None: they are more than a ray should try.
+def few_faces(corners: Tensor, device: torch.device) -> FewFaces | None:
+    """The faces of triangles, on a device; None: they are more than a ray should try.
 
-    They are found by the host, which would wait for a device a dozen times otherwise.
+    Args:
+        corners: (F, 3, 3) float32, of the host, which would wait for the device a dozen times otherwise.
+        device: of the rays.
     """
-    if len(corners) > 2 * FEW:
-        return None
-    device, corners = corners.device, corners.cpu()
     faces = faces_of(corners)
     if len(faces.prims) > FEW:
         return None

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.bounce import Memo, empty_memo
+from torch_radbp.adjoint.kept_state import part_kept
 from torch_radbp.adjoint.memoized import MemoizedAdjoint
 from torch_radbp.adjoint.outside import HELD
 from torch_radbp.adjoint.scatter import workers_beside
@@ -56,6 +57,7 @@ class RecordSizes(NamedTuple):
     """Bytes of a lane in the path records of a call."""
 
     state: int  # `PathState`
+    kept: int  # of that what is kept if no bounce is replayed
     step: int  # `Step`
     memo: int  # `Memo`
 
@@ -119,7 +121,7 @@ def record_sizes(integrand: Integrand, pilot: PathState, triangles: bool) -> Rec
     most = max(step.texture_values, key=lane_bytes)  # each lane is in one queue
     step = step._replace(texture_values=(most,))
     memo = empty_memo(pilot.pdf, integrand.settings.moving, triangles, integrand.scene)
-    return RecordSizes(*map(lane_bytes, (pilot, step, memo)))
+    return RecordSizes(*map(lane_bytes, (pilot, part_kept(integrand, pilot), step, memo)))
 
 
 @functools.lru_cache
@@ -128,7 +130,8 @@ def least_records(dtype: torch.dtype) -> RecordSizes:
     number, index, flag = (torch.empty(0, dtype=kind, device="cpu") for kind in (dtype, torch.int32, torch.bool))
     state = start_path(Ray(Vec3.buffer(number), Vec3.buffer(number)), LaneKey(index, index))
     step = Step(Hit(index, number, number, number), None, index, (), flag, flag)
-    return RecordSizes(*map(lane_bytes, (state, step, Memo(Vec3.buffer(number)))))
+    kept = state._replace(ray=state.ray._replace(o=None), key=None)
+    return RecordSizes(*map(lane_bytes, (state, kept, step, Memo(Vec3.buffer(number)))))
 
 
 class Workload(NamedTuple):
@@ -169,7 +172,7 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
         record_bytes: that are kept between the passes at most.
     """
     fractions, lanes, dtype = work.fractions, work.lanes, work.dtype
-    state, step, memo = least_records(dtype) if work.records is None else work.records
+    state, part, step, memo = least_records(dtype) if work.records is None else work.records
     radiance, place = (len(kind._fields) * dtype.itemsize for kind in (Vec3, Vec2))
     chunk = min(max(chunk, work.least), lanes)
     together = min(lanes, work.workers * chunk)  # lanes that are worked on at a time
@@ -180,7 +183,9 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
         working = max(together * (WASTE * bounce.per_lane + SPARE * dtype.itemsize), work.jumps)
         return MemoryPlan(chunk, adjoint, False, kept, int(working) + work.images)
     depths = adjoint.kept(bounces, work.max_depth)
-    per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1)) * state
+    per_lane = max(states_kept(adjoint, taken, work) for taken in range(1, bounces + 1))
+    per_lane *= part if adjoint.records_all else state
+    per_lane += len(LaneKey._fields) * torch.int32.itemsize  # of the start
     per_lane += sum(fractions) * step * adjoint.keep_hits + radiance * adjoint.keep_radiance + place
     replayed = adjoint.replayed(fractions, depths, work.moving) * state
     held = radiance + memo + state + step * (not adjoint.keep_hits)

@@ -64,18 +64,19 @@ def answered(more: Sequence[Tensor] = (), counts: Callable[[list[float]], bool] 
     """Fetches numbers by one transfer, and does with those that wait what is to be done; none waits afterwards.
 
     Args:
-        more: other numbers, () each; they are returned.
+        more: other numbers, of any shape; they are returned one after the other.
         counts: of these, whether those that wait in the innermost context are of any use.
     """
     levels = [list(level) for level in HERE.waiting]
     if not any(levels):
-        return torch.stack([each.double() for each in more]).tolist() if len(more) > 1 else [each.item() for each in more]
+        return torch.cat([each.double().reshape(-1) for each in more]).tolist() if more else []
     for level in HERE.waiting:
         level.clear()
     questions = [question for level in levels for question in level]
-    parts = [*(number.reshape(1) for number in more), *(question.numbers for question in questions)]
+    parts = [*(number.reshape(-1) for number in more), *(question.numbers for question in questions)]
     numbers = torch.cat([part.double() for part in parts]).tolist()
-    given, numbers = numbers[:len(more)], numbers[len(more):]
+    first = sum([number.numel() for number in more])
+    given, numbers = numbers[:first], numbers[first:]
     for asked, then in questions if counts(given) else questions[:-len(levels[-1]) or None]:
         then(numbers[:len(asked)])
         numbers = numbers[len(asked):]

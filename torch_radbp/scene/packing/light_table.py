@@ -58,7 +58,7 @@ def light_table(cache: PackCache, triangles: TriangleTable, emissions: tuple[Emi
     weights = cache(weights_of, emissions, cache.frozen("areas of emitters", area))
     surfaces = cache(with_inverse_areas, surfaces, area, weights)
     kind, row, texture, outside = cache(element_columns, layout.lights, emissions, area.device)
-    tables = tuple(cache(surface_table, each, surfaces, kind, number) if each.on_surface else
+    tables = tuple(cache(surface_table, each, surfaces, cache(rows_of_kind, kind, number)) if each.on_surface else
                    cache(lamp_table, each, tuple(lamp for lamp in lamps if lamp.kind() == each), weights)
                    for number, each in enumerate(layout.lights))
     if takes_tree(light_choice, emissions):
@@ -187,10 +187,14 @@ def lamp_table(kind: LightKind, lamps: tuple[Light, ...], like: Tensor) -> Table
     return kind.table(lamps, like)
 
 
-def surface_table(kind: SurfaceKind, surfaces: EmittingTriangles, kinds: Tensor, number: int) -> EmittingTriangles:
-    """The emitting triangles of one kind of light, `number` in the column `kinds` of all elements."""
-    elements_of_kind = (kinds == number).nonzero().squeeze(1)
-    table = surfaces if len(elements_of_kind) == len(surfaces.inverse_area) else part(surfaces, elements_of_kind)
+def rows_of_kind(kinds: Tensor, number: int) -> Tensor:
+    """The elements of one kind of light, `number` in the column `kinds` of all elements, int64."""
+    return (kinds == number).nonzero().squeeze(1)
+
+
+def surface_table(kind: SurfaceKind, surfaces: EmittingTriangles, elements: Tensor) -> EmittingTriangles:
+    """The emitting triangles of one kind of light, which are these `elements`."""
+    table = surfaces if len(elements) == len(surfaces.inverse_area) else part(surfaces, elements)
     kind.check(table)
     return table
 
