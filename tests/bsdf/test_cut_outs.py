@@ -42,8 +42,12 @@ def even(value: float) -> dict[str, Any]:
 
 
 def lit(bsdf: dict[str, Any], dtype: torch.dtype = torch.float64) -> rb.Scene:
-    """A plane of a material under a sky and a lamp, which is not so near that points of the plane slide, seen from there."""
-    return load(dtype, camera=camera(4), sky=sky(), lamp=lamp(), plane=plane((0, 0, -1), bsdf=bsdf))
+    """A plane of a material under a sky and a lamp, which is not so near that points of the plane slide, seen from there.
+
+    There is a mirror beneath it, since where there is one, edges are looked for by more paths.
+    """
+    return load(dtype, camera=camera(4), sky=sky(), lamp=lamp(), plane=plane((0, 0, -1), bsdf=bsdf),
+                mirror=plane((0, 0, -9), bsdf=MATERIALS["conductor"]))
 
 
 def rendered(scene: rb.Scene, **settings: Any) -> Tensor:
