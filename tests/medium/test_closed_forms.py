@@ -1,10 +1,11 @@
 """Images of media that are known in closed form, or by an integral of one variable.
 
 Slabs seen at an angle, a furnace of every phase function, and half spaces: light scattered once, and, of isotropic
-scattering, as often as it takes. Half spaces are slabs of great optical thickness.
+scattering, as often as it takes, by these and by slabs. Half spaces are slabs of great optical thickness.
 
 References: Chandrasekhar 1960, "Radiative Transfer", sections 33 to 38 (H functions); Hapke 1981, "Bidirectional Reflectance
-Spectroscopy 1. Theory", equation 35 (what a half space reflects of an even sky, 1 - sqrt(1 - albedo) H).
+Spectroscopy 1. Theory", equation 35 (what a half space reflects of an even sky, 1 - sqrt(1 - albedo) H); Heaslet and
+Warming 1965, "Radiative Transport and Wall Temperature Slip in an Absorbing Planar Medium" (what passes slabs).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy.special import expn
 from torch import Tensor
 
 import torch_radbp as rb
@@ -119,6 +121,45 @@ def test_a_half_space_reflects_of_an_even_sky_what_chandrasekhar_says(angle, rr_
     reflected = [1 - math.sqrt(1 - albedo) * h_function(albedo, mu)[0] for albedo in ALBEDO]
     expected = torch.tensor(reflected, dtype=torch.float64)
     assert_mean(scene, expected, spp=512, max_depth=200, rr_depth=rr_depth)
+
+
+def plane_albedo(albedo: float, thickness: float, mu: np.ndarray, count: int = 400) -> np.ndarray:
+    """What a slab of isotropic scattering before a black plane reflects of a beam at each cosine `mu`, or, seen there, of an
+    even sky of 1: by the integral equation of the source function, S = a/2 (E2 + integral of E1 S), even in each layer."""
+    edges = np.linspace(0.0, thickness, count + 1)
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    above, below = (expn(2, np.abs(middles[:, None] - side)) for side in (edges[:-1], edges[1:]))
+    kernel = np.where(middles[:, None] < edges[:-1], above - below, below - above)
+    np.fill_diagonal(kernel, 2.0 - 2.0 * expn(2, 0.5 * thickness / count))
+    source = np.linalg.solve(np.eye(count) - 0.5 * albedo * kernel, 0.5 * albedo * expn(2, middles))
+    through = np.exp(-edges / mu[:, None])
+    return ((through[:, :-1] - through[:, 1:]) * source).sum(1)
+
+
+@pytest.mark.parametrize("thickness, passes", [(0.1, 0.9157), (0.5, 0.7040), (1.0, 0.5532), (2.0, 0.3900)])
+def test_what_a_slab_reflects_is_that_of_the_tables(thickness, passes):
+    """Without absorption what diffuse light is not reflected passes to the plane; by the tables, so much of it."""
+    places, weights = np.polynomial.legendre.leggauss(32)
+    places = 0.5 * (places + 1)
+    assert (weights * places * plane_albedo(1.0, thickness, places)).sum() == pytest.approx(1 - passes, abs=3e-4)
+
+
+@pytest.mark.parametrize("thickness, angle", [(0.5, 0.0), (2.0, 40.0), (2.0, 60.0)])
+def test_a_slab_reflects_of_an_even_sky_what_its_integral_equation_says(thickness, angle):
+    medium = haze((2, 2, 2), ALBEDO, 0)
+    scene = load(torch.float64, camera=overhead(2, 30.0, 0.01), slab=slab(0.5 * thickness, angle, medium),
+                 plane={"type": "rectangle", "to_world": rotate((1, 0, 0), angle) @ placed(-0.25 * thickness - 1e-3),
+                        "bsdf": {"type": "diffuse", "reflectance": 0.0}}, sky={"type": "constant"})
+    mu = np.cos(np.radians([angle]))
+    expected = torch.tensor([plane_albedo(albedo, thickness, mu)[0] for albedo in ALBEDO], dtype=torch.float64)
+    assert_mean(scene, expected, spp=2048, max_depth=200)
+
+
+def placed(height: float) -> np.ndarray:
+    """The pose of a wide rectangle at a height."""
+    pose = scale((60, 60, 1))
+    pose[2, 3] = height
+    return pose
 
 
 def test_an_empty_grid_lets_all_light_through():
