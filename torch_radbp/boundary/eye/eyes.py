@@ -11,7 +11,7 @@ from torch_radbp.tensors.vec import Vec3, dot
 
 COPLANAR = 1e-6  # a cosine; what lies in the plane of an eye's surface hides nothing from it
 NARROWEST = 400.0  # that lobes may be, so that what lies beside them is not forgotten
-MOST_DENSE = 1e8  # per steradian, of a lobe; beyond are points in the plane of a light, where rounding decides
+MOST_DENSE = 1e6  # per steradian, of a lobe; beyond are points on a light or in its plane, where rounding decides
 
 
 class Lobe(NamedTuple):
