@@ -111,7 +111,8 @@ class HiddenLight(ShadowTerm):
 
     def applies(self) -> bool:
         later = self.call.integrand.max_depth > (1 if self.call.scene.layout.emitting_media else 2)
-        return glues(self.call) and (later or any(map(any, Straight.uncovered(self.call))))
+        at_first, _, in_media = Straight.uncovered(self.call)
+        return glues(self.call) and (later or any(at_first) or any(in_media))
 
     def samples(self, number: int, amount: Amount = ALL) -> CutsOfView | None:
         return cuts_of_view(self.still, number, self.casting, amount, counted=Straight.uncovered(self.still))
