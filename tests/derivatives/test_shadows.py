@@ -13,6 +13,7 @@ from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agree
 from tests.scenes import diffuse, load, overhead, rgb
 from tests.scenes.shadows import FLOOR, LAMPS, PLATE, SHADOWS, VIEWED
 from torch_radbp.boundary.terms import of_call as terms
+from torch_radbp.boundary.terms.hidden_light import HiddenLight
 from torch_radbp.io.values.transform import scale, translate
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
@@ -147,3 +148,14 @@ def test_images_stay_what_they_are_and_threads_and_chunks_change_no_bit():
         found.append((image.detach(), pose.grad))
     assert torch.equal(found[0][0], found[1][0]) and torch.equal(found[0][0], found[2][0])
     assert torch.equal(found[0][1], found[1][1]) and not torch.allclose(found[0][1], found[2][1], rtol=1e-3)
+
+
+@pytest.mark.parametrize("depth, sought", [(2, False), (3, True)])
+def test_light_past_edges_is_sought_at_later_vertices_alone_where_lamps_have_the_rest(depth, sought, monkeypatch):
+    """Borders of the light that the first surface gets from a lamp are sampled by themselves."""
+    calls = []
+    monkeypatch.setattr(HiddenLight, "samples", lambda *arguments: calls.append(arguments))
+    scene = load(torch.float32, sensor=VIEWED, floor=FLOOR, plate=PLATE, lamp=LAMPS["rectangle"])
+    pose = scene.get_parameter("plate.to_world").requires_grad_()
+    rb.Renderer(scene, max_depth=depth)(seed=1, spp=4).sum().backward()
+    assert bool(calls) == sought and pose.grad.any()
