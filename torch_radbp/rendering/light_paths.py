@@ -41,22 +41,32 @@ def light_paths_of(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> 
     Raises:
         ValueError: for caustics of lamps with an extent whose derivatives would be wrong, if they are asked for.
     """
-    caustic, chosen, attached = renderer.jump_watch.caustic, renderer.light_paths, renderer.sampling == "attached"
-    # Attached directions slide over edges, beside which the light is found that comes by paths from lamps, too.
-    slides = attached and not all(kind.delta for kind in lights_of_paths(call.scene, "caustics"))
+    caustic, chosen = renderer.jump_watch.caustic, renderer.light_paths
     if chosen == "auto":
-        slid_over = edges.lamps_in_mirrors and call.can_follow_to_the_film and not attached
-        wanted = call.can_begin_at_lamps and not slides if caustic is not None else slid_over
+        wanted = caustics_by_default(renderer, call, edges.lamps_in_mirrors)
         chosen = "caustics" if wanted else "camera"
         if caustic is not None and wanted:
             renderer.jump_watch.say(caustic.traced())
     if caustic is not None and chosen == "camera":
         renderer.jump_watch.say(caustic.lacking())
-    if chosen == "caustics" and slides and (edges.casting is not None or edges.crossing is not None):
+    moves = edges.casting is not None or edges.crossing is not None
+    if chosen == "caustics" and moves and counts_edges_twice(renderer, call):
         raise ValueError("derivatives of caustics (light_paths='caustics') with sampling='attached', of lamps that have an "
                          "extent, would count edges twice that scattered directions slide over: take sampling='hybrid', "
                          "light_paths='camera', or terms without 'shadow'")
     return chosen
+
+
+def caustics_by_default(renderer: Renderer, call: RenderCall, turned: bool) -> bool:
+    """Whether paths begin at lamps where the user has not said so; `turned`: mirrors turn in which lamps are seen."""
+    if renderer.jump_watch.caustic is not None:
+        return call.can_begin_at_lamps and not counts_edges_twice(renderer, call)
+    return turned and call.can_follow_to_the_film and renderer.sampling != "attached"
+
+
+def counts_edges_twice(renderer: Renderer, call: RenderCall) -> bool:
+    """Whether attached directions slide over edges beside which the light is found that comes by paths from lamps, too."""
+    return renderer.sampling == "attached" and not all(kind.delta for kind in lights_of_paths(call.scene, "caustics"))
 
 
 def shared_image(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> tuple[Tensor, RenderCall]:
@@ -118,9 +128,9 @@ def calls_traced(renderer: Renderer, call: RenderCall) -> list[RenderCall]:
     """The calls of which the image of a call is the sum, for predictions: of paths from lamps all that may belong to it."""
     chosen = renderer.light_paths
     if chosen == "auto":
-        caustic, turned = renderer.jump_watch.caustic, call.integrand.settings.moving and call.can_follow_to_the_film
         mirrors = any(look.kind.delta for look in call.scene.layout.appearances)
-        chosen = "caustics" if mirrors and (turned or caustic is not None and call.can_begin_at_lamps) else "camera"
+        wanted = mirrors and caustics_by_default(renderer, call, call.integrand.settings.moving)
+        chosen = "caustics" if wanted else "camera"
     own = calls_of_light(renderer, call, chosen if call.can_begin_at_lamps else "camera")
     return own.of_lamps if own.of_cameras is None else [own.of_cameras, *own.of_lamps]
 
