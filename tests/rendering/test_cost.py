@@ -101,3 +101,5 @@ def test_chunks_on_a_gpu_are_as_large_as_its_memory_allows(monkeypatch, there, c
     monkeypatch.setattr(cost, "memory_of", lambda device: there * GIB)
     assert cost.lanes_of_chunks(torch.device("cuda"), torch.float32, 1, compiled) == lanes
     assert cost.lanes_of_chunks(torch.device("cpu"), torch.float32, 2, compiled) == 1 << (18 if compiled else 17)
+    assert cost.lanes_of_chunks(torch.device("cuda"), torch.float32, 1, compiled, media=True) == lanes
+    assert cost.lanes_of_chunks(torch.device("cpu"), torch.float32, 2, compiled, media=True) == 1 << 16

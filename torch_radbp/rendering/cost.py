@@ -16,6 +16,7 @@ MOST_PATHS = 10**12  # a day at 10 million paths a second, hours on the fastest 
 IMAGE_COPIES = 2  # of each image: the sums of its chunks, and what is returned
 CHUNK_BYTES = 200  # of the list of chunks, each
 LANES = {True: 1 << 18, False: 1 << 17}  # of a chunk on the CPU if the user does not say, about; compiled and eager
+LANES_IN_MEDIA = 1 << 16  # the same where there are media, in which a path carries more, and its derivative a side path
 # On a GPU the host takes milliseconds to start a bounce of whatever size, so chunks are as large as its memory allows.
 LANES_ON_GPU = (1 << 18, 1 << 24)  # the fewest and the most of a chunk, about
 BYTES_ON_GPU = {True: 4096, False: 16384}  # of its memory for each lane of float32; compiled and eager
@@ -39,6 +40,7 @@ class Request(NamedTuple):
     adjoint: AdjointStrategy | None  # of the backward pass, unless a memory budget is set
     record_bytes: float  # see `RenderCall`; 0: image and derivative have different samples
     compiled: bool
+    media: bool = False  # the scene has some
 
     @property
     def paths(self) -> int:
@@ -59,10 +61,10 @@ class Request(NamedTuple):
         return f"{self.images} image{'s' * (self.images > 1)} of {self.width} x {self.height} pixels with spp={self.spp}"
 
 
-def lanes_of_chunks(device: torch.device, dtype: torch.dtype, workers: int, compiled: bool) -> int:
+def lanes_of_chunks(device: torch.device, dtype: torch.dtype, workers: int, compiled: bool, media: bool = False) -> int:
     """The default number of lanes of a chunk."""
     if device.type != "cuda":
-        return LANES[compiled or workers == 1]
+        return LANES_IN_MEDIA if media else LANES[compiled or workers == 1]
     fewest, most = LANES_ON_GPU
     return int(max(fewest, min(most, memory_of(device) / (BYTES_ON_GPU[compiled] * dtype.itemsize / 4))))
 

@@ -40,7 +40,7 @@ def plan_lanes(windows: Sequence[Window], rr_depth: int, request: Request) -> La
     """
     device, dtype, adjoint, spp = request.device, request.dtype, request.adjoint, request.spp
     grids = [(window.columns.sampled, window.rows.sampled) for window in windows]
-    about = lanes_of_chunks(device, dtype, request.workers, request.compiled)
+    about = lanes_of_chunks(device, dtype, request.workers, request.compiled, request.media)
     if adjoint is not None and device.type == "cpu":
         about = min(about, recorded_lanes(adjoint, request.max_depth, rr_depth, dtype))
     lanes, most = request.chunk or fair_chunk(grids, spp, request.workers, about), request.chunk or about

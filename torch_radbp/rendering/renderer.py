@@ -345,10 +345,11 @@ class Renderer(nn.Module):
         parameters = wanted_parameters(self.scene, seen, cache, beside)
         record_bytes = bytes_of_records(device) if seeds[0] == seeds[1] else 0.0
         differentiating = parameters and torch.is_grad_enabled() and self.memory_budget is None
+        scene = pack(self.scene, cache, self.light_choice, aovs, [name for name, sensor in named.items() if sensor in seen])
         plan = plan_lanes(windows, self.rr_depth, Request(
             len(shots), windows[0].columns.size, windows[0].rows.size, spp, self.chunk, self.depth_limit, self.scene.dtype,
-            device, workers, self.adjoint if differentiating else None, record_bytes, fused))
-        scene = pack(self.scene, cache, self.light_choice, aovs, [name for name, sensor in named.items() if sensor in seen])
+            device, workers, self.adjoint if differentiating else None, record_bytes, fused,
+            bool(scene.layout.media)))
         caster = self.caster_of(scene, cache.made(PLACED))
         views = [view_of(shot, seeds, seeds[0] ^ OF_DERIVATIVE == seeds[1], spp, scene, cache) for shot in shots]
         setattr(self, "cache_for_aovs" if aovs else "cache", cache.close())
