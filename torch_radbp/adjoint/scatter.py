@@ -19,6 +19,7 @@ from torch import Tensor
 
 from torch_radbp.jit.recording.repetitions import Repetitions, read_together
 from torch_radbp.jit.scatter import MOST_TABLES, PAGE_BITS, Addition, Sums, copies, scatter_add
+from torch_radbp.tensors.least_and_greatest import least_and_greatest
 from torch_radbp.threads.team import threads, together, until_none_is_left
 from torch_radbp.threads.zeroed_memory import ZeroedMemory, zeros
 
@@ -168,8 +169,7 @@ def take_over(rows: Tensor, totals: Sequence[Tensor], place: Tensor) -> Tensor:
     total = total.squeeze(2) if total.shape[2] == 1 else total.sum(2)  # torch takes its time to sum one number each
     written = total.to(rows.dtype)
     rows.index_copy_(0, place, written)
-    # The extremes are infinite or NaN if any value is, and are found in one pass.
-    return torch.stack(written.aminmax()).double() if written.numel() else total.new_zeros(2)
+    return least_and_greatest(written).double()
 
 
 def pages_touched(flags: Sequence[Tensor]) -> Tensor:

@@ -19,6 +19,7 @@ from torch_radbp.path.state import Arrival, Position
 from torch_radbp.plugin import Plugin, Texture
 from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.tensors.least_and_greatest import least_and_greatest
 from torch_radbp.tensors.stage import PlainStages
 from torch_radbp.tensors.vec import rows
 from torch_radbp.texture.module_function import SMOOTH
@@ -41,9 +42,8 @@ def all_finite(tensors: list[Tensor], repetitions: Repetitions | None = None) ->
     Raises:
         TooFewRepetitions: if what was repeated has not come to its end.
     """
-    # The extremes of a tensor are infinite or NaN if any value is, and are found in one pass over it.
-    extremes = [torch.stack(tensor.detach().aminmax()).double() for tensor in tensors if tensor.numel()]
-    return read_together([torch.isfinite(torch.cat(extremes)).all()] if extremes else [], repetitions)
+    found = [least_and_greatest(tensor).double() for tensor in tensors if tensor.numel()]
+    return read_together([torch.isfinite(torch.cat(found)).all()] if found else [], repetitions)
 
 
 def count_of_bad(tensor: Tensor) -> str:

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from torch_radbp.plugin.errors import SceneWarning, level_of_the_caller
+from torch_radbp.tensors.least_and_greatest import least_and_greatest
 
 NARROW = 2.0  # degrees; few views and beams are narrower, and many angles in radians are less
 
@@ -44,9 +45,7 @@ def finite(name: str, value: Any, shape: tuple[int, ...] | None = None) -> Tenso
         tensor = tensor.to(torch.get_default_dtype())
     if shape is not None and tuple(tensor.shape) != shape:
         raise ValueError(f"{name} must have shape {shape}, got {tuple(tensor.shape)}")
-    # The extremes are infinite or NaN if any value is, and are found without a copy.
-    extremes = torch.stack(tensor.detach().aminmax()) if tensor.numel() else tensor.new_zeros(2)
-    if not bool(torch.isfinite(extremes.to(torch.get_default_dtype())).all()):
+    if not bool(torch.isfinite(least_and_greatest(tensor).to(torch.get_default_dtype())).all()):
         bad = int((~torch.isfinite(tensor.to(torch.get_default_dtype()))).sum())
         raise ValueError(f"{name} must be finite, got {bad} of {tensor.numel()} values that are NaN or infinite in "
                          f"{str(torch.get_default_dtype()).removeprefix('torch.')}")
