@@ -73,7 +73,11 @@ def empty_memo(like: Tensor, moving: bool, twice: bool, scene: SceneTensors) -> 
 
 
 def lanes_may_be_left_out(layout: Layout) -> bool:
-    """True if a vertex brings something by its connection alone, and what is left out is read nowhere else."""
+    """True if the backward pass may skip lanes on which the loss does not depend.
+
+    Along paths from lamps a vertex counts by its connection to the camera alone: one that the camera does not see has no
+    adjoint. In media, and where connections are evaluated outside of compiled code, all lanes have to be there.
+    """
     return layout.from_lamps and not layout.reads_outside and not layout.media
 
 

@@ -163,7 +163,7 @@ class Recorder:
 
     @property
     def bounce(self) -> Bounce:
-        """Takes a bounce of which what is kept is kept in part, if that is enough."""
+        """The function that takes each bounce; its states hold no more than the strategy needs of them."""
         return bounced_in_part if self.keeping and self.strategy.records_all else bounced
 
     def visit(self, depth: int, state: PathState, step: Step) -> None:

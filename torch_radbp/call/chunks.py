@@ -24,7 +24,7 @@ class LaneBlock(Protocol):
 
     @property
     def lanes(self) -> int:
-        """How many there are."""
+        """The number of lanes of the chunk."""
 
     @property
     def group(self) -> int:

@@ -115,7 +115,7 @@ def unzipped(data: bytes, at: int, size: int) -> bytes:
 
 
 def dense(grid: np.ndarray) -> DenseGrid:
-    """The values of a grid of bytes, (N,) uint8."""
+    """Reads a grid of a NanoVDB file, given as its bytes, (N,) uint8, into an array of all values in its box."""
     magic, (kind, of_type) = grid[:8].tobytes(), struct.unpack_from("<II", grid, CLASS)
     if magic not in GRID_MAGIC:
         raise ValueError(f"a grid begins with {GRID_MAGIC[-1]!r}, got {magic!r}")

@@ -134,8 +134,10 @@ class MediumKind:
         return table
 
     def extinction(self, table: Table, p: Vec3, wi: Vec3) -> Vec3:
-        """The share of light that is lost per unit of length at points, (N,), along directions, by colour; attached. Of
-        heterogeneous media."""
+        """The extinction of a heterogeneous medium at points for light along directions, (N,) by colour; attached.
+
+        In units of 1 / length: the share of the light that is lost in each unit of length.
+        """
         raise TypeError(f"{type(self).__name__} is not heterogeneous")
 
     def scattering(self, table: Table, p: Vec3, wi: Vec3) -> Vec3:

@@ -30,7 +30,7 @@ SPREAD = 0.5  # of the samples of derivatives by the extinction
 
 
 class HomogeneousTable(NamedTuple):
-    """One row, attached."""
+    """The parameters of one homogeneous medium, as compiled code reads them: tensors of one entry, attached."""
 
     sigma_t: Vec3  # extinction, 1 / length
     albedo: Vec3  # the share of it that is scattered

@@ -36,7 +36,10 @@ class KeptCaster:
 
 
 def same_mesh(mesh: CastTriangles, other: CastTriangles) -> tuple[bool, MeshExtremes | None]:
-    """Whether two meshes are the same; and the extremes of the other one, since a device is asked once for all."""
+    """Whether two meshes are the same, and the extremes of the other one, if they were asked for.
+
+    A device is asked both at once, since the host waits for each answer. On the CPU nothing is asked: None.
+    """
     if other.p.x.is_cpu:
         return mesh.equals(other), None
     flags = mesh.compared(other)

@@ -34,7 +34,7 @@ class MeshExtremes(NamedTuple):
 
     @staticmethod
     def of(numbers: Sequence[float]) -> MeshExtremes | None:
-        """The extremes, by what has been asked; None: nothing."""
+        """Takes the answers of a device to `asked_of` apart, in that order; None if it was not asked anything."""
         if not numbers:
             return None
         finite, least, greatest, extent, *corners = numbers

@@ -21,7 +21,7 @@ class BoundingSphere(NamedTuple):
 
 
 class Towards(NamedTuple):
-    """What was sampled, (N,), detached."""
+    """Directions towards spheres, or points on rays that meet them, and their densities, (N,), detached."""
 
     d: Vec3  # unit direction, or a point
     density: Tensor  # over solid angle, or over the area across the rays

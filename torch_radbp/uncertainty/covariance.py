@@ -143,7 +143,7 @@ def covariance_of(problem: Problem, hessian: DenseCurvature, prior: Tensor) -> C
 
 
 def correlated(matrix: Tensor, values: Tensor, names: list[str]) -> list[str]:
-    """Strongly correlated pairs in words: what is known well of two that are not; strongest first."""
+    """Strongly correlated pairs of parameters in words, strongest first: the changes of both that images hardly tell."""
     deviation = matrix.diag().sqrt()
     deviation = torch.where(deviation.isfinite(), deviation, torch.nan)
     correlation = matrix / deviation / deviation[:, None]

@@ -88,7 +88,10 @@ def asked_of_places(camera: Camera, pixels: tuple[Tensor, ...], place: Vec2, str
 
 
 class MotionFunction(torch.autograd.Function):
-    """Zeros whose derivative was computed before: nothing of the scene is kept for the backward pass."""
+    """How far K places have moved: zeros, whose derivatives by the scene's tensors a function computes when asked.
+
+    The graph keeps that function and none of the intermediate results of where the places lie.
+    """
 
     @staticmethod
     def forward(ctx, count: int, adjoint: Callable[[Tensor], Sequence[Tensor | None]], *leaves: Tensor) -> Tensor:

@@ -41,7 +41,7 @@ FAR = 1e10  # the distance of what is a direction
 
 
 class Casting(NamedTuple):
-    """The edges that cast shadows; detached."""
+    """The edges of meshes that may cast shadows, and a tree by which viewpoints find those they see; detached."""
 
     outline: Outline
     tree: EdgeTree  # over its edges

@@ -115,7 +115,7 @@ def drawn_by_steps(key: SampleKey, lane: Tensor, counter: Tensor) -> Tensor:
     Args:
         key: of the view.
         lane: (N,) int32.
-        counter: () int32, another one for others.
+        counter: () int32, a different one for each step of the bisection.
     """
     return uniform_numbers(key, lane, counter, torch.float64)
 

@@ -210,7 +210,7 @@ def _normal_of(corners: Corners) -> Vec3:
 
 
 def _between(geometry: Geometry, prim: Tensor) -> Between:
-    """The vertices of triangles, as rows of the vertex table."""
+    """The three vertices that a curve inside of triangles depends on, as rows of the vertex table."""
     return Between(*lookup(geometry.triangles.corners, prim.clamp_min(0)))
 
 

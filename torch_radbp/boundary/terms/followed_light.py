@@ -69,7 +69,7 @@ class EdgeSide(NamedTuple):
 
 
 class Beyond(NamedTuple):
-    """Both sides of edges as path vertices see them."""
+    """The two surfaces that path vertices see to either side of an edge, (N,) each."""
 
     front: EdgeSide  # the blocker
     back: EdgeSide  # the background
@@ -84,7 +84,7 @@ class LightBeside(NamedTuple):
 
 @shadow_term
 class FollowedLight(ShadowTerm):
-    """Scattered directions that carry derivatives, and slide over edges."""
+    """The term of attached sampling: scattered directions that turn with parameters slide over edges of other surfaces."""
 
     rank = 6
 

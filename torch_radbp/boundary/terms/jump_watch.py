@@ -171,7 +171,7 @@ class JumpWatch:
     def sharp_shadows_in_mirrors(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about shadows of lights without extent that may be seen in ideal mirrors and glass, or None.
 
-        Those are computed that cameras see there, see `reflections`.
+        Borders of shadows that cameras see in mirrors and glass are among the terms (`reflections`), and not warned of.
         """
         ideal = [bsdf for bsdf, kind in rendering.materials() if kind.delta]
         scattering = any(kind.smooth for _, kind in rendering.materials())

@@ -30,7 +30,7 @@ SOLID = {"thicknessFactor": 1.0}  # of KHR_materials_volume; any that is not 0
 
 
 def constant_slot(value: float) -> Slot:
-    """A constant as the values of a texture."""
+    """A slot of a material that holds one number everywhere: an image of one pixel."""
     return Slot(np.full((1, 1, 3), float(value)), None)
 
 

@@ -33,7 +33,7 @@ class Memory(NamedTuple):
 
 
 class Recorded(RecordedResults):
-    """What was recorded, to be done again on the processor. Args as for `RecordedResults`."""
+    """A recording compiled into one function of machine code, which the processor runs. Args as for `RecordedResults`."""
 
     def __init__(self, recording: Recording, given: Sequence[Tensor | int], results: Any):
         super().__init__(recording, given, results)

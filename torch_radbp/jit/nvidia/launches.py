@@ -164,7 +164,7 @@ class Launches:
         self.parts.append(Part(self.sequence[known:], words, outside))
 
     def place(self, place: MemoryPlace) -> Word:
-        """Where a tensor begins."""
+        """The word of memory that holds the address of a tensor when kernels are launched."""
         if not place.made:
             return Word(self.of.first_given + place.tensor, 0)
         layout = self.of.layout
