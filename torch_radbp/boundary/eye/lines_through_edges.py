@@ -31,17 +31,30 @@ def scattered_towards(call: RenderCall, integrand: Integrand, points: Viewpoints
 def solid_angle(scene: SceneTensors, hit: Hit, line: Ray) -> Tensor:
     """(N,) float64 solid angle per unit of barycentric coordinates, where lines meet triangles' planes; 1 without a hit.
 
-    From within its own plane, but for rounding, nothing of a triangle is seen. There the line meets the plane nowhere:
-    what rounding makes of the angle does not vanish as fast as the speed grows at which the place moves over the plane.
-
     Args:
         scene: detached.
         hit: (N,) the triangles.
         line: (N,) float64, with directions of any length.
     """
     corners, d = corners_of(geometry_of(scene), hit), normalize(line.d)
-    n = cross(corners[1] - corners[0], corners[2] - corners[0])  # twice the area of the triangle, which u and v count in
-    facing, height = dot(n, d).abs(), dot(n, corners[0] - line.o).abs()
+    n, height = height_above(corners, line.o)  # n: twice the area of the triangle, which u and v count in
+    facing = dot(n, d).abs()
     per_distance = facing / height.clamp_min(TINY)
-    least = TOUCHING * largest_coordinate(line.o, *corners) * torch.sqrt(dot(n, n))
-    return torch.where(hit.prim >= 0, torch.where(height > least, facing * per_distance * per_distance, 0.0), 1.0)
+    return torch.where(hit.prim >= 0, torch.where(height > 0, facing * per_distance * per_distance, 0.0), 1.0)
+
+
+def height_above(corners: tuple[Vec3, Vec3, Vec3], p: Vec3) -> tuple[Vec3, Tensor]:
+    """The normals n of triangles, as long as twice their area, and |n| times distances of points from their planes, (N,).
+
+    A point that lies in the plane up to rounding has a distance of 0: from there nothing of the triangle is seen. A line
+    from there meets the plane nowhere, and what rounding makes of the solid angle does not vanish as fast as the speed
+    grows at which the place where they meet moves over the plane.
+
+    Args:
+        corners: of the triangles, (N,) world, float64, detached.
+        p: (N,) world points, float64, detached.
+    """
+    n = cross(corners[1] - corners[0], corners[2] - corners[0])
+    height = dot(n, corners[0] - p).abs()
+    least = TOUCHING * largest_coordinate(p, *corners) * torch.sqrt(dot(n, n))
+    return n, torch.where(height > least, height, 0.0)
