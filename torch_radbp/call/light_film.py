@@ -12,6 +12,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from torch_radbp.call.pixels import IMAGE_COPIES
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.sink import Sink, SinkValues, Work
 from torch_radbp.call.wavefronts import Wavefront
@@ -29,7 +30,7 @@ from torch_radbp.tensors.torch_internals import inside_dual_level
 from torch_radbp.tensors.vec import Vec2, Vec3, rows
 from torch_radbp.threads.workers import by_number, in_turns
 
-IMAGE_COPIES, SUMS = 5, 2  # as of `pixels.py`; those of a worker: all of before, and of a wavefront
+SUMS = 2  # of a worker: all of before, and of a wavefront
 BROUGHT, OF_PATCH = 5, 14  # numbers of what a vertex brings, and about so many of the rectangle in which it counts
 PIECE = 1 << 14  # lanes that are deposited at once, so that what they count in all pixels around takes little memory
 

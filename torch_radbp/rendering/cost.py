@@ -13,7 +13,7 @@ from torch_radbp.rendering.memory import LEAST_BOUNCE, Workload, bytes_text, pre
 
 MOST_NUMBERED = 2**31 - 1  # pixels of an image, samples of a pixel: int32 counts them
 MOST_PATHS = 10**12  # a day at 10 million paths a second, hours on the fastest devices of today
-IMAGE_COPIES = 2  # of each image: the sums of its chunks, and what is returned
+RETURNED_COPIES = 2  # of each image: the sums of its chunks, and what is returned
 CHUNK_BYTES = 200  # of the list of chunks, each
 LANES = {True: 1 << 18, False: 1 << 17}  # of a chunk on the CPU if the user does not say, about; compiled and eager
 LANES_IN_MEDIA = 1 << 16  # the same where there are media, in which a path carries more, and its derivative a side path
@@ -49,7 +49,7 @@ class Request(NamedTuple):
     @property
     def least_bytes(self) -> int:
         """The least memory of a call: as if every path ended after its first bounce."""
-        images = IMAGE_COPIES * 3 * self.images * self.width * self.height * self.dtype.itemsize
+        images = RETURNED_COPIES * 3 * self.images * self.width * self.height * self.dtype.itemsize
         together = min(self.paths, self.workers * self.chunk)
         working = together * LEAST_BOUNCE * self.dtype.itemsize
         if self.adjoint is not None:
