@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
+from torch_radbp.tensors.differentiated import linear, moving_with
 from torch_radbp.tensors.vec import Frame, Vec3
 
 TERMS = 11  # of the series below: the first omitted term is 1e-22 of the sum at an angle of 1
@@ -44,8 +46,8 @@ def se3(rotation_vector: Tensor, translation: Tensor) -> Tensor:
     zero = torch.zeros_like(square)
     x, y, z = w.unbind(-1)
     cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*w.shape, 3)
-    eye = torch.eye(3, dtype=w.dtype, device=w.device)
-    rotation = ((1 - cosine * square)[..., None, None] * eye + sine[..., None, None] * cross
+    one, eye = moving_with(w, (torch.ones_like(square), torch.eye(3, dtype=w.dtype, device=w.device)))
+    rotation = ((one - cosine * square)[..., None, None] * eye + sine[..., None, None] * cross
                 + cosine[..., None, None] * w[..., :, None] * w[..., None, :])
     batch = torch.broadcast_shapes(w.shape[:-1], translation.shape[:-1])
     upper = torch.cat([rotation.expand(*batch, 3, 3), translation.expand(*batch, 3)[..., None]], -1)
@@ -131,14 +133,16 @@ def sine_and_cosine_terms(square: Tensor) -> tuple[Tensor, Tensor]:
     near, far = torch.where(small, square, 0.0), torch.where(small, 1.0, square)
     angle = far.sqrt()
     sine = torch.where(small, series(near, 1), torch.sin(angle) / angle)
-    return sine, torch.where(small, series(near, 2), 2 * torch.sin(angle / 2) ** 2 / far)
+    of_half = torch.sin(linear(operator.truediv, angle, 2))
+    return sine, torch.where(small, series(near, 2), linear(operator.mul, of_half * of_half, 2) / far)
 
 
 def series(square: Tensor, first: int) -> Tensor:
     """The series sum over k of (-square)^k / (2 k + first)!."""
-    total = torch.zeros_like(square)
-    for k in reversed(range(TERMS)):
-        total = 1 / math.factorial(2 * k + first) - square * total
+    terms = [torch.full_like(square, 1 / math.factorial(2 * k + first)) for k in range(TERMS)]
+    total, *others = moving_with(square, terms[::-1])
+    for term in others:
+        total = term - square * total
     return total
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from typing import NamedTuple
 
 import torch
@@ -10,6 +11,7 @@ from torch import Tensor
 from torch_radbp.film.filter import Kernel
 from torch_radbp.film.splat import PIECE, PIECE_ELSEWHERE, TOGETHER, Block, offset_sums
 from torch_radbp.film.window import Window
+from torch_radbp.tensors.differentiated import linear
 from torch_radbp.tensors.stage import Stage
 from torch_radbp.tensors.vec import Vec2
 
@@ -104,4 +106,4 @@ class Development:
         """The image, (C, H, W), and the sums of filter weights, (H, W), by which it was divided."""
         total = self.grid.cropped(self.total)
         filters = total[0].detach()
-        return total[1:] / torch.where(filters == 0, 1.0, filters), filters
+        return linear(operator.truediv, total[1:], torch.where(filters == 0, 1.0, filters)), filters

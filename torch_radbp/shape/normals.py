@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import operator
+
 import torch
 from torch import Tensor
 
+from torch_radbp.tensors.differentiated import linear
 from torch_radbp.tensors.vec import TINY, Vec3, cross, dot, gather, max_component, where
 
 BLOCK = 1 << 15  # number of triangles that are processed at a time
@@ -31,7 +34,7 @@ def angle_weighted_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     squared = dot(total, total)
     lone = squared == 0
     upright = Vec3(torch.ones_like(squared), torch.zeros_like(squared), torch.zeros_like(squared))
-    return where(lone, upright, total / torch.sqrt(torch.where(lone, 1.0, squared))).stack()
+    return where(lone, upright, total * torch.sqrt(torch.where(lone, 1.0, squared)).reciprocal()).stack()
 
 
 def weighted_normals(positions: Vec3, faces: Tensor) -> Vec3:
@@ -43,6 +46,7 @@ def weighted_normals(positions: Vec3, faces: Tensor) -> Vec3:
     area = cross(ahead, across)
     proper = dot(area, area) > TINY
     height = torch.sqrt(torch.where(proper, dot(area, area), 1.0))
-    angles = [torch.atan2(height, -dot(a, b)) * proper for a, b in ((ahead, back), (across, ahead), (back, across))]
-    normal = area / height
+    angles = [linear(operator.mul, torch.atan2(height, -dot(a, b)), proper)
+              for a, b in ((ahead, back), (across, ahead), (back, across))]
+    normal = area * height.reciprocal()
     return normal.map(lambda x: torch.cat([x * a for a in angles]))

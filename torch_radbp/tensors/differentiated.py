@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -73,9 +74,22 @@ def moving_with(others, record):
     return mapped(record, moving)
 
 
+def linear(operation: Callable[[Tensor, Tensor | float], Tensor], moving: Tensor, still: Tensor | float) -> Tensor:
+    """`operation(moving, still)`, a product or a quotient, which is linear in the first operand.
+
+    It is quick in forward mode where the second operand is a number or has no tangent: of such torch computes tangents by
+    functions in Python, which takes twenty times as long.
+    """
+    tangent = None if torch.is_grad_enabled() else tangent_of(moving)
+    if tangent is None or isinstance(still, Tensor) and tangent_of(still) is not None:
+        return operation(moving, still)
+    return forward_ad.make_dual(operation(primal(moving), still), operation(tangent, still))
+
+
 def with_derivative_of(value: Tensor, attached: Tensor) -> Tensor:
     """A detached value with the derivative, backward and forward, of another estimate of the same quantity."""
-    return value + (attached - primal(attached))
+    tangent = None if torch.is_grad_enabled() else tangent_of(attached)
+    return value + (attached - primal(attached)) if tangent is None else forward_ad.make_dual(value, tangent)
 
 
 def settled(value: Tensor) -> Tensor:

@@ -7,11 +7,14 @@ go between the two.
 
 from __future__ import annotations
 
+import operator
+from functools import partial
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torch_radbp.tensors.differentiated import linear, with_derivative_of
 from torch_radbp.tensors.stage import stage
 
 SMALLEST_TANGENT = 1e-8  # squared
@@ -60,7 +63,7 @@ class Vec3(NamedTuple):
     def __mul__(self, other: Vec3 | Tensor | float) -> Vec3:
         if isinstance(other, Vec3):
             return Vec3(self.x * other.x, self.y * other.y, self.z * other.z)
-        return Vec3(self.x * other, self.y * other, self.z * other)
+        return self.map(partial(linear, operator.mul, still=other))
 
     def __truediv__(self, scale: Tensor | float) -> Vec3:
         return self * (1.0 / scale)
@@ -143,7 +146,7 @@ def attached(value: Tensor | Vec3, source: Tensor | Vec3) -> Tensor | Vec3:
     """`value` with the derivative of `source`, which has the same value up to rounding."""
     if isinstance(value, Vec3):
         return Vec3(*(attached(v, s) for v, s in zip(value, source)))
-    return value.detach() + (source - source.detach())
+    return with_derivative_of(value.detach(), source)
 
 
 def interpolated(corners: tuple[Vec2 | Vec3, ...], u: Tensor, v: Tensor) -> Vec2 | Vec3:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import operator
 from collections.abc import Hashable, Sequence
 from typing import Any, NamedTuple
 
@@ -16,6 +17,7 @@ from torch_radbp.scene.cache.pack_cache import PackCache
 from torch_radbp.scene.tables.light_choice import MANY, EmitterTextures, TreeChoice, bounds_of_kind, tree_choice
 from torch_radbp.scene.tables.scene_tensors import Layout, LightTable, TriangleTable
 from torch_radbp.scene.tables.triangle_corners import edges
+from torch_radbp.tensors.differentiated import linear
 from torch_radbp.tensors.vec import attached, cross, rows, unit_normal
 
 SMALLEST_SHARE = 1e-12  # of a lamp's area: smaller triangles are never picked
@@ -163,7 +165,7 @@ def emitting_triangles(triangles: TriangleTable, layout: Layout, emitting: Tenso
     corners = tuple(rows(triangles.vertices, corner[emitting]) for corner in triangles.corners)
     p = tuple(corner.p for corner in corners)
     _, e1, e2 = edges(*p)
-    area = 0.5 * torch.linalg.vector_norm(cross(e1, e2).stack(), dim=-1)
+    area = linear(operator.mul, torch.linalg.vector_norm(cross(e1, e2).stack(), dim=-1), 0.5)
     smooth = rows(triangles.smooth, emitting)
     shaded = corners[0].n is not None and any_smooth
     columns = dict(zip(layout.vertex_attributes, zip(*(corner.attributes for corner in corners))))
@@ -179,7 +181,7 @@ def with_inverse_areas(surfaces: EmittingTriangles, area: Tensor, weights: Tenso
     """The emitting triangles with inverse areas set, attached, where selection weights (E,) are positive."""
     # A degenerate triangle is never picked, and must not make gradients infinite.
     picked = weights[:len(area)] > 0
-    return surfaces._replace(inverse_area=torch.where(picked, 1.0 / torch.where(picked, area, 1.0), 0.0))
+    return surfaces._replace(inverse_area=torch.where(picked, torch.where(picked, area, 1.0).reciprocal(), 0.0))
 
 
 def lamp_table(kind: LightKind, lamps: tuple[Light, ...], like: Tensor) -> Table:
