@@ -12,13 +12,13 @@ class Instances(NamedTuple):
     """The I instances of the G groups of a scene, detached; all instances of a group one after the other.
 
     Vertices and triangles of groups come after those of the scene itself, and each once, in the frame of its group. A hit
-    counts instances from 1; 0 is the scene itself.
+    counts instances from 1; 0 is the scene itself. What says how many there are is the host's, whatever the device.
     """
 
     to_world: Tensor  # (I, 3, 4) the upper rows of affine transforms from the group's frame
-    first_vertex: Tensor  # (G + 1,) int64; the end of each group is the beginning of the next one
-    first_triangle: Tensor  # (G + 1,) int64
-    first_instance: Tensor  # (G + 1,) int64
+    first_vertex: Tensor  # (G + 1,) int64, on the CPU; the end of each group is the beginning of the next one
+    first_triangle: Tensor  # (G + 1,) int64, on the CPU
+    first_instance: Tensor  # (G + 1,) int64, on the CPU
     boxes: Tensor  # (I, 8, 3) corners of a box around each instance, world space
 
     def by_hit(self, dtype: torch.dtype) -> Tensor:

@@ -42,6 +42,6 @@ def same_mesh(mesh: CastTriangles, other: CastTriangles) -> tuple[bool, MeshExtr
     flags = mesh.compared(other)
     if not flags:
         return flags is not None, None
-    vertices, faces, *_ = other.stacked()
-    found = answered([torch.stack(flags).all(), *MeshExtremes.asked_of(vertices, faces)])
+    vertices, faces, _, instances = other.stacked()
+    found = answered([torch.stack(flags).all(), *MeshExtremes.asked_of(vertices, faces, instances)])
     return bool(found[0]), MeshExtremes.of(found[1:])

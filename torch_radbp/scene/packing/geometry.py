@@ -186,17 +186,17 @@ def casting_of(poses: Tensor, counts: tuple[int, ...], members: tuple[int, ...],
         vertices: (V, 3) of all shapes, those of groups last.
         faces: (F, 3) likewise.
     """
-    outside_groups, device = len(vertices) - sum(members), poses.device
+    outside_groups, host = len(vertices) - sum(members), torch.device("cpu")
 
     def firsts(sizes: list[int]) -> Tensor:
         in_groups = iter(sizes[outside_groups:])
         sums = [sum(itertools.islice(in_groups, count)) for count in members]
-        return torch.tensor(list(itertools.accumulate(sums, initial=sum(sizes[:outside_groups]))), device=device)
+        return torch.tensor(list(itertools.accumulate(sums, initial=sum(sizes[:outside_groups]))), device=host)
 
     to_world, in_groups = poses[:, :3].contiguous(), iter(vertices[outside_groups:])
     points = [torch.cat(list(itertools.islice(in_groups, count))) for count in members]
     return Instances(to_world, firsts(list(map(len, vertices))), firsts(list(map(len, faces))),
-                     torch.tensor(list(itertools.accumulate(counts, initial=0)), device=device),
+                     torch.tensor(list(itertools.accumulate(counts, initial=0)), device=host),
                      boxes(points, to_world.split(counts)))
 
 
