@@ -24,8 +24,7 @@ CASTERS = {"embree": "Embree", "direct": "DirectCaster", "brute": "Brute", "warp
 FEW_TESTS = 230
 FEW_BALLS = 128  # likewise; of incoherent rays, 256 take half of the time that a tree of their triangles does
 
-# Triangles, those of every instance counted, up to which Warp has copies of them in one tree.
-MOST_COPIED = 1 << 18
+MOST_COPIED = 1 << 18  # triangles that instances show, each counted, up to which Warp has copies of them in one tree
 
 
 def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls | None = None,
@@ -70,7 +69,7 @@ def _new_caster(name: str, vertices: Tensor, faces: Tensor, balls: Balls | None,
     last = last if isinstance(last, caster) else None
     if name == "embree":
         return caster(vertices, faces, balls, instances, last)
-    if name == "warp" and instances.triangles() > MOST_COPIED:
+    if name == "warp" and instances.triangles() - int(instances.first_triangle[0]) > MOST_COPIED:
         return caster(vertices, faces, balls, known, instances, last)
     return ExpandedCaster(partial(caster, balls=balls), vertices, faces, instances)
 

@@ -3,7 +3,7 @@
 A ray walks the upper tree from near to far (`instance_tree.py`). In each instance whose box it meets, before the nearest hit
 so far, it is transformed to the frame of the group, where a distance is as many t as in the world, for its direction is not
 normalised. It begins where it enters the ball around the group: there numbers are as small as the group, so that roundings
-are, and the boxes of its tree are wide enough wherever the ray comes from. Triangles that no instance shows have a tree of
+are, and the boxes of its tree are wide enough wherever the ray comes from. Triangles that no instance shows are a group of
 their own, which is asked first.
 """
 
@@ -39,21 +39,19 @@ class GroupMesh(NamedTuple):
 
 
 class ShownGroups(NamedTuple):
-    """What rays meet in a scene with instances."""
+    """What rays meet in a scene with instances: L leaves, and what no instance shows."""
 
-    own: wp.Mesh | None  # of the triangles that no instance shows
-    groups: list[GroupMesh]
+    groups: list[GroupMesh]  # the last is what no instance shows, if there is such
     nodes: Tensor  # (4 L, 4) float32, the lower and the upper corner of each node of the upper tree; the last column is 0
-    places: Tensor  # (4 L, 4) float32 of each leaf: rows of the transform from the world, with the group's origin; the ball
-    shown: Tensor  # (2 L,) int32 of each leaf: its instance as in a hit, and the first triangle of its group
-    trees: Tensor  # (L,) int64, the addresses of the groups' trees
+    places: Tensor  # (4 L + 4, 4) float32: rows of the transform from the world, with the group's origin; the ball
+    shown: Tensor  # (2 L + 2,) int32: the instance as in a hit, and the first triangle of the group
+    trees: Tensor  # (L + 1,) int64, the addresses of the groups' trees; 0: none
 
     def head(self) -> list:
         """What kernels are given before all else."""
         nodes, places = (wp.from_torch(table, dtype=wp.vec4, return_ctype=True) for table in (self.nodes, self.places))
         trees = wp.from_torch(self.trees, dtype=wp.uint64, return_ctype=True)
-        return [wp.uint64(0 if self.own is None else self.own.id), nodes, places, lanes_of(self.shown), trees,
-                len(self.trees)]
+        return [nodes, places, lanes_of(self.shown), trees, len(self.trees) - 1]
 
 
 def shown_groups(vertices: Tensor, faces: Tensor, instances: Instances, unit: float, last: Sequence[GroupMesh],
@@ -68,34 +66,41 @@ def shown_groups(vertices: Tensor, faces: Tensor, instances: Instances, unit: fl
         last: groups of the caster that this one follows.
         stream: on which trees are built; None on the CPU.
     """
-    outside = faces[:int(instances.first_triangle[0])]
-    own = triangle_tree(in_units(vertices.float()[outside.long()], unit), stream) if len(outside) else None
     groups = group_meshes(vertices, faces, instances, last, stream)
-    corners = instances.boxes.double() * unit
-    largest = corners.abs().amax((1, 2)) + 2 * unit * instances.to_world[:, :, 3].double().abs().amax(1)
+    corners, to_world = instances.boxes.double() * unit, instances.to_world.double()
+    largest = corners.abs().amax((1, 2)) + 2 * unit * to_world[:, :, 3].abs().amax(1)
     wider = ROUNDINGS * torch.finfo(torch.float32).eps * largest[:, None]
     nodes, order = instance_tree((corners.amin(1) - wider).float(), (corners.amax(1) + wider).float())
-    counts, firsts = instances.first_instance.diff().tolist(), instances.first_triangle.tolist()
-    units = torch.cat([group.unit.expand(count, 1, 1) for group, count in zip(groups, counts)]) / unit
-    balls = torch.cat([group.ball.expand(count, 1, 4) for group, count in zip(groups, counts)])
-    to_world = instances.to_world.double()
-    rows = torch.cat([matrix_inverse(to_world[:, :, :3]) * units, to_world[:, :, 3:] * unit], 2)
-    of_groups = torch.tensor([(group.tree.id, first, count) for group, first, count in zip(groups, firsts, counts)],
-                             device=vertices.device)
-    leaf = order.clamp_min(0)
-    tree, first_triangle, _ = of_groups.repeat_interleave(of_groups[:, 2], 0, output_size=sum(counts))[leaf].unbind(1)
-    return ShownGroups(own, groups, torch.nn.functional.pad(nodes, (0, 1)).flatten(0, 1).contiguous(),
-                       torch.cat([rows, balls], 1)[leaf].float().flatten(0, 1).contiguous(),
-                       torch.stack([order + 1, first_triangle], 1).to(torch.int32).flatten(), tree.contiguous())
+
+    # A row for each instance, then one for what none shows: for nobody, if there is no such thing.
+    counts, firsts = [*instances.first_instance.diff().tolist(), 1], [*instances.first_triangle.tolist()[:-1], 0]
+    of_rows = groups if len(groups) == len(counts) else [*groups, groups[0]]
+    addresses = [group.tree.id for group in groups] + [0] * (len(counts) - len(groups))
+    tree, first_triangle = _repeated(torch.tensor([*zip(addresses, firsts)], device=vertices.device), counts).unbind(1)
+    units = _repeated(torch.stack([group.unit for group in of_rows])[:, None, None], counts) / unit
+    balls = _repeated(torch.stack([group.ball for group in of_rows])[:, None], counts)
+    to_world = torch.nn.functional.pad(to_world, (0, 0, 0, 0, 0, 1))
+    to_world[-1].fill_diagonal_(1.0)
+    places = torch.cat([torch.cat([matrix_inverse(to_world[:, :, :3]) * units, to_world[:, :, 3:] * unit], 2), balls], 1)
+    leaf = torch.nn.functional.pad(order, (0, 1), value=len(to_world) - 1).clamp_min(0)
+    shown = torch.stack([torch.nn.functional.pad(order + 1, (0, 1)), first_triangle[leaf]], 1)
+    return ShownGroups(groups, torch.nn.functional.pad(nodes, (0, 1)).flatten(0, 1).contiguous(),
+                       places[leaf].float().flatten(0, 1).contiguous(), shown.to(torch.int32).flatten(), tree[leaf])
+
+
+def _repeated(rows: Tensor, counts: Sequence[int]) -> Tensor:
+    """Repeats the rows of a table, each so often."""
+    return torch.cat([row.expand(count, *row.shape) for row, count in zip(rows, counts)])
 
 
 def group_meshes(vertices: Tensor, faces: Tensor, instances: Instances, last: Sequence[GroupMesh],
                  stream: wp.Stream | None) -> list[GroupMesh]:
-    """The trees of the groups that instances show. Args: as for `shown_groups`."""
-    firsts = list(zip(instances.first_vertex.tolist(), instances.first_triangle.tolist()))
-    parts = [(vertices[start[0]:end[0]], faces[start[1]:end[1]] - start[0]) for start, end in zip(firsts, firsts[1:])]
+    """The trees of the groups, and of what no instance shows, if there is such. Args: as for `shown_groups`."""
+    ends = list(zip(instances.first_vertex.tolist(), instances.first_triangle.tolist()))
+    spans = [*zip(ends, ends[1:]), *([((0, 0), ends[0])] if ends[0][1] else [])]
+    parts = [(vertices[start[0]:end[0]], faces[start[1]:end[1]] - start[0]) for start, end in spans]
     same = kept_groups(parts, last)
-    return [group if keep else new_group(*part, stream) for part, group, keep in zip(parts, [*last, *parts], same)]
+    return [last[number] if same[number] else new_group(*part, stream) for number, part in enumerate(parts)]
 
 
 def kept_groups(parts: Sequence[tuple[Tensor, Tensor]], last: Sequence[GroupMesh]) -> list[bool]:
@@ -211,8 +216,8 @@ def along(row: wp.vec4, v: wp.vec3) -> float:
 
 
 @wp.kernel
-def closest_of_instances(own: wp.uint64, nodes: wp.array(dtype=wp.vec4), places: wp.array(dtype=wp.vec4),
-                         shown: wp.array(dtype=int), trees: wp.array(dtype=wp.uint64), leaves: int, unit: float,
+def closest_of_instances(nodes: wp.array(dtype=wp.vec4), places: wp.array(dtype=wp.vec4), shown: wp.array(dtype=int),
+                         trees: wp.array(dtype=wp.uint64), leaves: int, unit: float,
                          last: wp.array(dtype=wp.int64), rays: wp.array(dtype=wp.int64),
                          ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
                          dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float),
@@ -230,41 +235,32 @@ def closest_of_instances(own: wp.uint64, nodes: wp.array(dtype=wp.vec4), places:
     query = query_of(unit, ox[lane], oy[lane], oz[lane], dx[lane], dy[lane], dz[lane])
     if not query.valid:
         return
-    end = float(FARTHEST)
-    if own != wp.uint64(0):
-        hit = wp.mesh_query_ray(own, query.o, query.d, end)
-        if hit.result:
-            end = hit.t
-            prim[lane] = hit.face
-            u[lane] = hit.v  # Warp's u and v are the weights of the first and the second vertex
-            v[lane] = wp.max(1.0 - hit.u - hit.v, 0.0)
-            t[lane] = end / query.per_t
-    inverse = inverse_of(query.d)
-    cursor = Cursor(1, 0)
-    cursor = next_instance(nodes, leaves, query.o, inverse, end, cursor)
-    while cursor.node > 0:
-        leaf = cursor.node - leaves
+    inverse, end = inverse_of(query.d), float(FARTHEST)
+    leaf, cursor = int(leaves), Cursor(1, 0)  # what no instance shows comes behind all leaves, and first of all
+    while leaf >= 0:
         ray = in_group(places, leaf, query.o, query.d)
-        if ray.start < end:
-            found = wp.mesh_query_ray(trees[leaf], ray.o, ray.d, wp.min((end - ray.start) / ray.per_t, FARTHEST))
-            if found.result:
-                end = ray.start + found.t * ray.per_t
-                prim[lane] = shown[2 * leaf + 1] + found.face
-                u[lane] = found.v
-                v[lane] = wp.max(1.0 - found.u - found.v, 0.0)
+        if trees[leaf] != wp.uint64(0) and ray.start < end:
+            hit = wp.mesh_query_ray(trees[leaf], ray.o, ray.d, wp.min((end - ray.start) / ray.per_t, FARTHEST))
+            if hit.result:
+                end = ray.start + hit.t * ray.per_t
+                prim[lane] = shown[2 * leaf + 1] + hit.face
+                u[lane] = hit.v  # Warp's u and v are the weights of the first and the second vertex
+                v[lane] = wp.max(1.0 - hit.u - hit.v, 0.0)
                 t[lane] = end / query.per_t
                 instance[lane] = shown[2 * leaf]
-        cursor = next_instance(nodes, leaves, query.o, inverse, end, back(cursor))
+        cursor = next_instance(nodes, leaves, query.o, inverse, end, cursor)
+        leaf = cursor.node - leaves
+        cursor = back(cursor)
 
 
 @wp.kernel
-def any_of_instances(own: wp.uint64, nodes: wp.array(dtype=wp.vec4), places: wp.array(dtype=wp.vec4),
-                     shown: wp.array(dtype=int), trees: wp.array(dtype=wp.uint64), leaves: int, unit: float,
+def any_of_instances(nodes: wp.array(dtype=wp.vec4), places: wp.array(dtype=wp.vec4), shown: wp.array(dtype=int),
+                     trees: wp.array(dtype=wp.uint64), leaves: int, unit: float,
                      last: wp.array(dtype=wp.int64), rays: wp.array(dtype=wp.int64),
                      ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
                      dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float),
                      tmax: wp.array(dtype=float), hidden: wp.array(dtype=wp.bool)):
-    """The kernel of `RayCaster.occluded`, one thread per ray."""
+    """The kernel of `RayCaster.occluded`, one thread per ray, which ends at the first hit."""
     lane = wp.tid()
     if is_beyond(lane, last, rays):
         return
@@ -272,19 +268,14 @@ def any_of_instances(own: wp.uint64, nodes: wp.array(dtype=wp.vec4), places: wp.
     query = query_of(unit, ox[lane], oy[lane], oz[lane], dx[lane], dy[lane], dz[lane])
     if not query.valid or not tmax[lane] > 0.0:
         return
-    end = wp.min(tmax[lane] * query.per_t, FARTHEST)
-    if own != wp.uint64(0):
-        if wp.mesh_query_ray_anyhit(own, query.o, query.d, end):
-            hidden[lane] = True
-            return
-    inverse = inverse_of(query.d)
-    cursor = Cursor(1, 0)
-    cursor = next_instance(nodes, leaves, query.o, inverse, end, cursor)
-    while cursor.node > 0:
-        leaf = cursor.node - leaves
+    inverse, end = inverse_of(query.d), wp.min(tmax[lane] * query.per_t, FARTHEST)
+    leaf, cursor = int(leaves), Cursor(1, 0)
+    while leaf >= 0:
         ray = in_group(places, leaf, query.o, query.d)
-        if ray.start < end:
+        if trees[leaf] != wp.uint64(0) and ray.start < end:
             if wp.mesh_query_ray_anyhit(trees[leaf], ray.o, ray.d, wp.min((end - ray.start) / ray.per_t, FARTHEST)):
                 hidden[lane] = True
                 return
-        cursor = next_instance(nodes, leaves, query.o, inverse, end, back(cursor))
+        cursor = next_instance(nodes, leaves, query.o, inverse, end, cursor)
+        leaf = cursor.node - leaves
+        cursor = back(cursor)
