@@ -63,6 +63,13 @@ def field(stone: Path, instances: int, size: int, spp: int) -> dict[str, Any]:
     return scene
 
 
+def field_of(instances: int, triangles: int, resolution: int) -> rb.Scene:
+    """The field as a scene, with a sample for each pixel."""
+    with tempfile.TemporaryDirectory() as folder:
+        write_stone(Path(folder) / "stone.ply", triangles)
+        return rb.load_dict(field(Path(folder) / "stone.ply", instances, resolution, 1))
+
+
 def report(name: str, doing: Callable[[], Any], before: int) -> Any:
     """Does it, and says how long it took and by how much the process has grown at the most since `before`, bytes."""
     start = time.perf_counter()

@@ -15,15 +15,13 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 
 import torch
 from torch import Tensor
 
 import torch_radbp as rb
-from benchmarks.instances import field, write_stone
+from benchmarks.instances import field_of
 from benchmarks.lbvh import tree_of
 from benchmarks.rays import SCENES, Query, Recorder, recorded
 from benchmarks.resident import MIB, give_back, peak_of, resident
@@ -81,13 +79,6 @@ def rows_of_copies(vertices: Tensor, faces: Tensor, queries: dict[str, Query], t
         counts = [counted(flat, tree.roots[0], query, unit)[0] for query in queries.values()]
         rows.append(row(f"{constructor}, {leaf_size}", tree.nodes, counts, instances))
     return rows
-
-
-def field_of(instances: int, triangles: int, resolution: int) -> rb.Scene:
-    """A field of instances, see `benchmarks.instances`."""
-    with tempfile.TemporaryDirectory() as folder:
-        write_stone(Path(folder) / "stone.ply", triangles)
-        return rb.load_dict(field(Path(folder) / "stone.ply", instances, resolution, 1))
 
 
 def rows_of_field(scene: rb.Scene, resolution: int, trees: Sequence[tuple[str, int]]) -> list[str]:

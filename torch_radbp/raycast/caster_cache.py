@@ -28,15 +28,19 @@ class CastTriangles(NamedTuple):
         mine, others = ((mesh.balls, mesh.instances, *mesh.corners, *mesh.made_of) for mesh in (self, other))
         return bool(self.made_of) and len(mine) == len(others) and all(map(operator.is_, mine, others))
 
-    def compared(self, other: CastTriangles) -> list[Tensor] | None:
-        """Flags, () bool each, that say whether the other record has the same triangles; None: it does not."""
-        mine, others = ((*mesh.p, *mesh.corners, *(mesh.balls or ()), *(mesh.instances or ())) for mesh in (self, other))
-        if len(mine) != len(others) or not all(map(of_one_kind, mine, others)):
-            return None
-        pairs = [(a, b) for a, b in zip(mine, others) if a.data_ptr() != b.data_ptr()]
-        if not all(torch.equal(a, b) for a, b in pairs if a.is_cpu):  # the host's, of instances
-            return None
-        return [(a == b).all() for a, b in pairs if not a.is_cpu]
+    def compared(self, other: CastTriangles) -> tuple[list[Tensor], list[Tensor]] | None:
+        """Flags, () bool each, that say whether the other record has the same triangles, in groups as they lie there, and
+        the same instances of these; None: it has not."""
+        flags = []
+        for columns in (lambda mesh: (*mesh.p, *mesh.corners, *(mesh.balls or ())), lambda mesh: mesh.instances or ()):
+            mine, others = columns(self), columns(other)
+            if len(mine) != len(others) or not all(map(of_one_kind, mine, others)):
+                return None
+            pairs = [(a, b) for a, b in zip(mine, others) if a.data_ptr() != b.data_ptr()]
+            if not all(torch.equal(a, b) for a, b in pairs if a.is_cpu):  # the host's, of instances
+                return None
+            flags.append([(a == b).all() for a, b in pairs if not a.is_cpu])
+        return flags[0], flags[1]
 
     def equals(self, other: CastTriangles) -> bool:
         """True if the other record has the same triangles."""

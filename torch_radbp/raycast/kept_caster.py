@@ -40,8 +40,9 @@ def same_mesh(mesh: CastTriangles, other: CastTriangles) -> tuple[bool, MeshExtr
     if other.p.x.is_cpu:
         return mesh.equals(other), None
     flags = mesh.compared(other)
-    if not flags:
+    if flags is None or not any(flags):
         return flags is not None, None
     vertices, faces, _, instances = other.stacked()
-    found = answered([torch.stack(flags).all(), *MeshExtremes.asked_of(vertices, faces, instances)])
-    return bool(found[0]), MeshExtremes.of(found[1:])
+    triangles, poses = (torch.stack(each).all() if each else torch.ones((), device=faces.device) for each in flags)
+    found = answered([triangles, poses, *MeshExtremes.asked_of(vertices, faces, instances)])
+    return bool(found[0] and found[1]), MeshExtremes.of(found[2:], bool(found[0]))

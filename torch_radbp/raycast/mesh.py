@@ -16,12 +16,13 @@ MOST_FETCHED = 64  # triangles of which a device is asked for all corners
 
 
 class MeshExtremes(NamedTuple):
-    """What a device is asked of a mesh, at once."""
+    """What a device is asked of a mesh, at once, and what is known of it beside that."""
 
     finite: bool  # in float32
     indices: tuple[int, int]  # the least and the greatest
     extent: float  # the greatest, along an axis; of instances that in the world
     corners: Sequence[float]  # of few triangles the 9 coordinates of each, in float32; else none
+    unmoved: bool = False  # vertices and faces, those of groups included, are known to be those of the last caster
 
     @staticmethod
     def asked_of(vertices: Tensor, faces: Tensor, instances: Instances | None = None) -> list[Tensor]:
@@ -41,12 +42,12 @@ class MeshExtremes(NamedTuple):
         return [torch.isfinite(low + high).all(), *faces.aminmax(), extent, *corners]
 
     @staticmethod
-    def of(numbers: Sequence[float]) -> MeshExtremes | None:
+    def of(numbers: Sequence[float], unmoved: bool = False) -> MeshExtremes | None:
         """The extremes, by what has been asked; None: nothing."""
         if not numbers:
             return None
         finite, least, greatest, extent, *corners = numbers
-        return MeshExtremes(bool(finite), (int(least), int(greatest)), extent, corners)
+        return MeshExtremes(bool(finite), (int(least), int(greatest)), extent, corners, unmoved)
 
 
 def checked_vertices(vertices: Tensor, device: torch.device | None = None, finite: bool | None = None) -> Tensor:

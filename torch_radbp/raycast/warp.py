@@ -98,8 +98,9 @@ class Warp:
         else:
             kernels = loaded("warp_instances", self.vertices.device)
             self._closest, self._any = kernels.closest_of_instances, kernels.any_of_instances
-            self._geometry = shown = kernels.shown_groups(self.vertices, self.faces, instances, self._unit,
-                                                          [] if last is None else last.groups, self._stream())
+            groups = kernels.group_meshes(self.vertices, self.faces, instances, [] if last is None else last.groups,
+                                          known is not None and known.unmoved, self._stream())
+            self._geometry = shown = kernels.shown_groups(groups, instances, self._unit)
             self.groups, self._head = shown.groups, shown.head()
         weakref.finalize(self, release, self._geometry, self._streams).atexit = False
 

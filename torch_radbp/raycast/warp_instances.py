@@ -54,19 +54,14 @@ class ShownGroups(NamedTuple):
         return [nodes, places, lanes_of(self.shown), trees, len(self.trees) - 1]
 
 
-def shown_groups(vertices: Tensor, faces: Tensor, instances: Instances, unit: float, last: Sequence[GroupMesh],
-                 stream: wp.Stream | None) -> ShownGroups:
-    """Builds the trees of a scene with instances; those of groups whose triangles are as they were are taken over.
+def shown_groups(groups: list[GroupMesh], instances: Instances, unit: float) -> ShownGroups:
+    """Builds the tree over the instances of groups.
 
     Args:
-        vertices: (V, 3) of the scene and of its groups.
-        faces: (T, 3) int32, likewise.
-        instances: of the groups.
+        groups: as by `group_meshes`.
+        instances: of these.
         unit: by which the numbers of rays are greater than in the world.
-        last: groups of the caster that this one follows.
-        stream: on which trees are built; None on the CPU.
     """
-    groups = group_meshes(vertices, faces, instances, last, stream)
     corners, to_world = instances.boxes.double() * unit, instances.to_world.double()
     largest = corners.abs().amax((1, 2)) + 2 * unit * to_world[:, :, 3].abs().amax(1)
     wider = ROUNDINGS * torch.finfo(torch.float32).eps * largest[:, None]
@@ -76,7 +71,8 @@ def shown_groups(vertices: Tensor, faces: Tensor, instances: Instances, unit: fl
     counts, firsts = [*instances.first_instance.diff().tolist(), 1], [*instances.first_triangle.tolist()[:-1], 0]
     of_rows = groups if len(groups) == len(counts) else [*groups, groups[0]]
     addresses = [group.tree.id for group in groups] + [0] * (len(counts) - len(groups))
-    tree, first_triangle = _repeated(torch.tensor([*zip(addresses, firsts)], device=vertices.device), counts).unbind(1)
+    tree, first_triangle = (torch.cat([torch.full((count,), number, device=corners.device) for number, count in zip(
+        numbers, counts)]) for numbers in (addresses, firsts))
     units = _repeated(torch.stack([group.unit for group in of_rows])[:, None, None], counts) / unit
     balls = _repeated(torch.stack([group.ball for group in of_rows])[:, None], counts)
     to_world = torch.nn.functional.pad(to_world, (0, 0, 0, 0, 0, 1))
@@ -93,24 +89,33 @@ def _repeated(rows: Tensor, counts: Sequence[int]) -> Tensor:
     return torch.cat([row.expand(count, *row.shape) for row, count in zip(rows, counts)])
 
 
-def group_meshes(vertices: Tensor, faces: Tensor, instances: Instances, last: Sequence[GroupMesh],
+def group_meshes(vertices: Tensor, faces: Tensor, instances: Instances, last: Sequence[GroupMesh], unmoved: bool,
                  stream: wp.Stream | None) -> list[GroupMesh]:
-    """The trees of the groups, and of what no instance shows, if there is such. Args: as for `shown_groups`."""
+    """The trees of the groups, and of what no instance shows, if there is such; of triangles as they were that of `last`.
+
+    Args:
+        vertices: (V, 3) of the scene and of its groups.
+        faces: (T, 3) int32, likewise.
+        instances: of the groups.
+        last: those of the caster that this one follows.
+        unmoved: that their triangles are as they were is known.
+        stream: on which trees are built; None on the CPU.
+    """
     ends = list(zip(instances.first_vertex.tolist(), instances.first_triangle.tolist()))
     spans = [*zip(ends, ends[1:]), *([((0, 0), ends[0])] if ends[0][1] else [])]
     parts = [(vertices[start[0]:end[0]], faces[start[1]:end[1]] - start[0]) for start, end in spans]
-    same = kept_groups(parts, last)
-    return [last[number] if same[number] else new_group(*part, stream) for number, part in enumerate(parts)]
+    same = [True] * len(last) if unmoved else equal_groups(parts, last)
+    return [last[number] if number < len(last) and same[number] else new_group(*part, stream)
+            for number, part in enumerate(parts)]
 
 
-def kept_groups(parts: Sequence[tuple[Tensor, Tensor]], last: Sequence[GroupMesh]) -> list[bool]:
-    """Whether each group has the triangles of the one at its place in `last`, by one question to the device."""
+def equal_groups(parts: Sequence[tuple[Tensor, Tensor]], last: Sequence[GroupMesh]) -> list[bool]:
+    """Whether each group of `last` has the triangles of the part at its place, by one question to the device."""
     alike = [each.vertices.shape == vertices.shape and each.faces.shape == faces.shape
              for each, (vertices, faces) in zip(last, parts)]
-    flags = [((each.vertices == vertices).all() & (each.faces == faces).all())
-             for each, (vertices, faces), asked in zip(last, parts, alike) if asked]
-    found = iter(answered(flags))
-    return [each and bool(next(found)) for each in alike] + [False] * (len(parts) - len(alike))
+    found = iter(answered([((each.vertices == vertices).all() & (each.faces == faces).all())
+                           for each, (vertices, faces), asked in zip(last, parts, alike) if asked]))
+    return [each and bool(next(found)) for each in alike]
 
 
 def new_group(vertices: Tensor, faces: Tensor, stream: wp.Stream | None) -> GroupMesh:
