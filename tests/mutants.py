@@ -117,6 +117,8 @@ MUTANTS = (
     Mutant("raycast/embree.py", "instances.first_instance[:-1] + 1]", "instances.first_instance[:-1]]",
            ("raycast/test_instances.py",)),
     Mutant("raycast/warp.py", "u[lane] = hit.v", "u[lane] = hit.u", ("raycast/test_warp.py",)),
+    Mutant("raycast/warp_instances.py", "wp.where(wp.max(first, second) < end, 1, 0)", "0",
+           ("raycast/test_warp_instances.py",)),
 )
 
 
