@@ -11,7 +11,9 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
+from tests.gradients import unwarned_renderer
 from tests.raycast.meshes import mesh, random_rays
+from tests.scenes import diffuse
 from torch_radbp import raycast
 from torch_radbp.interface.instances import Instances, expanded
 from torch_radbp.raycast import Ray, RayCaster, make_caster
@@ -189,7 +191,7 @@ def test_an_image_and_its_gradients_are_those_by_embree(monkeypatch):
         "type": "scene", "sky": {"type": "constant"},
         "sensor": {"type": "perspective", "fov": 50.0, "film": {"type": "hdrfilm", "width": 24, "height": 24},
                    "to_world": rb.look_at((0.3, 0.5, 5.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0))},
-        "group": {"type": "shapegroup", "cube": {"type": "cube", "bsdf": {"type": "diffuse"}}},
+        "group": {"type": "shapegroup", "cube": {"type": "cube", "bsdf": diffuse(0.1, 0.2, 0.3)}},
         "one": {"type": "instance", "shapegroup": {"type": "ref", "id": "group"}, "to_world": 0.5 * torch.eye(4)
                 + torch.diag(torch.tensor([0.0, 0.0, 0.0, 0.5]))},
         "two": {"type": "instance", "shapegroup": {"type": "ref", "id": "group"}, "to_world": mirrored},
@@ -198,7 +200,7 @@ def test_an_image_and_its_gradients_are_those_by_embree(monkeypatch):
     parameters = [scene.get_parameter(name).requires_grad_() for name in names]
     images, gradients = [], []
     for name in ("embree", "warp"):
-        renderer = rb.Renderer(scene, spp=16, max_depth=4, caster=name, terms=("interior",))
+        renderer = unwarned_renderer(scene, spp=16, max_depth=4, caster=name, terms=("interior",))
         images.append(renderer(seed=3))
         gradients.append(torch.autograd.grad(images[-1].square().sum(), parameters))
     assert images[0].detach().std() > 0.05 and all(each.abs().max() > 1.0 for each in gradients[0])

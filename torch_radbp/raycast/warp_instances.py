@@ -24,7 +24,7 @@ from torch_radbp.transforms import matrix_inverse
 
 wp.set_module_options({"enable_backward": False})
 ROUNDINGS = 4  # of float32: how much wider boxes are, in units of the largest number that is added up for a corner
-ALONG = wp.constant(1e36)  # the inverse of a direction's component that is 0
+LARGE = wp.constant(1e36)  # the most that the inverse of a direction's component is
 ROUNDED_UP = wp.constant(1.0 + 2.0**-21)  # t at which a ray leaves a box is at most so much more than it is computed
 
 
@@ -190,9 +190,11 @@ def next_instance(nodes: wp.array(dtype=wp.vec4), leaves: int, o: wp.vec3, inver
 
 @wp.func
 def inverse_of(d: wp.vec3) -> wp.vec3:
-    """One over the components of a direction."""
-    return wp.vec3(wp.where(d[0] == 0.0, ALONG, 1.0 / d[0]), wp.where(d[1] == 0.0, ALONG, 1.0 / d[1]),
-                   wp.where(d[2] == 0.0, ALONG, 1.0 / d[2]))
+    """One over the components of a direction, finite."""
+    found = wp.vec3()
+    for axis in range(3):
+        found[axis] = wp.where(wp.abs(d[axis]) * LARGE < 1.0, LARGE, 1.0 / d[axis])
+    return found
 
 
 @wp.func
