@@ -15,8 +15,8 @@ from torch_radbp.raycast.warp_rays import FARTHEST
 from torch_radbp.raycast.warp_tree import in_units
 
 wp.set_module_options({"enable_backward": False})
-TOGETHER = 32  # rays that wait for each other
-TURNS = 48  # what comes behind these counts with the last one
+TOGETHER = wp.constant(32)  # rays that wait for each other
+LOOPS, STEPS = 32, 512  # of each ray, and of each loop; what comes behind these counts with the last one
 Stack = wp.types.vector(length=64, dtype=wp.int32)
 
 
@@ -62,21 +62,28 @@ def triangle_at(tree: Flat, prim: int, o: wp.vec3, d: wp.vec3) -> float:
 
 
 @wp.func
-def search(tree: Flat, root: int, o: wp.vec3, d: wp.vec3, end: float, shadow: bool) -> Search:
-    """Looks for the nearest triangle before `end`, or for any, in the order of Warp's `mesh_query_ray`."""
-    stack, depth, node = Stack(), int(0), int(root)  # noqa: UP018 (variables of Warp's, not constants)
+def search(tree: Flat, root: int, o: wp.vec3, d: wp.vec3, end: float, shadow: bool, warp: int, loop: int,
+           waits: wp.array(dtype=int, ndim=4)) -> Search:
+    """Looks for the nearest triangle before `end`, or for any, in the order of Warp's `mesh_query_ray`.
+
+    Others wait while a ray is tested: `waits` has the most of each step of the loop, of boxes and of triangles.
+    """
+    stack, depth, node, step = Stack(), int(0), int(root), int(0)  # noqa: UP018 (variables of Warp's, not constants)
     best, boxes, triangles = float(end), int(0), int(0)  # noqa: UP018
     inverse = inverse_of(d)
     while node >= 0:
         link = tree.links[node]
         onwards = int(-1)  # noqa: UP018
         if link[2] == 1:
+            before = int(triangles)
             for place in range(link[0], link[1]):
                 if not (shadow and best < end):
                     triangles = triangles + 1
                     best = wp.min(best, triangle_at(tree, tree.prims[place], o, d))
+            waits[warp, loop, step, 1] = wp.max(waits[warp, loop, step, 1], triangles - before)
         else:
             boxes = boxes + 2
+            waits[warp, loop, step, 0] = 2
             first, second = box_at(tree, link[0], o, inverse), box_at(tree, link[1], o, inverse)
             if wp.min(first, second) < best:
                 onwards = wp.where(first < second, link[0], link[1])
@@ -87,43 +94,49 @@ def search(tree: Flat, root: int, o: wp.vec3, d: wp.vec3, end: float, shadow: bo
             depth = depth - 1
             onwards = stack[depth]
         node = onwards
+        step = wp.min(step + 1, waits.shape[2] - 1)
     return Search(best, boxes, triangles)
 
 
 @wp.kernel
 def count(tree: Flat, root: int, shadow: bool, o: wp.array(dtype=wp.vec3), d: wp.array(dtype=wp.vec3),
-          tmax: wp.array(dtype=float), counts: wp.array(dtype=int, ndim=3), t: wp.array(dtype=float)):
+          tmax: wp.array(dtype=float), counts: wp.array(dtype=int, ndim=2), waits: wp.array(dtype=int, ndim=4),
+          t: wp.array(dtype=float)):
     """Boxes and triangles of each ray."""
     lane = wp.tid()
     if tmax[lane] > 0.0:
-        found = search(tree, root, o[lane], d[lane], tmax[lane], shadow)
-        counts[lane, 0, 0] = found.boxes
-        counts[lane, 0, 1] = found.triangles
+        found = search(tree, root, o[lane], d[lane], tmax[lane], shadow, lane // TOGETHER, 0, waits)
+        counts[lane, 0] = found.boxes
+        counts[lane, 1] = found.triangles
         t[lane] = found.t
 
 
 @wp.kernel
 def count_in_instances(tree: Flat, nodes: wp.array(dtype=wp.vec4), places: wp.array(dtype=wp.vec4),
                        roots: wp.array(dtype=int), shadow: bool, o: wp.array(dtype=wp.vec3), d: wp.array(dtype=wp.vec3),
-                       tmax: wp.array(dtype=float), counts: wp.array(dtype=int, ndim=3), t: wp.array(dtype=float)):
-    """Boxes, triangles and instances of each ray, in turns of a walk to an instance and a search in it."""
+                       tmax: wp.array(dtype=float), counts: wp.array(dtype=int, ndim=2),
+                       waits: wp.array(dtype=int, ndim=4), t: wp.array(dtype=float)):
+    """Boxes, triangles and instances of each ray, in turns of a search in an instance and a walk to the next one."""
     lane = wp.tid()
     end, met = float(tmax[lane]), bool(False)  # noqa: UP018
     if end > 0.0:
-        leaves, turn, inverse = int(roots.shape[0]) - 1, int(0), inverse_of(d[lane])  # noqa: UP018
+        leaves, loop, inverse = int(roots.shape[0]) - 1, int(0), inverse_of(d[lane])  # noqa: UP018
         leaf, at = int(leaves), Cursor(1, 0)
         while leaf >= 0 and not (shadow and met):
             ray = in_group(places, leaf, o[lane], d[lane])
             if roots[leaf] >= 0 and ray.start < end:
-                found = search(tree, roots[leaf], ray.o, ray.d, (end - ray.start) / ray.per_t, shadow)
-                counts[lane, turn, 0] = counts[lane, turn, 0] + found.boxes
-                counts[lane, turn, 1] = counts[lane, turn, 1] + found.triangles
+                found = search(tree, roots[leaf], ray.o, ray.d, (end - ray.start) / ray.per_t, shadow, lane // TOGETHER,
+                               loop, waits)
+                counts[lane, 0] = counts[lane, 0] + found.boxes
+                counts[lane, 1] = counts[lane, 1] + found.triangles
                 if ray.start + found.t * ray.per_t < end:
                     met = True
                     end = ray.start + found.t * ray.per_t
-            turn = wp.min(turn + 1, counts.shape[1] - 1)
+            step = int(0)  # noqa: UP018
             while at.node > 0 and at.node < leaves:  # as `next_instance`
-                counts[lane, turn, 0] = counts[lane, turn, 0] + 2
+                counts[lane, 0] = counts[lane, 0] + 2
+                waits[lane // TOGETHER, loop + 1, step, 0] = 2
+                step = wp.min(step + 1, waits.shape[2] - 1)
                 first, second = entry(nodes, 2 * at.node, o[lane], inverse), entry(nodes, 2 * at.node + 1, o[lane], inverse)
                 if wp.min(first, second) < end:
                     at = Cursor(2 * at.node + wp.where(second < first, 1, 0),
@@ -132,8 +145,9 @@ def count_in_instances(tree: Flat, nodes: wp.array(dtype=wp.vec4), places: wp.ar
                     at = back(at)
             leaf = at.node - leaves
             if leaf >= 0:
-                counts[lane, turn, 2] = counts[lane, turn, 2] + 1
+                counts[lane, 2] = counts[lane, 2] + 1
             at = back(at)
+            loop = wp.min(loop + 2, waits.shape[1] - 2)
         t[lane] = end
 
 
@@ -143,15 +157,19 @@ class Counts(NamedTuple):
     boxes: float
     triangles: float
     instances: float  # that it is transformed into
-    boxes_together: float  # of rays that wait for each other
+    boxes_together: float  # of rays that wait for each other: sums over steps of what one of them does at the most
     triangles_together: float
 
     @staticmethod
-    def of(counts: Tensor) -> "Counts":
-        """Of (N, turns, 3) boxes, triangles and instances of each ray and turn; others wait in each turn."""
-        lanes = counts[:len(counts) // TOGETHER * TOGETHER] if len(counts) >= TOGETHER else counts
-        most = lanes.unflatten(0, (-1, min(TOGETHER, len(lanes)))).amax(1).sum(1)
-        return Counts(*counts.sum(1).double().mean(0).tolist(), *most[:, :2].double().mean(0).tolist())
+    def of(counts: Tensor, waits: Tensor) -> "Counts":
+        """Of (N, 3) boxes, triangles and instances of each ray, and (W, loops, steps, 2) waits of each `TOGETHER`."""
+        return Counts(*counts.double().mean(0).tolist(), *waits.sum((1, 2)).double().mean(0).tolist())
+
+
+def empty_counts(lanes: int, loops: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Counts, waits and t of some rays, 0."""
+    return (torch.zeros(lanes, 3, dtype=torch.int32), torch.zeros(-(-lanes // TOGETHER), loops, STEPS, 2, dtype=torch.int32),
+            torch.zeros(lanes))
 
 
 def columns_of_query(query: Query, unit: float) -> tuple[Tensor, Tensor, Tensor, bool]:
@@ -173,10 +191,10 @@ def given(tree: FlatTree, corners: Tensor) -> Flat:
 def counted(tree: Flat, root: int, query: Query, unit: float) -> tuple[Counts, Tensor]:
     """Counts for rays in one tree, and t where they end."""
     o, d, tmax, shadow = columns_of_query(query, unit)
-    counts, t = torch.zeros(len(o), 1, 3, dtype=torch.int32), torch.zeros(len(o))
+    counts, waits, t = empty_counts(len(o), 1)
     wp.launch(count, len(o), [tree, root, shadow, *(wp.from_torch(each, dtype=wp.vec3) for each in (o, d)),
-                              *map(wp.from_torch, (tmax, counts, t))], device="cpu")
-    return Counts.of(counts), t
+                              *map(wp.from_torch, (tmax, counts, waits, t))], device="cpu")
+    return Counts.of(counts, waits), t
 
 
 class TwoLevels(NamedTuple):
@@ -204,9 +222,9 @@ class TwoLevels(NamedTuple):
     def counted(self, query: Query) -> tuple[Counts, Tensor]:
         """Counts for rays, and t where they end."""
         o, d, tmax, shadow = columns_of_query(query, self.unit)
-        counts, t = torch.zeros(len(o), TURNS, 3, dtype=torch.int32), torch.zeros(len(o))
+        counts, waits, t = empty_counts(len(o), LOOPS)
         tables = (wp.from_torch(table, dtype=wp.vec4) for table in (self.upper, self.places))
-        wp.launch(count_in_instances, len(o), [
-            self.tree, *tables, wp.from_torch(self.roots), shadow,
-            *(wp.from_torch(each, dtype=wp.vec3) for each in (o, d)), *map(wp.from_torch, (tmax, counts, t))], device="cpu")
-        return Counts.of(counts), t
+        rays = (wp.from_torch(each, dtype=wp.vec3) for each in (o, d))
+        wp.launch(count_in_instances, len(o), [self.tree, *tables, wp.from_torch(self.roots), shadow, *rays,
+                                               *map(wp.from_torch, (tmax, counts, waits, t))], device="cpu")
+        return Counts.of(counts, waits), t
