@@ -5,6 +5,7 @@ On Warp's CPU device, which runs the same kernels.
 
 import math
 from collections.abc import Sequence
+from itertools import accumulate
 
 import pytest
 import torch
@@ -42,10 +43,10 @@ def scene_of(parts: Sequence[tuple[Tensor, Tensor]], poses: Sequence[Tensor], ow
         vertices.append(vertices[-1] + len(points))
         faces.append(faces[-1] + len(corners))
     joined = torch.cat([corners + first for (_, corners), first in zip(parts, vertices)])
-    counts = torch.tensor([0, *map(len, poses)]).cumsum(0)
+    counts = tuple(accumulate(map(len, poses), initial=0))
     around = boxes([points for points, _ in parts[own:]], poses)
     return torch.cat([points for points, _ in parts]), joined, Instances(
-        torch.cat(list(poses)), torch.tensor(vertices[own:]), torch.tensor(faces[own:]), counts, around)
+        torch.cat(list(poses)), tuple(vertices[own:]), tuple(faces[own:]), counts, around)
 
 
 def field(dtype: torch.dtype, own: bool = True) -> tuple[Tensor, Tensor, Instances]:
@@ -135,7 +136,7 @@ def test_groups_are_taken_over_from_the_last_caster_and_instances_are_not(monkey
     moved = instances._replace(to_world=to_world, boxes=instances.boxes + 0.1)
     second = make_caster("warp", vertices, faces, None, moved, first)
     assert [a.tree is b.tree for a, b in zip(first.groups, second.groups)] == [True, True, True, True]
-    vertices[int(instances.first_vertex[1]):int(instances.first_vertex[2])] *= 0.5
+    vertices[slice(*instances.first_vertex[1:3])] *= 0.5
     third = make_caster("warp", vertices, faces, None, moved, second)
     assert [a.tree is b.tree for a, b in zip(second.groups, third.groups)] == [True, False, True, True]
     fresh = make_caster("warp", vertices, faces, None, moved).intersect(ray)
@@ -146,7 +147,7 @@ def test_groups_are_taken_over_from_the_last_caster_and_instances_are_not(monkey
 
 def test_few_triangles_are_copied_and_many_are_not(monkeypatch):
     vertices, faces, instances = field(torch.float32)
-    count = instances.triangles() - int(instances.first_triangle[0])
+    count = instances.shown_triangles()
     for most, kept in ((count, False), (count - 1, True)):
         monkeypatch.setattr(raycast, "MOST_COPIED", most)
         caster = make_caster("warp", vertices, faces, None, instances)

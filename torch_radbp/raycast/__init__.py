@@ -69,7 +69,7 @@ def _new_caster(name: str, vertices: Tensor, faces: Tensor, balls: Balls | None,
     last = last if isinstance(last, caster) else None
     if name == "embree":
         return caster(vertices, faces, balls, instances, last)
-    if name == "warp" and instances.triangles() - int(instances.first_triangle[0]) > MOST_COPIED:
+    if name == "warp" and instances.shown_triangles() > MOST_COPIED:
         return caster(vertices, faces, balls, known, instances, last)
     return ExpandedCaster(partial(caster, balls=balls), vertices, faces, instances)
 

@@ -68,7 +68,7 @@ def shown_groups(groups: list[GroupMesh], instances: Instances, unit: float) -> 
     nodes, order = instance_tree((corners.amin(1) - wider).float(), (corners.amax(1) + wider).float())
 
     # A row for each instance, then one for what none shows: for nobody, if there is no such thing.
-    counts, firsts = [*instances.first_instance.diff().tolist(), 1], [*instances.first_triangle.tolist()[:-1], 0]
+    counts, firsts = [*instances.counts(), 1], [*instances.first_triangle[:-1], 0]
     of_rows = groups if len(groups) == len(counts) else [*groups, groups[0]]
     addresses = [group.tree.id for group in groups] + [0] * (len(counts) - len(groups))
     tree, first_triangle = (torch.cat([torch.full((count,), number, device=corners.device) for number, count in zip(
@@ -101,7 +101,7 @@ def group_meshes(vertices: Tensor, faces: Tensor, instances: Instances, last: Se
         unmoved: that their triangles are as they were is known.
         stream: on which trees are built; None on the CPU.
     """
-    ends = list(zip(instances.first_vertex.tolist(), instances.first_triangle.tolist()))
+    ends = list(zip(instances.first_vertex, instances.first_triangle))
     spans = [*zip(ends, ends[1:]), *([((0, 0), ends[0])] if ends[0][1] else [])]
     parts = [(vertices[start[0]:end[0]], faces[start[1]:end[1]] - start[0]) for start, end in spans]
     same = [True] * len(last) if unmoved else equal_groups(parts, last)

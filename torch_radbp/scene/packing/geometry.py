@@ -186,18 +186,17 @@ def casting_of(poses: Tensor, counts: tuple[int, ...], members: tuple[int, ...],
         vertices: (V, 3) of all shapes, those of groups last.
         faces: (F, 3) likewise.
     """
-    outside_groups, host = len(vertices) - sum(members), torch.device("cpu")
+    outside_groups = len(vertices) - sum(members)
 
-    def firsts(sizes: list[int]) -> Tensor:
+    def firsts(sizes: list[int]) -> tuple[int, ...]:
         in_groups = iter(sizes[outside_groups:])
         sums = [sum(itertools.islice(in_groups, count)) for count in members]
-        return torch.tensor(list(itertools.accumulate(sums, initial=sum(sizes[:outside_groups]))), device=host)
+        return tuple(itertools.accumulate(sums, initial=sum(sizes[:outside_groups])))
 
     to_world, in_groups = poses[:, :3].contiguous(), iter(vertices[outside_groups:])
     points = [torch.cat(list(itertools.islice(in_groups, count))) for count in members]
     return Instances(to_world, firsts(list(map(len, vertices))), firsts(list(map(len, faces))),
-                     torch.tensor(list(itertools.accumulate(counts, initial=0)), device=host),
-                     boxes(points, to_world.split(counts)))
+                     tuple(itertools.accumulate(counts, initial=0)), boxes(points, to_world.split(counts)))
 
 
 def balls_among(balls: Sequence[Ball | None], counts: Sequence[int], device: torch.device) -> Balls | None:
