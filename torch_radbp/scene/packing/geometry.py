@@ -167,7 +167,12 @@ def shown_instances(cache: PackCache, groups: Sequence[Sequence[Instance]], shap
                                 for instances in groups for instance in instances), dtype)
     casting = cache(casting_of, cache.frozen("poses of instances", poses), tuple(map(len, groups)), tuple(members),
                    tuple(shape.vertices for shape in shapes), tuple(shape.faces for shape in shapes))
-    return cache(instance_table, poses, normals, casting, numbers)
+    return cache(instance_table, poses, normals, casting, cache(_instance_numbers, numbers, device))
+
+
+def _instance_numbers(numbers: tuple[int, ...], device: torch.device) -> Tensor:
+    """`InstanceTable.number` of instances with these numbers."""
+    return torch.tensor((0, *numbers), dtype=torch.int32, device=device)
 
 
 def _stacked(poses: tuple[Tensor, ...], dtype: torch.dtype) -> Tensor:
