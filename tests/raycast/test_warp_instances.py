@@ -4,6 +4,7 @@ On Warp's CPU device, which runs the same kernels.
 """
 
 import math
+import pickle
 from collections.abc import Sequence
 from itertools import accumulate
 
@@ -64,7 +65,7 @@ def casters(vertices: Tensor, faces: Tensor, instances: Instances, monkeypatch) 
     copies = make_caster("warp", vertices, faces, None, instances)
     monkeypatch.setattr(raycast, "MOST_COPIED", 0)
     groups = make_caster("warp", vertices, faces, None, instances)
-    assert isinstance(copies, ExpandedCaster) and groups.recorded_as[-1] == "closest_of_instances"
+    assert isinstance(copies, ExpandedCaster) and groups.recorded_as[-1] == "closest_of_groups"
     return groups, copies
 
 
@@ -142,6 +143,7 @@ def test_groups_are_taken_over_from_the_last_caster_and_instances_are_not(monkey
     fresh = make_caster("warp", vertices, faces, None, moved).intersect(ray)
     del second
     assert all(torch.equal(a, b) for a, b in zip(third.intersect(ray), fresh))
+    assert all(torch.equal(a, b) for a, b in zip(pickle.loads(pickle.dumps(third)).intersect(ray), fresh))
     assert not torch.equal(before.t, fresh.t) and all(torch.equal(a, b) for a, b in zip(before, first.intersect(ray)))
 
 
@@ -209,7 +211,7 @@ def test_an_image_and_its_gradients_are_those_by_embree(monkeypatch):
     for one, other in zip(*gradients):
         torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-3 * float(one.abs().max()))
     first = renderer.last_caster
-    assert first.recorded_as[-1] == "closest_of_instances"
+    assert first.recorded_as[-1] == "closest_of_groups"
     with torch.no_grad():
         scene.two.to_world[2, 3] += 0.5
         renderer(seed=0)

@@ -97,7 +97,7 @@ class Warp:
             self._closest, self._any = tree_kernels(self.vertices.device)
         else:
             kernels = loaded("warp_instances", self.vertices.device)
-            self._closest, self._any = kernels.closest_of_instances, kernels.any_of_instances
+            self._closest, self._any = kernels.closest_of_groups, kernels.any_of_groups
             groups = kernels.group_meshes(self.vertices, self.faces, instances, [] if last is None else last.groups,
                                           known is not None and known.unmoved, self._stream())
             self._geometry = shown = kernels.shown_groups(groups, instances, self._unit)

@@ -150,7 +150,7 @@ class GroupRay:
 
 
 @wp.func
-def entry(nodes: wp.array(dtype=wp.vec4), node: int, o: wp.vec3, inverse: wp.vec3) -> float:
+def box_entry(nodes: wp.array(dtype=wp.vec4), node: int, o: wp.vec3, inverse: wp.vec3) -> float:
     """t >= 0 at which a ray enters the box of a node; `FARTHEST` if it does not."""
     lower, upper = four_of(nodes, 2 * node), four_of(nodes, 2 * node + 1)
     near, far = float(0.0), float(FARTHEST)  # noqa: UP018 (variables of Warp's, not constants)
@@ -179,7 +179,7 @@ def next_instance(nodes: wp.array(dtype=wp.vec4), leaves: int, o: wp.vec3, inver
     """Goes on to a leaf whose box the ray enters before `end`, the nearer one of two neighbours first."""
     at = Cursor(cursor.node, cursor.pending)
     while at.node > 0 and at.node < leaves:
-        first, second = entry(nodes, 2 * at.node, o, inverse), entry(nodes, 2 * at.node + 1, o, inverse)
+        first, second = box_entry(nodes, 2 * at.node, o, inverse), box_entry(nodes, 2 * at.node + 1, o, inverse)
         if wp.min(first, second) < end:
             at = Cursor(2 * at.node + wp.where(second < first, 1, 0),
                         2 * at.pending + wp.where(wp.max(first, second) < end, 1, 0))
@@ -204,10 +204,10 @@ def in_group(places: wp.array(dtype=wp.vec4), leaf: int, o: wp.vec3, d: wp.vec3)
     ball = four_of(places, 4 * leaf + 3)
     off = o - wp.vec3(x[3], y[3], z[3])
     found = GroupRay()
-    found.d = wp.vec3(along(x, d), along(y, d), along(z, d))
+    found.d = wp.vec3(row_product(x, d), row_product(y, d), row_product(z, d))
     factor = factor_of(found.d)
     found.d = found.d * factor
-    found.o = wp.vec3(along(x, off), along(y, off), along(z, off))
+    found.o = wp.vec3(row_product(x, off), row_product(y, off), row_product(z, off))
     length = wp.length(found.d)
     start = wp.max((wp.dot(wp.vec3(ball[0], ball[1], ball[2]) - found.o, found.d) / length - ball[3]) / length, 0.0)
     found.o = found.o + start * found.d
@@ -217,13 +217,13 @@ def in_group(places: wp.array(dtype=wp.vec4), leaf: int, o: wp.vec3, d: wp.vec3)
 
 
 @wp.func
-def along(row: wp.vec4, v: wp.vec3) -> float:
+def row_product(row: wp.vec4, v: wp.vec3) -> float:
     """The product of a row of a matrix and a vector."""
     return row[0] * v[0] + row[1] * v[1] + row[2] * v[2]
 
 
 @wp.kernel
-def closest_of_instances(nodes: wp.array(dtype=wp.vec4), places: wp.array(dtype=wp.vec4), shown: wp.array(dtype=int),
+def closest_of_groups(nodes: wp.array(dtype=wp.vec4), places: wp.array(dtype=wp.vec4), shown: wp.array(dtype=int),
                          trees: wp.array(dtype=wp.uint64), leaves: int, unit: float,
                          last: wp.array(dtype=wp.int64), rays: wp.array(dtype=wp.int64),
                          ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
@@ -261,7 +261,7 @@ def closest_of_instances(nodes: wp.array(dtype=wp.vec4), places: wp.array(dtype=
 
 
 @wp.kernel
-def any_of_instances(nodes: wp.array(dtype=wp.vec4), places: wp.array(dtype=wp.vec4), shown: wp.array(dtype=int),
+def any_of_groups(nodes: wp.array(dtype=wp.vec4), places: wp.array(dtype=wp.vec4), shown: wp.array(dtype=int),
                      trees: wp.array(dtype=wp.uint64), leaves: int, unit: float,
                      last: wp.array(dtype=wp.int64), rays: wp.array(dtype=wp.int64),
                      ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
