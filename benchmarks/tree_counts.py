@@ -137,7 +137,8 @@ def count_in_instances(tree: Flat, nodes: wp.array(dtype=wp.vec4), places: wp.ar
                 counts[lane, 0] = counts[lane, 0] + 2
                 waits[lane // TOGETHER, loop + 1, step, 0] = 2
                 step = wp.min(step + 1, waits.shape[2] - 1)
-                first, second = box_entry(nodes, 2 * at.node, o[lane], inverse), box_entry(nodes, 2 * at.node + 1, o[lane], inverse)
+                first = box_entry(nodes, 2 * at.node, o[lane], inverse)
+                second = box_entry(nodes, 2 * at.node + 1, o[lane], inverse)
                 if wp.min(first, second) < end:
                     at = Cursor(2 * at.node + wp.where(second < first, 1, 0),
                                 2 * at.pending + wp.where(wp.max(first, second) < end, 1, 0))
