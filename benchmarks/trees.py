@@ -116,6 +116,7 @@ def main() -> None:
     parser.add_argument("--resolution", type=int, default=RESOLUTION, help="pixels along a side")
     parser.add_argument("--instances", type=int, help="count in a field of so many instances instead")
     parser.add_argument("--triangles", type=int, default=1000, help="of each")
+    parser.add_argument("--larger", type=float, default=1.0, help="so many times larger: from 2 on they pierce each other")
     parser.add_argument("--memory", action="store_true", help="measure what the trees of such a field take instead")
     options = parser.parse_args()
     if options.memory:
@@ -125,7 +126,7 @@ def main() -> None:
             process.start()
             process.join()
     elif options.instances:
-        scene = field_of(options.instances, options.triangles, options.resolution)
+        scene = field_of(options.instances, options.triangles, options.resolution, options.larger)
         print("\n".join(rows_of_field(scene, options.resolution, [("lbvh", 4), ("lbvh", 1)])))
     else:
         for name in options.scene or list(SCENES)[1:]:  # of few triangles each ray tries all

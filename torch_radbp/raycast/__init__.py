@@ -24,7 +24,9 @@ CASTERS = {"embree": "Embree", "direct": "DirectCaster", "brute": "Brute", "warp
 FEW_TESTS = 230
 FEW_BALLS = 128  # likewise; of incoherent rays, 256 take half of the time that a tree of their triangles does
 
-MOST_COPIED = 1 << 18  # triangles that instances show, each counted, up to which Warp has copies of them in one tree
+# Triangles that instances show, each counted, up to which Warp has copies of them in one tree, at 119 bytes each. Where things
+# lie scattered two levels have fewer boxes to test, where they pierce each other more (`python -m benchmarks.trees`).
+MOST_COPIED = 1 << 18
 
 
 def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls | None = None,
