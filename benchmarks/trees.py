@@ -16,7 +16,9 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
+import tempfile
 from collections.abc import Sequence
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -26,6 +28,7 @@ from benchmarks.instances import field_of
 from benchmarks.lbvh import tree_of
 from benchmarks.rays import SCENES, Query, Recorder, recorded
 from benchmarks.resident import MIB, give_back, peak_of, resident
+from benchmarks.scenes import ALL, QUICK
 from benchmarks.tree_counts import TOGETHER, Counts, TwoLevels, counted, given
 from torch_radbp import raycast
 from torch_radbp.interface.instances import expanded
@@ -35,6 +38,7 @@ from torch_radbp.rendering.cast_triangles import cast_triangles
 from torch_radbp.scene.packing.pack import pack
 
 RESOLUTION = 64
+COUNTED = ["metal-mesh", "million", "room", "material-room"]
 TREES = [(constructor, leaf_size) for constructor in ("lbvh", "sah", "cubql") for leaf_size in (4, 1, 8)]
 
 
@@ -61,9 +65,17 @@ def header(kinds: Sequence[str], instances: bool) -> str:
             f"|---|---|{'---|' * len(kinds)}")
 
 
+def scene_of(name: str, resolution: int) -> rb.Scene:
+    """A scene of `benchmarks.rays` or of the benchmarks."""
+    if name in SCENES:
+        return SCENES[name](resolution)
+    with tempfile.TemporaryDirectory() as folder:
+        return ALL[name].make(Path(folder), QUICK._replace(resolution=resolution)).load()
+
+
 def rows_of_scene(name: str, resolution: int, trees: Sequence[tuple[str, int]]) -> list[str]:
-    """The table of a scene of `benchmarks.rays`."""
-    recorder = recorded(SCENES[name](resolution), resolution)
+    """The table of a scene."""
+    recorder = recorded(scene_of(name, resolution), resolution)
     queries = queries_of(recorder)
     return [header(list(queries), False), *rows_of_copies(recorder.vertices, recorder.faces, queries, trees, False)]
 
@@ -112,7 +124,7 @@ def report_memory(instances: int, triangles: int, copied: bool) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", choices=list(SCENES), action="append", help="default: all but the Cornell box")
+    parser.add_argument("--scene", choices=[*SCENES, *ALL], nargs="+", default=COUNTED)
     parser.add_argument("--resolution", type=int, default=RESOLUTION, help="pixels along a side")
     parser.add_argument("--instances", type=int, help="count in a field of so many instances instead")
     parser.add_argument("--triangles", type=int, default=1000, help="of each")
@@ -129,7 +141,7 @@ def main() -> None:
         scene = field_of(options.instances, options.triangles, options.resolution, options.larger)
         print("\n".join(rows_of_field(scene, options.resolution, [("lbvh", 4), ("lbvh", 1)])))
     else:
-        for name in options.scene or list(SCENES)[1:]:  # of few triangles each ray tries all
+        for name in options.scene:
             print(f"{name}\n" + "\n".join(rows_of_scene(name, options.resolution, TREES)), flush=True)
 
 

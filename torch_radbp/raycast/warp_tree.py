@@ -9,8 +9,8 @@ import warp as wp
 from torch import Tensor
 
 # Triangles in a leaf. 32 rays that wait for each other test the triangles of all leaves that one of them comes to at a time:
-# by leaves of 1, where Warp has 4, a third of the triangles, and a sixth more boxes (`python -m benchmarks.trees`). On GPUs
-# its trees take the same memory, but of three times as many nodes.
+# by leaves of 1, where Warp has 4, a half to a third of the triangles, and a tenth to a fourth more boxes (`python -m
+# benchmarks.trees`). On GPUs its trees take the same memory, but of three times as many nodes.
 LEAF = 1
 WIDER = 2.0**-20  # how much wider boxes are, in units of the mesh's extent: enough for rays from 8 extents away
 
