@@ -24,7 +24,7 @@ CASTERS = {"embree": "Embree", "direct": "DirectCaster", "brute": "Brute", "warp
 FEW_TESTS = 230
 FEW_BALLS = 128  # likewise; of incoherent rays, 256 take half of the time that a tree of their triangles does
 
-# Triangles that instances show, each counted, up to which Warp has copies of them in one tree, at 119 bytes each. Scattered
+# Triangles that instances show, each counted, up to which Warp has copies of them in one tree, at 174 bytes each. Scattered
 # things are found by fewer boxes in two levels, such that pierce each other by more (`python -m benchmarks.trees`).
 MOST_COPIED = 1 << 18
 

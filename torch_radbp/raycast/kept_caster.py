@@ -43,6 +43,7 @@ def same_mesh(mesh: CastTriangles, other: CastTriangles) -> tuple[bool, MeshExtr
     if flags is None or not any(flags):
         return flags is not None, None
     vertices, faces, _, instances = other.stacked()
-    triangles, poses = (torch.stack(each).all() if each else torch.ones((), device=faces.device) for each in flags)
-    found = answered([triangles, poses, *MeshExtremes.asked_of(vertices, faces, instances)])
-    return bool(found[0] and found[1]), MeshExtremes.of(found[2:], bool(found[0]))
+    asked = [torch.stack(each).all() for each in flags if each]
+    found = answered([*asked, *MeshExtremes.asked_of(vertices, faces, instances)])
+    unmoved = not flags[0] or bool(found[0])
+    return all(found[:len(asked)]), MeshExtremes.of(found[len(asked):], unmoved)
