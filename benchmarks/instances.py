@@ -40,8 +40,8 @@ def write_stone(path: Path, triangles: int) -> None:
     trimesh.Trimesh(ball.vertices * bumps[:, None], ball.faces, process=False).export(path)
 
 
-def field(stone: Path, instances: int, size: int, spp: int) -> dict[str, Any]:
-    """The scene in Mitsuba's vocabulary; transforms are arrays."""
+def field(stone: Path, instances: int, size: int, spp: int, larger: float = 1.0) -> dict[str, Any]:
+    """The scene in Mitsuba's vocabulary, with stones so many times larger; transforms are arrays."""
     random, side = np.random.default_rng(0), int(np.ceil(instances**0.5))
     scene: dict[str, Any] = {
         "type": "scene", "integrator": {"type": "path", "max_depth": DEPTH, "rr_depth": 100},
@@ -58,9 +58,17 @@ def field(stone: Path, instances: int, size: int, spp: int) -> dict[str, Any]:
             "type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.6, 0.55]}}}}}
     for number in range(instances):
         at = np.array([number % side, number // side, 0.3]) - [side / 2, side / 2, 0] + random.uniform(-0.3, 0.3, 3)
-        pose = translate(at) @ rotate(random.normal(size=3), random.uniform(0, 360)) @ scale(random.uniform(0.2, 0.5, 3))
+        turned = rotate(random.normal(size=3), random.uniform(0, 360))
+        pose = translate(at) @ turned @ scale(larger * random.uniform(0.2, 0.5, 3))
         scene[f"stone_{number}"] = {"type": "instance", "to_world": pose, "shapegroup": {"type": "ref", "id": "group"}}
     return scene
+
+
+def field_of(instances: int, triangles: int, resolution: int, larger: float = 1.0) -> rb.Scene:
+    """The field as a scene, with a sample for each pixel."""
+    with tempfile.TemporaryDirectory() as folder:
+        write_stone(Path(folder) / "stone.ply", triangles)
+        return rb.load_dict(field(Path(folder) / "stone.ply", instances, resolution, 1, larger))
 
 
 def report(name: str, doing: Callable[[], Any], before: int) -> Any:

@@ -32,6 +32,7 @@ import torch
 import warp as wp
 
 import torch_radbp as rb
+from benchmarks.instances import field_of
 from benchmarks.peers import PRB, change
 from benchmarks.scenes import ALL, QUICK, SCENES
 from tests.gradients import cotangent
@@ -144,7 +145,8 @@ def passes(device: Card, renderer: rb.Renderer, parameters: Sequence[str]) -> Pa
     def changed(seed: int) -> None:
         with torch.no_grad():
             for name in parameters:
-                renderer.scene.get_parameter(name).mul_(change(seed))
+                value = renderer.scene.get_parameter(name)
+                (value[:3] if name.endswith("to_world") else value).mul_(change(seed))
 
     def both(counted: Callable[[Callable[[], object]], Counter]) -> Passes:
         held = []
@@ -216,10 +218,11 @@ def driven_of_rarer(name: str) -> list[Driven]:
 
 
 # Scenes that bounces do more for: boundaries of media that are passed, media that vary in space, and networks as textures;
-# and one of few triangles, some of which move, in the light of a surface.
+# a pose among instances that together have many triangles; and few triangles, some of which move, in the light of a surface.
 RARER = {"boundaries": (media.room, ["ball.interior.sigma_t.value.value"]),
          "smoke": (lambda: smoke.room(smoke.varied(3)), ["box.interior.sigma_t.data"]),
          "networks": (networks.room, [f"{name}.bsdf.reflectance.module.0.weight" for name in ("floor", "wall", "box")]),
+         "moving instances": (lambda: field_of(27, 10_000, QUICK.resolution), ["stone_0.to_world"]),
          "moving box": (lambda: closed_box({"type": "diffuse"}), ["thing.vertex_positions"])}
 HEADER = f"""| scene | pass | a bounce: {' | '.join(COUNTED)} | a call: {' | '.join(COUNTED)} |
 |{'---|' * (2 + 2 * len(COUNTED))}"""

@@ -114,9 +114,11 @@ MUTANTS = (
     Mutant("raycast/every_ball.py", "[code.dot(row, rays.d) for row in rows]", "rays.d", ("raycast/test_ball.py",)),
     Mutant("raycast/runs.py", ":3].norm(dim=2)", ":3].norm(dim=1)", ("raycast/test_ball.py",)),
     Mutant("raycast/refined.py", " + matrices[..., None, :, 3]", "", ("raycast/test_instances.py",)),
-    Mutant("raycast/embree.py", "instances.first_instance[:-1] + 1]", "instances.first_instance[:-1]]",
+    Mutant("raycast/embree.py", "first + 1 for first in", "first for first in",
            ("raycast/test_instances.py",)),
     Mutant("raycast/warp.py", "u[lane] = hit.v", "u[lane] = hit.u", ("raycast/test_warp.py",)),
+    Mutant("raycast/warp_instances.py", "wp.where(wp.max(first, second) < end, 1, 0)", "0",
+           ("raycast/test_warp_instances.py",)),
 )
 
 

@@ -41,6 +41,13 @@ def test_a_scene_of_few_triangles_that_move_waits_three_times():
     assert (forward.of_call["waits"], backward.of_call["waits"]) == (3, 1)
 
 
+def test_poses_of_instances_move_without_new_trees_of_their_groups():
+    """The host waits for whether poses are as they were, before the tree over them is built, and in the end."""
+    forward, backward = launches.driven_of_rarer("moving instances")
+    assert forward.of_bounce["waits"] == backward.of_bounce["waits"] == forward.of_bounce["sent"] == 0
+    assert (forward.of_call["waits"], forward.of_call["sent"], backward.of_call["waits"]) == (3, 0, 1)
+
+
 def test_what_the_host_does_between_bounces_is_found(monkeypatch):
     """A bounce that is not recorded is driven from Python, and waits for numbers of lanes."""
     monkeypatch.setattr("torch_radbp.path.taped_bounces.recordable", lambda integrand: False)

@@ -1,5 +1,7 @@
 """Casters find triangles that instances show, and which instance."""
 
+from itertools import pairwise
+
 import pytest
 import torch
 
@@ -25,7 +27,7 @@ def things(dtype: torch.dtype = torch.float32, own: bool = True) -> tuple[torch.
     to_world = (0.4 * torch.randn(7, 3, 4, generator=generator)).to(dtype)
     around = boxes([points for points, _ in parts[-2:]], to_world.split([3, 4]))
     return torch.cat([points for points, _ in parts]), torch.cat(faces), Instances(
-        to_world, torch.tensor(corners[-3:]), torch.tensor(triangles[-3:]), torch.tensor([0, 3, 7]), around)
+        to_world, tuple(corners[-3:]), tuple(triangles[-3:]), (0, 3, 7), around)
 
 
 def both(own: bool, dtype: torch.dtype) -> tuple[RayCaster, RayCaster]:
@@ -74,7 +76,7 @@ def test_groups_are_taken_over_from_the_last_caster():
     first = make_caster("embree", vertices, faces, None, instances)
     moved = make_caster("embree", vertices, faces, None, instances._replace(to_world=instances.to_world + 0.1), first)
     assert [a.tree is b.tree for a, b in zip(first.groups, moved.groups)] == [True, True]
-    vertices[int(instances.first_vertex[1]):] *= 1.5  # the second group
+    vertices[instances.first_vertex[1]:] *= 1.5  # the second group
     other = make_caster("embree", vertices, faces, None, instances, first)
     assert [a.tree is b.tree for a, b in zip(first.groups, other.groups)] == [True, False]
     ray = random_rays(1000)
@@ -86,7 +88,7 @@ def test_groups_are_taken_over_from_the_last_caster():
 def test_expanded_triangles_are_few_if_only_some_are_wanted():
     vertices, faces, instances = things()
     whole, some = expanded(vertices, faces, instances), expanded(vertices, faces, instances, 500)
-    ball, soup = instances.first_triangle.diff().tolist()
+    ball, soup = (end - start for start, end in pairwise(instances.first_triangle))
     assert len(whole.faces) == instances.triangles() == 12 + 3 * ball + 4 * soup
     assert (ball, soup) == (320, 200)
     assert len(some.faces) == 12 + 2 * ball + 2 * soup and set(some.instance.tolist()) == {0, 1, 3, 4, 6}

@@ -13,7 +13,8 @@ from torch_radbp.raycast import Ray, make_caster
 from torch_radbp.scene.packing.pack import pack
 from torch_radbp.tensors.vec import Vec3
 
-pytest.importorskip("warp")
+warp = pytest.importorskip("warp")
+module_of_caster = importlib.import_module("torch_radbp.raycast.warp")
 warp_few = importlib.import_module("torch_radbp.raycast.warp_few")
 
 
@@ -130,6 +131,18 @@ def test_geometry_that_stays_keeps_its_tree_and_geometry_that_moves_gets_one():
     assert renderer.last_caster is not first
     ray = random_rays(100)
     assert not torch.equal(first.intersect(ray).t, renderer.last_caster.intersect(ray).t)
+
+
+@pytest.mark.parametrize("name", ["warp", "warp_few", "warp_instances"])
+def test_kernels_are_compiled_for_gpus(name, tmp_path):
+    """By NVIDIA's compiler, which Warp brings along, and which needs no GPU."""
+    module = importlib.import_module(f"torch_radbp.raycast.{name}")
+    try:
+        with module_of_caster.silent():
+            file, = warp.compile_aot_module(module, arch=90, module_dir=tmp_path, use_ptx=True)
+    except RuntimeError as error:
+        pytest.skip(f"Warp has no compiler for GPUs here: {error}")
+    assert file.read_text().count(".entry") == 2
 
 
 def test_many_casters_come_and_go():

@@ -22,6 +22,7 @@ from tests.scenes import CASES, cornell, load, media, overhead, rectangle, rgb, 
 from tests.scenes.closed_box import closed_box
 from tests.scenes.mirrors import BALL, CUBE, MIRROR, SKY, VIEWED
 from tests.scenes.networks import lit_room, room
+from torch_radbp import raycast
 from torch_radbp.adjoint.function import RenderFunction
 from torch_radbp.jit.nvidia.gpu import Gpu
 from torch_radbp.jit.run import LaneFunction
@@ -73,6 +74,11 @@ def test_so_they_have_with_other_settings(settings, gpu, monkeypatch):
     found = assert_same_bits(lambda: SCENES["two sides"](torch.float32), gpu, monkeypatch, **settings)
     assert found >= 2 * settings.get("max_depth", SMALL["max_depth"])
 
+
+
+def test_so_they_have_where_groups_have_trees_of_their_own(gpu, monkeypatch):
+    monkeypatch.setattr(raycast, "MOST_COPIED", 0)
+    assert_same_bits(lambda: SCENES["instances and balls"](torch.float32), gpu, monkeypatch)
 
 
 def test_paths_that_are_asked_for_only_now_and_then_are_those_that_go_on(gpu, monkeypatch):

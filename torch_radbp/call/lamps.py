@@ -92,7 +92,7 @@ def surrounding(scene: SceneTensors, light_paths: str) -> Surrounding:
     points = scene.triangles.vertices.p.map(torch.Tensor.detach)
     instances = scene.triangles.casting_instances
     if instances is not None:
-        own, boxes = int(instances.first_vertex[0]), Vec3.of(instances.boxes.flatten(0, 1))
+        own, boxes = instances.first_vertex[0], Vec3.of(instances.boxes.flatten(0, 1))
         points = Vec3(*(torch.cat([vertices[:own], corners]) for vertices, corners in zip(points, boxes)))
     extremes = [part.aminmax() for part in points]
     largest = torch.stack([torch.maximum(-least, most) for least, most in extremes]).max()

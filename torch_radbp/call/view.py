@@ -98,6 +98,6 @@ def reaches_beyond(cache: PackCache, vertices: Vec3, instances: Instances | None
     rendering."""
     points = vertices.detach()
     if instances is not None:
-        own, boxes = int(instances.first_vertex[0]), Vec3.of(instances.boxes.flatten(0, 1))
+        own, boxes = instances.first_vertex[0], Vec3.of(instances.boxes.flatten(0, 1))
         points = Vec3(*(torch.cat([own_vertices[:own], corners]) for own_vertices, corners in zip(points, boxes)))
     return presumed(detached(camera).beyond_far_plane(points).any(), last)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch
@@ -16,9 +17,9 @@ class Instances(NamedTuple):
     """
 
     to_world: Tensor  # (I, 3, 4) the upper rows of affine transforms from the group's frame
-    first_vertex: Tensor  # (G + 1,) int64; the end of each group is the beginning of the next one
-    first_triangle: Tensor  # (G + 1,) int64
-    first_instance: Tensor  # (G + 1,) int64
+    first_vertex: tuple[int, ...]  # G + 1; the end of each group is the beginning of the next one
+    first_triangle: tuple[int, ...]  # G + 1
+    first_instance: tuple[int, ...]  # G + 1
     boxes: Tensor  # (I, 8, 3) corners of a box around each instance, world space
 
     def by_hit(self, dtype: torch.dtype) -> Tensor:
@@ -28,13 +29,20 @@ class Instances(NamedTuple):
 
     def extent(self, vertices: Tensor) -> Tensor:
         """() the longest side of the scene's bounding box; `vertices` (V, 3) are those of the scene and of all groups."""
-        corners = torch.cat([vertices[:int(self.first_vertex[0])], self.boxes.reshape(-1, 3).to(vertices)])
+        corners = torch.cat([vertices[:self.first_vertex[0]], self.boxes.reshape(-1, 3).to(vertices)])
         return (corners.amax(0) - corners.amin(0)).max()
+
+    def counts(self) -> list[int]:
+        """The number of instances of each group."""
+        return [end - start for start, end in pairwise(self.first_instance)]
+
+    def shown_triangles(self) -> int:
+        """The number of triangles that instances show, those of every instance counted."""
+        return sum((end - start) * count for (start, end), count in zip(pairwise(self.first_triangle), self.counts()))
 
     def triangles(self) -> int:
         """The number of triangles with those of every instance counted."""
-        sizes, counts = self.first_triangle.diff(), self.first_instance.diff()
-        return int(self.first_triangle[0] + (sizes * counts).sum())
+        return self.first_triangle[0] + self.shown_triangles()
 
 
 class Expanded(NamedTuple):
@@ -56,7 +64,7 @@ def expanded(vertices: Tensor, faces: Tensor, instances: Instances, most: int | 
         most: number of triangles of each group to stop at, after whole instances spread over all of them, at least one;
             None: all.
     """
-    vertex, triangle, instance = (first.tolist() for first in instances[1:4])
+    vertex, triangle, instance = instances[1:4]
     device = faces.device
     points, corners = [vertices[:vertex[0]]], [faces[:triangle[0]].to(torch.int32)]
     of, shown, count = [torch.arange(triangle[0], device=device)], [torch.zeros(triangle[0], device=device)], vertex[0]

@@ -24,6 +24,10 @@ CASTERS = {"embree": "Embree", "direct": "DirectCaster", "brute": "Brute", "warp
 FEW_TESTS = 230
 FEW_BALLS = 128  # likewise; of incoherent rays, 256 take half of the time that a tree of their triangles does
 
+# Triangles that instances show, each counted, up to which Warp has copies of them in one tree, at 174 bytes each. Scattered
+# things are found by fewer boxes in two levels, such that pierce each other by more (`python -m benchmarks.trees`).
+MOST_COPIED = 1 << 18
+
 
 def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls | None = None,
                 instances: Instances | None = None, last: RayCaster | None = None,
@@ -36,8 +40,8 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls 
         vertices: (V, 3) float32 or float64, finite.
         faces: (F, 3) int32, counted from 0.
         balls: which of the triangles are tessellated spheres, found faster; None: none are known.
-        instances: of groups, whose triangles come last and are seen only there; None: there are none. Only "embree" keeps
-            the triangles of a group once.
+        instances: of groups, whose triangles come last and are seen only there; None: there are none. The triangles of a
+            group are kept once by "embree", and by "warp" where copies were many.
         last: a caster whose parts the new one may take over; None: none.
         known: of the mesh, if its device has been asked already.
 
@@ -64,8 +68,11 @@ def _new_caster(name: str, vertices: Tensor, faces: Tensor, balls: Balls | None,
     caster = getattr(importlib.import_module(f"torch_radbp.raycast.{name}"), CASTERS[name])
     if instances is None:
         return caster(vertices, faces, balls, known) if name == "warp" else caster(vertices, faces, balls)
+    last = last if isinstance(last, caster) else None
     if name == "embree":
-        return caster(vertices, faces, balls, instances, last if isinstance(last, caster) else None)
+        return caster(vertices, faces, balls, instances, last)
+    if name == "warp" and instances.shown_triangles() > MOST_COPIED:
+        return caster(vertices, faces, balls, known, instances, last)
     return ExpandedCaster(partial(caster, balls=balls), vertices, faces, instances)
 
 

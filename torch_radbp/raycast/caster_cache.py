@@ -28,17 +28,30 @@ class CastTriangles(NamedTuple):
         mine, others = ((mesh.balls, mesh.instances, *mesh.corners, *mesh.made_of) for mesh in (self, other))
         return bool(self.made_of) and len(mine) == len(others) and all(map(operator.is_, mine, others))
 
-    def compared(self, other: CastTriangles) -> list[Tensor] | None:
-        """Flags, () bool each, that say whether the other record has the same triangles; None: it does not."""
-        mine, others = ((*mesh.p, *mesh.corners, *(mesh.balls or ()), *(mesh.instances or ())) for mesh in (self, other))
-        if len(mine) != len(others) or not all(map(of_one_kind, mine, others)):
-            return None
-        return [(a == b).all() for a, b in zip(mine, others) if a.data_ptr() != b.data_ptr()]
+    def compared(self, other: CastTriangles) -> tuple[list[Tensor], list[Tensor]] | None:
+        """Flags, () bool each, that say whether the other record has the same triangles, in groups as they lie there, and
+        the same instances of these; None: it has not."""
+        flags = []
+        for mine, others in zip(self.columns(), other.columns()):
+            if len(mine) != len(others) or not all(map(of_one_kind, mine, others)):
+                return None
+            flags.append([(a == b).all() for a, b in zip(mine, others) if a.data_ptr() != b.data_ptr()])
+        return (flags[0], flags[1]) if self.groups() == other.groups() else None
 
     def equals(self, other: CastTriangles) -> bool:
         """True if the other record has the same triangles."""
-        mine, others = ((*mesh.p, *mesh.corners, *(mesh.balls or ()), *(mesh.instances or ())) for mesh in (self, other))
-        return len(mine) == len(others) and all(map(same_values, mine, others))
+        return self.groups() == other.groups() and all(
+            len(mine) == len(others) and all(map(same_values, mine, others))
+            for mine, others in zip(self.columns(), other.columns()))
+
+    def columns(self) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+        """The tensors of triangles, and those of instances."""
+        return (*self.p, *self.corners, *(self.balls or ())), () if self.instances is None else (
+            self.instances.to_world, self.instances.boxes)
+
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """Which triangles and instances are of which group."""
+        return () if self.instances is None else self.instances[1:4]
 
     def stacked(self) -> tuple[Tensor, Tensor, Balls | None, Instances | None]:
         """The vertices (V, 3), the faces (T, 3), the balls among them, and the instances of some."""

@@ -60,7 +60,7 @@ class Embree:
         self.vertices = checked_vertices(vertices, device=CPU)
         self.faces = checked_faces(faces, len(self.vertices), device=CPU)
         self.balls, self.instances = balls, instances
-        triangles = self.faces if instances is None else self.faces[:int(instances.first_triangle[0])]
+        triangles = self.faces if instances is None else self.faces[:instances.first_triangle[0]]
         self._tables, numbers = [], None
         if balls is not None:
             triangles, numbers = other_triangles(triangles, balls)
@@ -75,14 +75,15 @@ class Embree:
         self.groups: list[GroupTree] = []
         if instances is not None:
             self.groups = groups_of(device, self.vertices, self.faces, instances, [] if last is None else last.groups)
-            places = instances.to_world.float().split(instances.first_instance.diff().tolist())
+            places = instances.to_world.float().split(instances.counts())
             shown = [TreeGeometry.of_instances(device, group.tree, poses) for group, poses in zip(self.groups, places)]
             geometries = [*shown, *geometries]  # Embree numbers them in this order
-            self._tables = [torch.cat([torch.zeros(1), instances.first_triangle[:-1] - int(instances.first_triangle[0])
-                                       + len(triangles)]).to(torch.int32),
-                            torch.cat([torch.ones(1), instances.first_instance[:-1] + 1]).to(torch.int32)]
+            before = len(triangles) - instances.first_triangle[0]
+            self._tables = [torch.tensor(firsts, dtype=torch.int32) for firsts in (
+                [0, *(first + before for first in instances.first_triangle[:-1])],
+                [1, *(first + 1 for first in instances.first_instance[:-1])])]
         if balls is not None:
-            shown = torch.arange(0 if instances is None else int(instances.first_triangle[0]), len(self.faces))
+            shown = torch.arange(0 if instances is None else instances.first_triangle[0], len(self.faces))
             numbers = numbers if instances is None else torch.cat([numbers, shown.to(torch.int32)])
             self._tables += [*ball_tables(balls, torch.float32), numbers]
         self.device, self._scene = device, Tree(device, geometries, len(triangles))

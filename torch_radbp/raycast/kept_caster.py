@@ -43,8 +43,10 @@ def same_mesh(mesh: CastTriangles, other: CastTriangles) -> tuple[bool, MeshExtr
     if other.p.x.is_cpu:
         return mesh.equals(other), None
     flags = mesh.compared(other)
-    if not flags:
+    if flags is None or not any(flags):
         return flags is not None, None
-    vertices, faces, *_ = other.stacked()
-    found = answered([torch.stack(flags).all(), *MeshExtremes.asked_of(vertices, faces)])
-    return bool(found[0]), MeshExtremes.of(found[1:])
+    vertices, faces, _, instances = other.stacked()
+    asked = [torch.stack(each).all() for each in flags if each]
+    found = answered([*asked, *MeshExtremes.asked_of(vertices, faces, instances)])
+    unmoved = not flags[0] or bool(found[0])
+    return all(found[:len(asked)]), MeshExtremes.of(found[len(asked):], unmoved)

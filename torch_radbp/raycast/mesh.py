@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.interface.instances import Instances
 from torch_radbp.raycast.protocol import Ray
 
 DTYPES = (torch.float32, torch.float64)
@@ -15,30 +16,38 @@ MOST_FETCHED = 64  # triangles of which a device is asked for all corners
 
 
 class MeshExtremes(NamedTuple):
-    """What a device is asked of a mesh, at once."""
+    """What a device is asked of a mesh, at once, and what is known of it beside that."""
 
     finite: bool  # in float32
     indices: tuple[int, int]  # the least and the greatest
-    extent: float  # the greatest, along an axis
+    extent: float  # the greatest, along an axis; of instances that in the world
     corners: Sequence[float]  # of few triangles the 9 coordinates of each, in float32; else none
+    unmoved: bool = False  # vertices and faces, those of groups included, are known to be those of the last caster
 
     @staticmethod
-    def asked_of(vertices: Tensor, faces: Tensor) -> list[Tensor]:
-        """The numbers of which a device is asked; none of what is no mesh: who checks it will say why."""
+    def asked_of(vertices: Tensor, faces: Tensor, instances: Instances | None = None) -> list[Tensor]:
+        """The numbers of which a device is asked; none of what is no mesh: who checks it will say why.
+
+        Args:
+            vertices: (V, 3).
+            faces: (F, 3).
+            instances: of parts of the mesh.
+        """
         if vertices.ndim != 2 or faces.ndim != 2 or not vertices.numel() or not faces.numel() or faces.is_complex():
             return []
         points = vertices.detach().float().double()
         low, high = points.amin(0), points.amax(0)
+        extent = (high - low).amax() if instances is None else instances.extent(points)
         corners = [points[faces.long().clamp(0, len(points) - 1)]] if len(faces) <= MOST_FETCHED else []
-        return [torch.isfinite(low + high).all(), *faces.aminmax(), (high - low).amax(), *corners]
+        return [torch.isfinite(low + high).all(), *faces.aminmax(), extent, *corners]
 
     @staticmethod
-    def of(numbers: Sequence[float]) -> MeshExtremes | None:
+    def of(numbers: Sequence[float], unmoved: bool = False) -> MeshExtremes | None:
         """Takes the answers of a device to `asked_of` apart, in that order; None if it was not asked anything."""
         if not numbers:
             return None
         finite, least, greatest, extent, *corners = numbers
-        return MeshExtremes(bool(finite), (int(least), int(greatest)), extent, corners)
+        return MeshExtremes(bool(finite), (int(least), int(greatest)), extent, corners, unmoved)
 
 
 def checked_vertices(vertices: Tensor, device: torch.device | None = None, finite: bool | None = None) -> Tensor:

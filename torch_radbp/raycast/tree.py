@@ -146,7 +146,7 @@ def groups_of(device: Device, vertices: Tensor, faces: Tensor, instances: Instan
         instances: tell which are of which group.
         last_groups: of the same device.
     """
-    firsts, groups = zip(instances.first_vertex.tolist(), instances.first_triangle.tolist()), []
+    firsts, groups = zip(instances.first_vertex, instances.first_triangle), []
     start = next(firsts)
     for end in firsts:
         points, corners = vertices[start[0]:end[0]], faces[start[1]:end[1]] - start[0]

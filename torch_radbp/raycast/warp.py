@@ -1,23 +1,26 @@
 """Ray casting by NVIDIA Warp's tree of triangles, on CUDA devices; Warp's CPU device, one thread of it, serves the tests.
 
-Where faces are few each ray tries all of them instead (`warp_few.py`). Kernels run on torch's current stream and read
-and write torch's tensors where they lie. Warp's rule for a ray and a triangle is watertight (Woop, Benthin and Wald 2013,
+Where faces are few each ray tries all of them instead (`warp_few.py`); groups of shapes that instances show may have trees
+of their own under a tree over the instances (`warp_instances.py`). Kernels run on torch's current stream and read and write
+torch's tensors where they lie. Warp's rule for a ray and a triangle is watertight (Woop, Benthin and Wald 2013,
 "Watertight ray/triangle intersection"), its rule for a ray and a box is not: by the rounding of divisions, a ray towards an
 edge may pass by the boxes of both triangles there (of 200,000 rays towards edges of a cube from inside, 853 got out). So the
 tree is built of triangles that are a little larger, see `widened`, and what rays meet are the true ones.
 """
 
-import math
 import weakref
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from itertools import repeat
 from threading import Lock
+from types import ModuleType
 
 import torch
 from torch import Tensor
 
 from torch_radbp.interface.balls import Balls
+from torch_radbp.interface.instances import Instances
 from torch_radbp.jit.nvidia.launches import RayQuery
 from torch_radbp.jit.recording.recording import recording
 from torch_radbp.raycast.mesh import MeshExtremes, check_lanes, checked_faces, checked_vertices
@@ -30,75 +33,84 @@ try:
     import warp as wp
 
     from torch_radbp.raycast.warp_rays import FARTHEST, is_beyond, query_of
+    from torch_radbp.raycast.warp_tree import in_units, lanes_of, power_of_2_units, triangle_tree
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("the ray caster 'warp' needs NVIDIA Warp: pip install 'warp-lang>=1.19'",
                               name="warp") from error
 
 DEVICES = ("cuda", "cpu")
 ANSWERS = (torch.int32, torch.float32, torch.float32, torch.float32)  # what the kernel writes into a `Hit`
-WIDER = 2.0**-20  # how much wider boxes are, in units of the mesh's extent: enough for rays from 8 extents away
 
 
 class Warp:
     """A `RayCaster` for tensors on CUDA, or on the CPU; Warp itself works in float32.
 
-    For float64 rays u, v and t are computed again in float64 from the ray and the triangle found. The shapes of instances
-    are triangles like others, in the world. Geometry that moves gets a new tree, as with the other casters, so that graphs
-    keep the old one. As with Embree, a ray that starts exactly in a triangle may meet it at t = 0.
+    For float64 rays u, v and t are computed again in float64 from the ray and the triangle found. Geometry that moves gets a
+    new tree, as with the other casters, so that graphs keep the old one; the trees of groups are taken from the last caster
+    as long as their triangles stay as they are, wherever instances show them. As with Embree, a ray that starts exactly in a
+    triangle may meet it at t = 0.
 
     Args:
         vertices: (V, 3) float32 or float64, finite; copied.
         faces: (F, 3) integers in [0, V); copied. Triangles without area are never hit.
         balls: those among the triangles, which are nothing special here.
         known: of the mesh; None: the device is asked.
+        instances: of groups of the triangles; None: none.
+        last: a caster that this one follows.
 
     Raises:
         ValueError: the mesh is not as said above, or on a device that Warp does not know.
     """
 
     def __init__(self, vertices: Tensor, faces: Tensor, balls: Balls | None = None,
-                 known: MeshExtremes | None = None) -> None:
+                 known: MeshExtremes | None = None, instances: Instances | None = None, last: "Warp | None" = None) -> None:
         if vertices.device.type not in DEVICES:
             raise ValueError(f"the ray caster 'warp' works on CUDA and on the CPU, got vertices on {vertices.device}; "
                              "move the scene, or use 'brute'")
         if known is None:
-            asked = MeshExtremes.asked_of(vertices, faces)
+            asked = MeshExtremes.asked_of(vertices, faces, instances)
             known = MeshExtremes.of(answered(asked)) if asked else None
         self.vertices = checked_vertices(vertices, None, known and known.finite)
         self.faces = checked_faces(faces, len(self.vertices), self.vertices.device, known and known.indices)
-        self.balls = balls
+        self.balls, self.instances = balls, instances
         self._rays, self._counting = 0, Lock()
         self._rays_counted = torch.zeros(1, dtype=torch.int64, device=self.vertices.device)  # of which only the device knows
         self._device = _started(self.vertices.device)
         self._streams: set[torch.cuda.Stream] = set()
         self._unit = 1.0 if known is None else power_of_2_units(known.extent)
-        warp_few, few = few_kernels(self.vertices.device), None
-        if known is not None and known.corners:
+        self.groups: list = []
+        few = None
+        if instances is None and known is not None and known.corners:
             fetched = torch.tensor(known.corners, dtype=torch.float32, device=torch.device("cpu")).view(-1, 3, 3)
-            few = warp_few.few_faces(in_units(fetched, self._unit), self.vertices.device)
+            few = loaded("warp_few", self.vertices.device).few_faces(in_units(fetched, self._unit), self.vertices.device)
+        self._geometry: object
         if few is not None:
-            self._closest, self._any = warp_few.closest_of_few, warp_few.any_of_few
+            kernels = loaded("warp_few", self.vertices.device)
+            self._closest, self._any = kernels.closest_of_few, kernels.any_of_few
             self._geometry = few
             tables = (few.planes, wp.vec4), (few.prims, wp.int32), (few.places, wp.vec4)
             self._head = [*(wp.from_torch(table, dtype=kind, return_ctype=True) for table, kind in tables),
                           len(few.prims) // 2, wp.vec3(*few.middle)]
-        else:
-            corners = in_units(self.vertices.float()[self.faces.long()], self._unit)
-            points = widened(corners)
-            numbers = torch.arange(len(points), dtype=torch.int32, device=points.device)
-            with wp.ScopedStream(self._stream(), sync_enter=False):
-                self._geometry = wp.Mesh(wp.from_torch(points, dtype=wp.vec3), wp.from_torch(numbers))
-            points.copy_(corners.flatten(0, 1))  # the tree stays as it is
+        elif instances is None:
+            tree = triangle_tree(in_units(self.vertices.float()[self.faces.long()], self._unit), self._stream())
+            self._geometry, self._head = tree, [tree.id]
             self._closest, self._any = tree_kernels(self.vertices.device)
-            self._head = [self._geometry.id]
+        else:
+            kernels = loaded("warp_instances", self.vertices.device)
+            self._closest, self._any = kernels.closest_of_groups, kernels.any_of_groups
+            groups = kernels.group_meshes(self.vertices, self.faces, instances, [] if last is None else last.groups,
+                                          known is not None and known.unmoved, self._stream())
+            self._geometry = shown = kernels.shown_groups(groups, instances, self._unit)
+            self.groups, self._head = shown.groups, shown.head()
         weakref.finalize(self, release, self._geometry, self._streams).atexit = False
 
     def intersect(self, ray: Ray) -> Hit:
         check_lanes(ray, None, self.vertices.device)
         shape, dtype = ray.o.x.shape, ray.o.x.dtype
-        hit = Hit(*(self.vertices.new_empty(shape, dtype=answer) for answer in ANSWERS))
-        self._launch(self._closest, [*ray.o, *ray.d], hit[:4])
-        return hit if dtype == torch.float32 else refined(self.vertices, self.faces, ray, hit)
+        answers = ANSWERS if self.instances is None else (*ANSWERS, torch.int32)
+        hit = Hit(*(self.vertices.new_empty(shape, dtype=answer) for answer in answers))
+        self._launch(self._closest, [*ray.o, *ray.d], hit[:len(answers)])
+        return hit if dtype == torch.float32 else refined(self.vertices, self.faces, ray, hit, self.instances)
 
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
         check_lanes(ray, tmax, self.vertices.device)
@@ -161,45 +173,7 @@ class Warp:
         return wp.stream_from_torch(current)
 
     def __reduce__(self):
-        return Warp, (self.vertices, self.faces, self.balls)
-
-
-def lanes_of(column: Tensor):
-    """Warp's array descriptor of a tensor, of any stride; the tensor must outlive the launch."""
-    return wp.from_torch(column, return_ctype=True, requires_grad=False)
-
-
-def power_of_2_units(extent: float) -> float:
-    """The power of two, which rounds nothing, that scales a mesh of some extent to about unit extent."""
-    exponent = math.frexp(extent)[1] if extent > 0 else 0
-    return 2.0 ** max(-120, min(120, -exponent))
-
-
-def in_units(corners: Tensor, unit: float) -> Tensor:
-    """The corners of triangles, (F, 3, 3) float32, scaled. Triangles without area are points, of which Warp is sure."""
-    corners = corners * unit
-    first, second, third = corners.double().unbind(1)
-    flat = (torch.linalg.cross(second - first, third - first) == 0).all(dim=1)
-    return torch.where(flat[:, None, None], corners[:, :1], corners)
-
-
-def widened(corners: Tensor) -> Tensor:
-    """Moves the corners of triangles outwards so that their bounding boxes grow by `WIDER` on every side.
-
-    Args:
-        corners: (F, 3, 3).
-
-    Returns:
-        (3 F, 3)
-    """
-    least, most = corners.argmin(dim=1, keepdim=True), corners.argmax(dim=1, keepdim=True)
-    most = torch.where(most == least, (least + 1) % 3, most)
-    below, above = corners.gather(1, least), corners.gather(1, most)
-    infinity = torch.full_like(below, torch.inf)
-    # Far from the origin the numbers themselves are farther apart.
-    below = torch.minimum(below - WIDER, torch.nextafter(below, -infinity))
-    above = torch.maximum(above + WIDER, torch.nextafter(above, infinity))
-    return corners.scatter(1, least, below).scatter(1, most, above).flatten(0, 1).contiguous()
+        return Warp, (self.vertices, self.faces, self.balls, None, self.instances)
 
 
 # -- Warp's devices and streams -----------------------------------------------------------------------------------------
@@ -232,13 +206,12 @@ def tree_kernels(device: torch.device) -> tuple[wp.Kernel, wp.Kernel]:
 
 
 @made_once
-def few_kernels(device: torch.device):
-    """The module `warp_few`, with its kernels loaded."""
-    from torch_radbp.raycast import warp_few  # which Warp then compiles
-
+def loaded(name: str, device: torch.device) -> ModuleType:
+    """The module of this folder that is called `name`, with its kernels loaded."""
+    module = import_module(f"{__package__}.{name}")  # not before: Warp compiles it
     with silent():
-        wp.load_module(warp_few.__name__, device=wp.device_from_torch(device))
-    return warp_few
+        wp.load_module(module.__name__, device=wp.device_from_torch(device))
+    return module
 
 
 def release(geometry: object, streams: set[torch.cuda.Stream]) -> None:

@@ -17,15 +17,21 @@ class Query:
 
 
 @wp.func
+def factor_of(d: wp.vec3) -> float:
+    """What a direction is multiplied with so that divisions stay in range."""
+    largest = wp.max(wp.abs(d))
+    return wp.where(largest > LARGEST, 1.0 / LARGEST, wp.where(largest < 1.0 / LARGEST, LARGEST, 1.0))
+
+
+@wp.func
 def query_of(unit: float, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> Query:
     """Scales a ray of the scene by `unit` to the units of the mesh."""
     query = Query()
     query.o = wp.vec3(ox * unit, oy * unit, oz * unit)
     d = wp.vec3(dx, dy, dz)
-    largest = wp.max(wp.abs(d))
-    factor = wp.where(largest > LARGEST, 1.0 / LARGEST, wp.where(largest < 1.0 / LARGEST, LARGEST, 1.0))
+    factor = factor_of(d)
     query.d = d * factor
-    query.valid = wp.isfinite(query.o) and wp.isfinite(d) and largest > 0.0
+    query.valid = wp.isfinite(query.o) and wp.isfinite(d) and wp.max(wp.abs(d)) > 0.0
     query.per_t = unit / factor
     return query
 

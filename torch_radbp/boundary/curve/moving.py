@@ -28,7 +28,7 @@ def moving_faces(scene: SceneTensors, counts: Sequence[int], moving: Moving, gen
     triangles, firsts = scene.triangles, list(accumulate(counts, initial=0))
     device = triangles.material.device
     instances = triangles.casting_instances
-    own = firsts[-1] if instances is None else int(instances.first_triangle[0])
+    own = firsts[-1] if instances is None else instances.first_triangle[0]
 
     def of_shapes(first: int, last: int, which: Sequence[bool]) -> Tensor:
         found = [torch.arange(start, start + count, dtype=torch.int32, device=device)
@@ -38,7 +38,7 @@ def moving_faces(scene: SceneTensors, counts: Sequence[int], moving: Moving, gen
     world = of_shapes(0, own, moving.shapes)
     parts = [Faces(world, None if instances is None else torch.zeros_like(world), None)]
     for group in range(0 if instances is None else len(instances.first_triangle) - 1):
-        first, last = (int(instances.first_triangle[group + side]) for side in (0, 1))
+        first, last = instances.first_triangle[group:group + 2]
         members = of_shapes(first, last, (True,) * len(counts))
         everywhere = len(of_shapes(first, last, moving.shapes)) > 0
         chosen, part = chosen_instances(instances, group, moving, everywhere, len(members), generator)
@@ -60,7 +60,7 @@ def chosen_instances(instances: Instances, group: int, moving: Moving, everywher
         size: of what each instance shows.
         generator: picks some where there are too many.
     """
-    shows = range(int(instances.first_instance[group]), int(instances.first_instance[group + 1]))
+    shows = range(*instances.first_instance[group:group + 2])
     wanted = torch.tensor([number for number in shows if everywhere or moving.instances[number]], dtype=torch.int64)
     most = max(1, MOST_SHOWN // max(size, 1))
     if most >= len(wanted):

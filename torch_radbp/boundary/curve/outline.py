@@ -264,7 +264,7 @@ class Outlines:
         """The edges of all shapes in the world, and of each group in its own frame."""
         triangles, counts = rendering.call.still_scene.triangles, rendering.sizes
         instances, firsts = triangles.casting_instances, list(accumulate(rendering.sizes, initial=0))
-        starts = [firsts[-1]] if instances is None else [int(first) for first in instances.first_triangle]
+        starts = [firsts[-1]] if instances is None else list(instances.first_triangle)
         parts = [tuple(number for number, start in enumerate(firsts[:-1]) if first <= start < last)
                  for first, last in zip([0, *starts], [*starts, firsts[-1]])]
         return [outline for part in parts if (outline := self.mesh(triangles, counts, part)) is not None]
@@ -318,16 +318,16 @@ def numbers_of(lines: Sequence[tuple[JumpLines, ...]], call: RenderCall) -> Line
 def in_the_world(scene: SceneTensors, counts: Sequence[int], moving: Moving) -> tuple[int, ...]:
     """The numbers of moving shapes outside of groups; args as for `Outlines.of`."""
     instances = scene.triangles.casting_instances
-    last = sum(counts) if instances is None else int(instances.first_triangle[0])
+    last = sum(counts) if instances is None else instances.first_triangle[0]
     starts = accumulate(counts[:-1], initial=0)
     return tuple(number for number, (moves, start) in enumerate(zip(moving.shapes, starts)) if moves and start < last)
 
 
 def of_group(instances: Instances, counts: Sequence[int], moving: Moving, group: int) -> tuple[tuple[int, ...], bool, bool]:
     """The numbers of a group's shapes, whether one of these moves, and whether one of its instances does."""
-    first, last = (int(instances.first_triangle[group + side]) for side in (0, 1))
+    first, last = instances.first_triangle[group:group + 2]
     members = tuple(number for number, start in enumerate(accumulate(counts[:-1], initial=0)) if first <= start < last)
-    shows = slice(int(instances.first_instance[group]), int(instances.first_instance[group + 1]))
+    shows = slice(*instances.first_instance[group:group + 2])
     return members, any(moving.shapes[member] for member in members), any(moving.instances[shows])
 
 

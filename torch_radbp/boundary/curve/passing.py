@@ -120,7 +120,7 @@ def key_of(scene: SceneTensors, counts: Sequence[int]) -> tuple:
     """A key that is equal for scenes with the same triangles and instances, whatever their poses."""
     casting = scene.triangles.casting_instances
     return scene.device, tuple(counts), None if casting is None else (
-        *casting.first_triangle.tolist(), *casting.first_instance.tolist())
+        *casting.first_triangle, *casting.first_instance)
 
 
 def remember(known: dict[Moving, Any], moving: Moving, found: Any) -> None:

@@ -83,7 +83,7 @@ def shape_ends(scene: SceneTensors, counts: Sequence[int]) -> Tensor:
 
 def first_shown(scene: SceneTensors, group: int) -> int:
     """The first instance of a group, as in a hit."""
-    return int(scene.triangles.casting_instances.first_instance[group]) + 1
+    return scene.triangles.casting_instances.first_instance[group] + 1
 
 
 def self_crossings(call: RenderCall, scene: SceneTensors, counts: Sequence[int], known: Looked, seed: int) -> FoundOnce:
@@ -126,7 +126,7 @@ def shown_by_all(segments: Segments | None, scene: SceneTensors, counts: Sequenc
         own = (segments.instance == first_shown(scene, group)).nonzero().squeeze(1)
         if not len(own):
             continue
-        first, last = (int(instances.first_triangle[group + side]) for side in (0, 1))
+        first, last = instances.first_triangle[group:group + 2]
         everywhere = any(moves for moves, start in zip(moving.shapes, starts) if first <= start < last)
         chosen, part = chosen_instances(instances, group, moving, everywhere, len(own), generator)
         shows = (chosen.to(own.device, torch.int32) + 1).repeat_interleave(len(own))

@@ -315,12 +315,18 @@ def check_places(scene: Scene, groups: list[list[Instance]], boxes: Tensor) -> N
         boxes: (I, 8, 3) around all of them, in this order.
     """
     largest = boxes.abs().amax((1, 2))
-    if not bool((largest <= LARGEST_COORDINATE).all()):
-        first = int((~(largest <= LARGEST_COORDINATE)).nonzero()[0])
+    too_far = ~(largest <= LARGEST_COORDINATE)
+
+    def told(numbers: list[float]) -> None:
+        if not numbers[0]:
+            return
+        first = int(too_far.nonzero()[0])
         instance = [instance for instances in groups for instance in instances][first]
         raise ValueError(f"the instance {scene.name_of(instance)!r} shows its group up to {float(largest[first]):.3g} "
                          f"from the origin along an axis, where it would vanish: areas overflow in float32 beyond "
                          f"{LARGEST_COORDINATE:g}; scale the whole scene down")
+
+    asked_later(too_far.any().reshape(1), told)
 
 
 def largest_vertex_coordinate(vertices: Tensor, numbers: Sequence[float] | None = None) -> float:

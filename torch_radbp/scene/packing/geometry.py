@@ -167,7 +167,12 @@ def shown_instances(cache: PackCache, groups: Sequence[Sequence[Instance]], shap
                                 for instances in groups for instance in instances), dtype)
     casting = cache(casting_of, cache.frozen("poses of instances", poses), tuple(map(len, groups)), tuple(members),
                    tuple(shape.vertices for shape in shapes), tuple(shape.faces for shape in shapes))
-    return cache(instance_table, poses, normals, casting, numbers)
+    return cache(instance_table, poses, normals, casting, cache(_instance_numbers, numbers, device))
+
+
+def _instance_numbers(numbers: tuple[int, ...], device: torch.device) -> Tensor:
+    """`InstanceTable.number` of instances with these numbers."""
+    return torch.tensor((0, *numbers), dtype=torch.int32, device=device)
 
 
 def _stacked(poses: tuple[Tensor, ...], dtype: torch.dtype) -> Tensor:
@@ -186,18 +191,17 @@ def casting_of(poses: Tensor, counts: tuple[int, ...], members: tuple[int, ...],
         vertices: (V, 3) of all shapes, those of groups last.
         faces: (F, 3) likewise.
     """
-    outside_groups, device = len(vertices) - sum(members), poses.device
+    outside_groups = len(vertices) - sum(members)
 
-    def firsts(sizes: list[int]) -> Tensor:
+    def firsts(sizes: list[int]) -> tuple[int, ...]:
         in_groups = iter(sizes[outside_groups:])
         sums = [sum(itertools.islice(in_groups, count)) for count in members]
-        return torch.tensor(list(itertools.accumulate(sums, initial=sum(sizes[:outside_groups]))), device=device)
+        return tuple(itertools.accumulate(sums, initial=sum(sizes[:outside_groups])))
 
     to_world, in_groups = poses[:, :3].contiguous(), iter(vertices[outside_groups:])
     points = [torch.cat(list(itertools.islice(in_groups, count))) for count in members]
     return Instances(to_world, firsts(list(map(len, vertices))), firsts(list(map(len, faces))),
-                     torch.tensor(list(itertools.accumulate(counts, initial=0)), device=device),
-                     boxes(points, to_world.split(counts)))
+                     tuple(itertools.accumulate(counts, initial=0)), boxes(points, to_world.split(counts)))
 
 
 def balls_among(balls: Sequence[Ball | None], counts: Sequence[int], device: torch.device) -> Balls | None:

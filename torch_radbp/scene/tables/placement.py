@@ -35,14 +35,14 @@ class InstanceTable(NamedTuple):
     casting: Instances | None  # what ray casters need; None in parts of a scene
 
 
-def instance_table(matrices: Tensor, normals: bool, casting: Instances, numbers: tuple[int, ...]) -> InstanceTable:
+def instance_table(matrices: Tensor, normals: bool, casting: Instances, number: Tensor) -> InstanceTable:
     """Builds the table of instances, attached to their poses.
 
     Args:
         matrices: (I, 4, 4) poses in the order of `casting`.
         normals: whether a vertex has a normal.
         casting: of these instances.
-        numbers: `InstanceTable.number` of each.
+        number: `InstanceTable.number`.
     """
     identity = torch.eye(4, dtype=matrices.dtype, device=matrices.device)[None]
     matrices = torch.cat([identity, matrices])
@@ -54,8 +54,7 @@ def instance_table(matrices: Tensor, normals: bool, casting: Instances, numbers:
     none = torch.zeros(1, dtype=matrices.dtype, device=matrices.device)
     clearance = torch.cat([none, ROUNDINGS * 2.0**-24 * power_of_two_above(summed.to(matrices.dtype))])
     return InstanceTable(_rows_of(linear), Vec3.of(matrices[:, :3, 3]),
-                         None if inverse is None else _rows_of(inverse.transpose(1, 2)), side, clearance,
-                         torch.tensor((0, *numbers), dtype=torch.int32, device=matrices.device), casting)
+                         None if inverse is None else _rows_of(inverse.transpose(1, 2)), side, clearance, number, casting)
 
 
 def for_lanes(table: InstanceTable | None) -> InstanceTable | None:
