@@ -17,6 +17,7 @@ from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState, start_path
 from torch_radbp.raycast import RayCaster
 from torch_radbp.raycast.protocol import Hit
+from torch_radbp.scene.cache.common_work import Facts
 from torch_radbp.scene.modules.scene import Scene
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.differentiated import detached
@@ -63,11 +64,11 @@ class RenderCall(NamedTuple):
         """The call without derivatives."""
         return self._replace(scene=self.still_scene, source=self.source.still())
 
-    def facts(self) -> tuple:
+    def facts(self) -> Facts:
         """All that images of the call, and the places at which they jump, depend on, without derivatives; see `once`."""
         still, integrand = self.still(), self.integrand
-        return (still.scene, still.views, integrand.settings, integrand.max_depth, integrand.rr_depth, self.spp,
-                self.shares_samples, self.shared, self.following)
+        return Facts.of((still.scene, still.views, integrand.settings, integrand.max_depth, integrand.rr_depth, self.spp,
+                         self.shares_samples, self.shared, self.following))
 
     @property
     def views(self) -> list[View]:

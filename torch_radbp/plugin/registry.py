@@ -13,13 +13,17 @@ PACKAGES = ("bsdf", "emitter", "film", "integrator", "medium", "phase", "sensor"
 class PluginTypes(MutableMapping):
     """The plugin classes of one category by type name; the package's own are imported at first use."""
 
+    complete = False  # all of the package's plugins are imported, those of every category
+
     def __init__(self) -> None:
         self.registered: dict[str, type] = {}
 
     def all(self) -> dict[str, type]:
         """All registered classes by name, after importing the package's plugins."""
-        for package in PACKAGES:
-            importlib.import_module(f"torch_radbp.{package}")
+        if not PluginTypes.complete:
+            for package in PACKAGES:
+                importlib.import_module(f"torch_radbp.{package}")
+            PluginTypes.complete = True
         return self.registered
 
     def __getitem__(self, name: str) -> type:

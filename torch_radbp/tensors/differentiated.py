@@ -10,21 +10,21 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 from torch_radbp.tensors.record import NESTED, leaves_of, mapped, with_parts
-from torch_radbp.tensors.torch_internals import inside_dual_level
+from torch_radbp.tensors.torch_internals import inside_dual_level, unpacked_dual
 
 
 def tangent_of(tensor: Tensor) -> Tensor | None:
     """The tangent of a dual tensor, None if it has none."""
     if not inside_dual_level():
         return None
-    return forward_ad.unpack_dual(tensor).tangent if tensor.is_floating_point() else None
+    return unpacked_dual(tensor)[1] if tensor.is_floating_point() else None
 
 
 def primal(tensor: Tensor) -> Tensor:
     """A tensor without its gradient and its forward-mode tangent."""
     if not tensor.is_floating_point():
         return tensor
-    return forward_ad.unpack_dual(tensor).primal.detach() if inside_dual_level() else tensor.detach()
+    return unpacked_dual(tensor)[0].detach() if inside_dual_level() else tensor.detach()
 
 
 def differentiated(tensor: Tensor) -> bool:

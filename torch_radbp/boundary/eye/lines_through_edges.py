@@ -37,13 +37,13 @@ def solid_angle(scene: SceneTensors, hit: Hit, line: Ray) -> Tensor:
         line: (N,) float64, with directions of any length.
     """
     corners, d = corners_of(geometry_of(scene), hit), normalize(line.d)
-    n, height = height_above(corners, line.o)  # n: twice the area of the triangle, which u and v count in
+    n, height = height_over_plane(corners, line.o)  # n: twice the area of the triangle, which u and v count in
     facing = dot(n, d).abs()
     per_distance = facing / height.clamp_min(TINY)
     return torch.where(hit.prim >= 0, torch.where(height > 0, facing * per_distance * per_distance, 0.0), 1.0)
 
 
-def height_above(corners: tuple[Vec3, Vec3, Vec3], p: Vec3) -> tuple[Vec3, Tensor]:
+def height_over_plane(corners: tuple[Vec3, Vec3, Vec3], p: Vec3) -> tuple[Vec3, Tensor]:
     """The normals n of triangles, as long as twice their area, and |n| times distances of points from their planes, (N,).
 
     A point that lies in the plane up to rounding has a distance of 0: from there nothing of the triangle is seen. A line

@@ -23,7 +23,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.curve.geometry import Geometry, geometry_of
 from torch_radbp.boundary.curve.outline import Outline
-from torch_radbp.boundary.eye.lines_through_edges import height_above, scattered_towards, solid_angle
+from torch_radbp.boundary.eye.lines_through_edges import height_over_plane, scattered_towards, solid_angle
 from torch_radbp.boundary.eye.lit_behind import light_sent_past, lit_surfaces, sees_receivers
 from torch_radbp.boundary.eye.past_edges import leaving_towards
 from torch_radbp.boundary.eye.seen_edges import BEFORE, Casting, Passed, corners_of, course_of, crossed_at, uniform_numbers
@@ -137,7 +137,7 @@ def pairs_of(call: RenderCall, number: int, casting: Casting, lights: Lights, fo
     start = rows(vertex_at(call, geometry, number, points), connected)
     passed = spread_borders(call, casting.outline, lit, start, choice, turn)
     kept, receiver = lit_surfaces(call, casting.outline, passed)
-    _, height = height_above(corners_of(geometry, receiver), rows(start, kept))
+    _, height = height_over_plane(corners_of(geometry, receiver), rows(start, kept))
     seen = (height > 0).nonzero().squeeze(1)  # nothing of a floor is seen from the floor
     if not len(seen):
         return None

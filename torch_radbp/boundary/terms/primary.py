@@ -20,6 +20,7 @@ Reference: Li, Aittala, Durand and Lehtinen 2018, "Differentiable Monte Carlo Ra
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import torch
@@ -55,7 +56,7 @@ from torch_radbp.path.sorting import first_hit
 from torch_radbp.path.step import Onward
 from torch_radbp.path.through_media import free_flights
 from torch_radbp.path.trace import trace
-from torch_radbp.scene.cache.common_work import once
+from torch_radbp.scene.cache.common_work import Facts, once
 from torch_radbp.tensors.differentiated import any_differentiated, detached
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.vec import rows
@@ -105,41 +106,51 @@ def image_jumps(call: RenderCall, jumps: list[Jumps | None]) -> Tensor:
 def jumps_of_views(call: RenderCall, jumps: list[Jumps | None], seen: SeenByCamera) -> Tensor:
     """(B, C, H, W) zeros with the derivative of discontinuities in C channels."""
     still = call.still()
-    lamps = lamps_of(still)
-    return torch.stack([jumps_of_view(call, still, number, own, seen, lamps) for number, own in enumerate(jumps)])
+    search = JumpSearch(call, still, seen, cache(still.facts), cache(partial(lamps_of, still)))
+    return torch.stack([jumps_of_view(search, number, own) for number, own in enumerate(jumps)])
 
 
-def jumps_of_view(call: RenderCall, still: RenderCall, number: int, jumps: Jumps | None, seen: SeenByCamera,
-                  lamps: tuple[Eye, ...]) -> Tensor:
-    """(C, H, W) zeros with the derivative of discontinuities, for view `number`.
+class JumpSearch(NamedTuple):
+    """A call of which something moves in view, and what its views have in common."""
 
-    Args:
-        call, seen: as for `jumps_of_views`.
-        still: the call without derivatives.
-        jumps: of the view.
-        lamps: of the scene.
-    """
+    call: RenderCall  # attached
+    still: RenderCall  # without derivatives
+    seen: SeenByCamera
+    facts: Callable[[], Facts]  # of the call, see `once`
+    lamps: Callable[[], tuple[Eye, ...]]  # of the scene
+
+
+def jumps_of_view(search: JumpSearch, number: int, jumps: Jumps | None) -> Tensor:
+    """(C, H, W) zeros with the derivative of discontinuities, for view `number`; `jumps`: of the view."""
+    call, still, seen, facts, lamps = search
+    viewed = cache(lambda: examined(still, number, lamps(), seen))
+
     def find() -> JumpPlaces | None:
-        places = [] if jumps is None else _places_of(still, number, viewed, jumps)
+        places = [] if jumps is None else _places_of(still, number, viewed(), jumps)
         standing = integrand_of(still, still.integrand.standing(), number)
-        return strengths(still, standing, viewed, joined(places), seen) if places else None
+        return strengths(still, standing, viewed(), joined(places), seen) if places else None
 
-    view = call.views[number]
     with torch.no_grad():
-        stages, sight = still.stages, sight_of(still.views[number], lamps)
-        prepared = stages(edge_weight).taken(geometry=geometry_of(still.scene), sight=sight)
-        rims = any(seen.turns) and still.scene.triangles.vertices.n is not None
-        viewed = ExaminedView(stages, *prepared, sight.camera, rims, view.clips)
-        found = once(("jumps in view", number), lambda: (still.facts(), detached(jumps), seen.turns), find) \
+        found = once(("jumps in view", number), lambda: (facts(), detached(jumps), seen.turns), find) \
             if seen.is_radiance else find()
     deposits = []
     if found is not None:
         geometry = geometry_of(call.scene)._replace(lines=jumps.lines)
-        moved = moved_places(call.stages, geometry, view.camera, found, call.adjoint.taped)
+        moved = moved_places(call.stages, geometry, call.views[number].camera, found, call.adjoint.taped)
         deposits = [Deposit(rows(found.places.film, found.shown), found.strength, moved)]
         if call.camera_share is not None and seen.is_radiance:
-            deposits += lit_sides(call, still, number, viewed, found)
+            deposits += lit_sides(call, still, number, viewed(), found)
     return image_of(call, number, deposits, len(seen.turns))
+
+
+def examined(still: RenderCall, number: int, lamps: tuple[Eye, ...], seen: SeenByCamera) -> ExaminedView:
+    """View `number` of a call without derivatives, prepared for the search of its curves; `lamps`: of the scene."""
+    with torch.no_grad():
+        view = still.views[number]
+        stages, sight = still.stages, sight_of(view, lamps)
+        prepared = stages(edge_weight).taken(geometry=geometry_of(still.scene), sight=sight)
+        rims = any(seen.turns) and still.scene.triangles.vertices.n is not None
+        return ExaminedView(stages, *prepared, sight.camera, rims, view.clips)
 
 
 def _places_of(call: RenderCall, number: int, viewed: ExaminedView, jumps: Jumps) -> list[Places]:

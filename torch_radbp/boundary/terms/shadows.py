@@ -9,7 +9,7 @@ of paths, and what comes evenly from all around, with a hundredth of the varianc
 
 from __future__ import annotations
 
-from functools import partial
+from functools import cache, partial
 
 import torch
 from torch import Tensor
@@ -68,15 +68,16 @@ def shadow_jumps(call: RenderCall, casting: Outline | None, crossing: Segments |
         lines: what those follow, attached.
     """
     still, images = call.still(), []
+    facts = cache(still.facts)
     with torch.no_grad():
-        edges = None if casting is None else once("edges that cast shadows", lambda: (still.facts(), casting),
+        edges = None if casting is None else once("edges that cast shadows", lambda: (facts(), casting),
                                                   lambda: Casting(casting, edge_tree(call.stages, geometry_of(still.scene),
                                                                                      casting)))
         terms = terms_of(ShadowSearch(call, still, edges, crossing, lines))
     for number in range(len(call.views)):
         with torch.no_grad():
             found = once(("borders of shadows", number), lambda: (
-                still.facts(), list(map(type, terms)), casting, crossing, detached(lines)),
+                facts(), list(map(type, terms)), casting, crossing, detached(lines)),
                 partial(samples_of_view, still, number, terms))
         deposits = [deposit for term, own in zip(terms, found) if own is not None for deposit in term.jumps(number, own)]
         images.append(image_of(call, number, deposits))

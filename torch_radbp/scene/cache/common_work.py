@@ -22,11 +22,38 @@ Result = TypeVar("Result")
 MOST = 8  # results of one kind that are kept: of so many renderings, such as those of several sensors
 
 
+class Facts:
+    """What results depend on; of renderings that share their work the same object, where nothing of it differs.
+
+    Args:
+        leaves: of a record.
+    """
+
+    def __init__(self, leaves: list):
+        self.leaves = leaves
+
+    @staticmethod
+    def of(record: Any) -> Facts:
+        """The facts of a record of tensors without derivatives, and what can be compared."""
+        common, facts = COMMON.get(), Facts(leaves_of(record))
+        return facts if common is None else common.known(facts)
+
+
 class CommonWork:
     """Results of renderings of the same values; whoever changes values in place takes a new one."""
 
     def __init__(self) -> None:
+        self.facts: list[Facts] = []
         self.results: dict[Hashable, list[tuple[list, Any]]] = {}  # by kind; what each depends on, and the result
+
+    def known(self, facts: Facts) -> Facts:
+        """The same facts as they were met before, if they were."""
+        for other in self.facts:
+            if same_leaves(other.leaves, facts.leaves):
+                return other
+        self.facts.append(facts)
+        del self.facts[:-MOST]
+        return facts
 
     @contextmanager
     def shared(self) -> Iterator[None]:
@@ -46,8 +73,8 @@ def once(kind: Hashable, depends_on: Callable[[], Any], make: Callable[[], Resul
 
     Args:
         kind: tells what is made.
-        depends_on: gives a record of all that the result depends on beside the kind: tensors without derivatives, and what
-            can be compared. Not called where nothing is shared.
+        depends_on: gives a record of all that the result depends on beside the kind: tensors without derivatives, what can
+            be compared, and `Facts`. Not called where nothing is shared.
         make: computes it, without derivatives.
     """
     common = COMMON.get()
@@ -55,12 +82,17 @@ def once(kind: Hashable, depends_on: Callable[[], Any], make: Callable[[], Resul
         return make()
     facts, known = leaves_of(depends_on()), common.results.setdefault(kind, [])
     for others, result in known:
-        if len(others) == len(facts) and all(map(alike, facts, others)):
+        if same_leaves(facts, others):
             return result
     result = make()
     known.append((facts, result))
     del known[:-MOST]
     return result
+
+
+def same_leaves(leaves: list, others: list) -> bool:
+    """True if the leaves of two records are the same, tensors by their bits."""
+    return len(leaves) == len(others) and all(map(alike, leaves, others))
 
 
 def alike(a: Any, b: Any) -> bool:
