@@ -8,21 +8,25 @@ import torch
 from torch import Tensor
 
 from torch_radbp.boundary.eye.ideal_steps import LIT, ONWARDS, Reached, steps_taken
-from torch_radbp.boundary.eye.light_points import light_line
+from torch_radbp.boundary.eye.light_points import aims_at, light_line, line_of
 from torch_radbp.boundary.eye.seen_edges import BEFORE, FAR
 from torch_radbp.boundary.eye.surfaces import Surfaces
 from torch_radbp.path.direct_light import LightDraw
+from torch_radbp.path.event import Ends
 from torch_radbp.path.integrand import Integrand
+from torch_radbp.path.sorting import appearances_met
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Onward
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Ray, dot, rows
-from torch_radbp.vertex.interaction import surface_interaction
+from torch_radbp.vertex.interaction import shading_normal, surface_interaction
 
 MOST_VERTICES = 16  # of a path that are looked at
 NO_ROULETTE = 1 << 30
+GRAZING = 1e-3  # sine of the angle between surface and light up to which the latter does not count
 
 
 class Vertices(NamedTuple):
@@ -36,7 +40,8 @@ class LightLooks(NamedTuple):
     """N light samples for which shadow borders are searched."""
 
     draw: LightDraw
-    sharp: Tensor  # (N,) bool: of a light without extent; others are left out
+    wanted: Tensor  # (N,) bool: borders of its shadow are looked for
+    anywhere: Tensor  # (N,) bool: after any number of ideal vertices; else after one
 
 
 IdealPath = tuple[Vertices, ...]  # vertex by vertex, from what the camera sees on
@@ -125,26 +130,63 @@ def along(path: IdealPath, chosen: Tensor, depth: Tensor) -> Reached:
 
 
 def with_light(integrand: Integrand, path: IdealPath, looks: LightLooks) -> IdealPath:
-    """The paths with `LIT` set where they end, after an ideal vertex, at a point with a free shadow ray."""
+    """The paths with `LIT` set where they meet, after an ideal vertex, a point that scatters light back which has come by a
+    free shadow ray; coats may let paths go on from there."""
     found = list(path)
     for number, (place, met) in enumerate(path[1:integrand.max_depth - 1], 1):
         lane = (place >= 0).nonzero().squeeze(1)  # in the order of `met`
-        ends = (((met.what & ONWARDS) == 0) & (met.hit.prim >= 0) & looks.sharp[lane]).nonzero().squeeze(1)
-        if len(ends):
-            draw = rows(looks.draw, lane[ends])
-            ray, distance = to_light(integrand.proposal, *rows((met.ray, met.hit), ends), draw)
-            lit = torch.where(integrand.caster.occluded(ray, distance), 0, LIT).to(met.what.dtype)
-            found[number] = Vertices(place, met._replace(what=met.what.index_add(0, ends, lit)))
+        wanted = (looks.wanted if number == 1 else looks.wanted & looks.anywhere)[lane]
+        widely, transmits = kinds_met(integrand, met)
+        shown = (widely & wanted).nonzero().squeeze(1)
+        if len(shown):
+            own, through = rows((met, transmits), shown)
+            way = to_light(integrand, own, rows(looks.draw, lane[shown]))
+            lit = (way.reflected | way.transmitted & through) & ~integrand.caster.occluded(way.ray, way.length)
+            lit = torch.where(lit, LIT, 0).to(met.what.dtype)
+            found[number] = Vertices(place, met._replace(what=met.what.index_add(0, shown, lit)))
     return tuple(found)
 
 
-def to_light(scene: SceneTensors, ray: Ray, hit: Hit, draw: LightDraw) -> tuple[Ray, Tensor]:
-    """The shadow rays from hits towards light samples, and their lengths, (N,); detached."""
+def kinds_met(integrand: Integrand, met: Reached) -> tuple[Tensor, Tensor]:
+    """(M,) bool: hits of surfaces that scatter not only ideally, and of those that let light through."""
+    layout, (number, _) = integrand.proposal.layout, appearances_met(integrand, met.ray, met.hit)
+    others = [False] * (len(layout.scattering_media) + 1)
+    flags = ([look.kind.smooth for look in layout.appearances], [look.kind.transmits for look in layout.appearances])
+    return tuple(rows(torch.tensor(of_kinds + others, device=number.device), number) for of_kinds in flags)
+
+
+class LightWay(NamedTuple):
+    """The ways from N hits to light samples; detached."""
+
+    ray: Ray  # of the shadow
+    length: Tensor
+    reflected: Tensor  # bool: what the light sends there arrives on the side that is seen
+    transmitted: Tensor  # bool: it arrives on the other side
+
+
+def to_light(integrand: Integrand, met: Reached, draw: LightDraw) -> LightWay:
+    """The ways from hits to light samples, (N,); `integrand`: of a detached scene."""
+    return integrand.part(Ends.SURROUNDINGS).call(way_to_light, met.ray, met.hit, draw)
+
+
+@stage("scene")
+def way_to_light(scene: SceneTensors, ray: Ray, hit: Hit, draw: LightDraw) -> LightWay:
+    """See `to_light`. What comes almost along a surface does not count: if a lamp lights itself is a matter of rounding.
+
+    Args:
+        scene: any part of it, detached.
+        ray, hit: (N,) the rays and what they hit.
+        draw: (N,) the light samples.
+    """
     si = surface_interaction(scene, ray, hit)
     _, d, _ = light_line(scene, si.p.map(torch.Tensor.double), draw)
     # It aims from where it starts, off the surface, as shadow rays do: else the two would not agree beside a border.
     start = si.offset((-d).map(lambda c: c.to(scene.dtype)))
-    _, d, parallel = light_line(scene, start.map(torch.Tensor.double), draw)
+    aims, p = aims_at(scene, start.map(torch.Tensor.double), draw), start.map(torch.Tensor.double)
+    _, d, parallel = line_of(aims, p)
     length = torch.sqrt(dot(d, d))
     towards = (d * (-1.0 / length)).map(lambda c: c.to(scene.dtype))
-    return Ray(start, towards), torch.where(parallel, FAR, length * (1.0 - BEFORE)).to(scene.dtype)
+    rise, shaded = (-dot(n, towards) * torch.sign(dot(n, ray.d)) for n in (si.n, shading_normal(scene, hit, si.n)))
+    sent = (aims("pdf") > 0.0) & (rise.abs() > GRAZING)
+    return LightWay(Ray(start, towards), torch.where(parallel, FAR, length * (1.0 - BEFORE)).to(scene.dtype),
+                    sent & (rise > 0.0) & (shaded > 0.0), sent & (rise < 0.0))

@@ -34,11 +34,12 @@ from torch_radbp.path.vertices import bounce_queues
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Ray, Vec3, dot, max_component, rows
+from torch_radbp.vertex.cone import Cone
 from torch_radbp.vertex.interaction import shading_normal, triangle_normal
 
 # What is known of a vertex, bits of a number: the path meets the side of the shading normal; it is scattered ideally, and
-# goes on; to the other side of the shading normal; on the side of the triangle's own normal; it ends, on a surface that the
-# light of a sample reaches.
+# goes on; to the other side of the shading normal; on the side of the triangle's own normal; the light of a sample reaches
+# it, and is scattered there.
 FRONT, ONWARDS, THROUGH, OUTSIDE, LIT = (1 << bit for bit in range(5))
 
 
@@ -46,6 +47,8 @@ class Reached(NamedTuple):
     """Hits of paths after the same number of ideal vertices, (M,); detached."""
 
     ray: Ray
+    beta: Vec3  # throughput of the ideal vertices before
+    cone: Cone | None  # around the ray; None: no texture asks
     hit: Hit
     what: Tensor  # (M,) int32, FRONT + ...: kind of surface and side
     cells: tuple[Tensor, ...]  # (M,) each, from `cells_met`
@@ -55,14 +58,15 @@ class Ideal(NamedTuple):
     """The appearances of a scene that scatter ideally."""
 
     numbers: tuple[int, ...]
-    queue_of: Tensor  # (A + 1,) int32: for each appearance its index among these; others have their number
+    queue_of: Tensor  # (A + M + 1,) int32: for each event its index among these; others have their number
 
 
 def ideal_of(integrand: Integrand) -> Ideal:
     """Finds the appearances that scatter ideally."""
-    appearances = integrand.proposal.layout.appearances
-    numbers = tuple(number for number, appearance in enumerate(appearances) if appearance.kind.delta)
-    places = [numbers.index(number) if number in numbers else len(numbers) for number in range(len(appearances) + 1)]
+    layout = integrand.proposal.layout
+    numbers = tuple(number for number, appearance in enumerate(layout.appearances) if appearance.kind.delta)
+    events = len(layout.appearances) + len(layout.scattering_media) + 1
+    places = [numbers.index(number) if number in numbers else len(numbers) for number in range(events)]
     return Ideal(numbers, torch.tensor(places, dtype=torch.int32, device=integrand.proposal.device))
 
 
@@ -92,7 +96,7 @@ def ideal_step(integrand: Integrand, surfaces: Surfaces, ideal: Ideal, onward: O
         goes_on = chosen(stages(scattered_ideally)(vertex.next.pdf, vertex.survives, vertex.next.beta))
         put_rows(onwards, *stages(rows)((order, vertex.next.ray.d), goes_on))
         ahead = Onward(vertex.next, goes_on)
-    return state.lane, stages(ideal_vertex)(surfaces, state.ray, hit, onwards), ahead
+    return state.lane, stages(ideal_vertex)(surfaces, state.ray, state.beta, state.cone, hit, onwards), ahead
 
 
 def ideally_scattered(integrand: Integrand, ideal: Ideal, state: PathState, hit: Hit,
@@ -126,8 +130,15 @@ def scattered_ideally(pdf: Tensor, survives: Tensor, beta: Vec3) -> Tensor:
 
 
 @stage("surfaces")
-def ideal_vertex(surfaces: Surfaces, ray: Ray, hit: Hit, onwards: Vec3) -> Reached:
-    """The record of hits, (N,); `onwards`: ideal directions in which paths go on; 0: in none."""
+def ideal_vertex(surfaces: Surfaces, ray: Ray, beta: Vec3, cone: Cone | None, hit: Hit, onwards: Vec3) -> Reached:
+    """The record of hits, (N,).
+
+    Args:
+        surfaces: of the scene.
+        ray, beta, cone: of the paths, as of `Reached`.
+        hit: what they meet.
+        onwards: ideal directions in which they go on; 0: in none.
+    """
     n = triangle_normal(surfaces, hit)
     shading = shading_normal(surfaces, hit, n)
     cosine, met = dot(shading, ray.d), hit.prim >= 0
@@ -136,7 +147,7 @@ def ideal_vertex(surfaces: Surfaces, ray: Ray, hit: Hit, onwards: Vec3) -> Reach
     for bit, holds in ((FRONT, (cosine < 0.0) | ~met), (ONWARDS, goes_on), (THROUGH, dot(shading, onwards) * cosine > 0.0),
                        (OUTSIDE, dot(n, onwards) > 0.0)):
         what = what + torch.where(holds, bit, 0).to(what.dtype)
-    return Reached(ray, hit, what, cells_met(surfaces, hit))
+    return Reached(ray, beta, cone, hit, what, cells_met(surfaces, hit))
 
 
 def steps_played(integrand: Integrand, surfaces: PreparedArgument, ideal: Ideal, tape: Tape, onward: Onward,

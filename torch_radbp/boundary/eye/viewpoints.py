@@ -68,6 +68,7 @@ class Viewpoints(NamedTuple):
     flight: Flight | None = None  # by which the ray comes there through media, or ends before `hit`; see `Arrival`
     boundary: Hit | None = None  # that it passes last; triangle -1: none; None: rays pass none, or carry no derivatives
     by_chance: Tensor | None = None  # (M,) bool: the ray's direction is entirely random
+    in_mirrors: Tensor | None = None  # (M,) bool: the camera sees the vertex by way of one ideal vertex
 
     @property
     def in_medium(self) -> Tensor:
@@ -107,6 +108,7 @@ class Picked(NamedTuple):
     promise: Tensor  # (M,) throughput of the selected vertex; 0: none yet
     depth: Tensor  # (M,) int32; -1: likewise
     slides: Tensor  # (M,) bool: the ray's direction is not entirely random
+    ideal: Tensor  # (M,) bool: it is not random at all
     onwards: Vec3  # (M,) scattered direction
     density: Tensor  # (M,) its density; 0: the path ends there
     ray: Ray  # hits the vertex
@@ -121,8 +123,8 @@ class Picked(NamedTuple):
         none = torch.full_like(state.lane, -1)
         zero, vector = partial(torch.zeros_like, state.pdf), partial(Vec3.buffer, state.pdf)
         hit = Hit(none.clone(), zero(), zero(), zero(), none.clone() if instanced else None)
-        return Picked(zero(), zero(), none.clone(), torch.zeros_like(none, dtype=torch.bool), vector(), zero(),
-                      Ray(vector(), vector()), vector(), hit)
+        no = partial(torch.zeros_like, none, dtype=torch.bool)
+        return Picked(zero(), zero(), none.clone(), no(), no(), vector(), zero(), Ray(vector(), vector()), vector(), hit)
 
 
 class PathsAtBounce(NamedTuple):
@@ -161,7 +163,7 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, batch: PathB
     found = Viewpoints(pixel, sample, place, picked.depth.long(), picked.ray, picked.hit, picked.slides, beta, camera.key,
                        lobe_around(picked.onwards, picked.density),
                        torch.arange(len(sample), device=sample.device) < tried if tried else None, picked.flight,
-                       picked.boundary, ~picked.slides)
+                       picked.boundary, ~picked.slides, picked.ideal & (picked.depth == 1))
     found = rows(found, (found.depth >= 0).nonzero().squeeze(1))
     if call.camera_share is not None:
         lit_from_lamps = (found.depth == 0) & ends_lamp_paths(call.camera_share.integrand.scene, found.standing.prim)
@@ -252,12 +254,13 @@ def picked_vertex(picked: Picked, reached: PathsAtBounce, vertex: Tensor, key: S
     weight = weight if ideal == 1.0 else weight * torch.where(torch.isinf(state.pdf), ideal, 1.0)
     total = before.total + weight
     taken = uniform_numbers(key, state.lane, counter, weight.dtype) * total < weight
-    slides = torch.isinf(state.pdf) if state.followed is None else torch.isinf(state.pdf) | state.followed
+    is_ideal = torch.isinf(state.pdf)
+    slides = is_ideal if state.followed is None else is_ideal | state.followed
     if flight is not None:  # in media points keep their share of the way to the surface behind, and move with the ray
         slides = slides | (flight.t < torch.inf)
     density = rows(reached.onwards.pdf, vertex) * rows(reached.survives, vertex).to(weight.dtype)
     depth = (counter - (SALT + 1)) + torch.zeros_like(state.lane)
-    here = Picked(total, weight, depth, slides | attached, rows(reached.onwards.ray.d, vertex), density, state.ray,
+    here = Picked(total, weight, depth, slides | attached, is_ideal, rows(reached.onwards.ray.d, vertex), density, state.ray,
                   state.beta, hit, flight, boundary)
     found = [torch.where(taken, new, old) if isinstance(new, Tensor) else None
              for new, old in zip(leaves_of(here), leaves_of(before))]

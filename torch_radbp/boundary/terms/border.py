@@ -53,9 +53,18 @@ from torch_radbp.boundary.eye.seen_edges import (
 from torch_radbp.boundary.eye.seen_on_film import aperture_of, camera_sample, into_shade, seen_at
 from torch_radbp.boundary.eye.viewpoints import path_of
 from torch_radbp.boundary.eye.ways_down import lot_of_found
-from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, films_have_area, shadow_term
+from torch_radbp.boundary.terms.shadow_term import (
+    CutOff,
+    ShadowTerm,
+    TermSize,
+    cut_off,
+    films_have_area,
+    follows_mirrors,
+    shadow_term,
+)
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.view import View
+from torch_radbp.interface.emitter import LightKind
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.event import Ends
 from torch_radbp.path.light_share import ends_lamp_paths
@@ -103,6 +112,17 @@ class Lights(NamedTuple):
         return Lights(lights.sharp, soft, False)
 
     @staticmethod
+    def mirrored(call: RenderCall) -> Lights:
+        """The lights whose borders `reflections.py` scans the film for, on surfaces that cameras see by way of ideal
+        vertices, of soft lights one."""
+        lights, layout = Lights.sampled_whole(call), call.scene.layout
+        if call.integrand.max_depth < 3 or not follows_mirrors(call) or layout.traces_segments:
+            return Lights(False, False, False)
+        settings, in_media = call.integrand.settings, layout.scattering_media or layout.emitting_media
+        glued = settings.sampling == "hybrid" and not settings.following
+        return Lights(lights.sharp, lights.sharp and lights.soft and glued and not in_media, False)
+
+    @staticmethod
     def with_shafts(call: RenderCall) -> Lights:
         """The lights whose shafts in media `Shafts` samples; single rays of cameras see of others what vertices see."""
         lights = Lights.sampled_whole(call)
@@ -125,10 +145,13 @@ class Lights(NamedTuple):
         covered = Lights.covered(call)
         return Lights(False, not covered.soft, not covered.around)
 
+    def covers(self, kind: LightKind) -> bool:
+        """Whether a kind of light is covered."""
+        return self.sharp if kind.delta else self.around if kind.surround else self.soft
+
     def of(self, scene: SceneTensors) -> Tensor:
         """For each kind of light in a scene, whether it is covered; bool."""
-        return torch.tensor([self.sharp if kind.delta else self.around if kind.surround else self.soft
-                             for kind in scene.layout.lights], device=scene.device)
+        return torch.tensor([self.covers(kind) for kind in scene.layout.lights], device=scene.device)
 
 
 SOFT = Lights(False, True, True)

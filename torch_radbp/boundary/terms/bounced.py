@@ -107,8 +107,7 @@ class ConnectedPlaces(NamedTuple):
 
 def borders_bounce(call: RenderCall) -> bool:
     """True if there are lights whose borders are looked for at later vertices."""
-    of_scene = Lights.bounced(call).of(call.scene)
-    return bool(of_scene.any())
+    return any(map(Lights.bounced(call).covers, call.scene.layout.lights))
 
 
 def bounced_samples(call: RenderCall) -> int:

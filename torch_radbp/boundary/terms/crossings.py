@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.eye.differences import BENT, CHANCE, HORIZON, RIM, SHADOW, SURFACE, Difference, Pairing
+from torch_radbp.boundary.eye.differences import BENT, CHANCE, HORIZON, RIM, SURFACE, Difference, Pairing
 from torch_radbp.boundary.eye.ideal_paths import IdealPath, LightLooks, along, begins, extended, some_paths
 from torch_radbp.boundary.eye.ideal_steps import Reached
 from torch_radbp.boundary.eye.seen_edges import salted, uniform_numbers
@@ -82,10 +82,9 @@ def curve_crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | N
     at_edge = (kind == HORIZON) & (below.hit.prim != above.hit.prim)
     kind, depth = torch.where(at_edge, SURFACE, kind), torch.where(at_edge, met, depth)
     aperture, key, looks = rows(points[1:], first)
-    if looks is not None:
-        times = times / torch.where(kind == SHADOW, looks.draw.picked.pmf.double(), 1.0)
     return Crossings(rows(points.film, first), rows(points.film, second), aperture, key, looks, times, kind, depth, below,
                      above)
+
 
 def divided_at_outlines(searched: Searched, points: FilmPoints, path: IdealPath, pairs: ScanSteps,
                         turn: int) -> tuple[FilmPoints, IdealPath, ScanSteps]:

@@ -59,15 +59,15 @@ def curves_crossed(searched: Searched, crossed: Crossings) -> tuple[Curves, Tens
     scene, lines = searched.call.scene, searched.surfaces.lines
     geometry, hit, beyond = geometry_of(scene), crossed.below.hit, crossed.above.hit
     rays = [_in_double(met.ray) for met in (crossed.below, crossed.above)]
-    side, is_edge = nearest_side(geometry, searched.surfaces.smooth.continues, rays, [hit, beyond])
+    side, is_edge = nearest_side(geometry, searched.surfaces.smooth.continues, *sides_of_curves(searched, crossed, rays))
     meets = (hit.prim >= 0) & (beyond.prim >= 0) & _inside(_corners_of(geometry, beyond.prim, beyond.instance), rays[0]) & (
         _inside(_corners_of(geometry, hit.prim, hit.instance), rays[1]))
     kind = torch.where(meets, MEETING, EDGE)
     for how, curve in ((differences.RIM, RIM), (differences.TEXTURE, LINE), (differences.HORIZON, HORIZON),
                        (differences.SHADOW, SHADOW)):
         kind = torch.where(crossed.kind == how, curve, kind)
-    known = ((kind != EDGE) | is_edge) & ((kind != RIM) | (geometry.triangles.vertices.n is not None))
-    own = kind != EDGE
+    own = (kind != EDGE) & (kind != SHADOW)
+    known = (own | is_edge) & ((kind != RIM) | (geometry.triangles.vertices.n is not None))
     side = TriangleSide(torch.where(own, hit.prim, side.prim),
                         None if hit.instance is None else torch.where(own, hit.instance, side.instance), side.corner)
     other, shown_by = torch.where(kind == SHADOW, hit.prim, beyond.prim), beyond.instance
@@ -78,12 +78,6 @@ def curves_crossed(searched: Searched, crossed: Crossings) -> tuple[Curves, Tens
         passed = one != another
         line = torch.where(passed, lines.row(hit.prim, slot), line)
         number = torch.where(passed, torch.maximum(one, another), number)
-    shadows = (kind == SHADOW).nonzero().squeeze(1)
-    if len(shadows):
-        casting, is_casting = side_that_casts(searched, rows(crossed, shadows))
-        side = TriangleSide(*(None if part is None else part.index_copy(0, shadows, found)
-                              for part, found in zip(side, casting)))
-        known = known.index_copy(0, shadows, is_casting)
     return Curves(kind, side, other, shown_by, line, number), known
 
 
@@ -183,15 +177,27 @@ def _passed_at(ray: Ray, a: Vec3, b: Vec3) -> tuple[Tensor, Tensor]:
     return dot(cross(e, ray.d), w), -dot(w, across) / dot(across, across).clamp_min(TINY)
 
 
-def side_that_casts(searched: Searched, crossed: Crossings) -> tuple[TriangleSide, Tensor]:
-    """The edges that cast the shadows whose borders are crossed, and (K,) bool: such an edge was located."""
-    scene, rays, hits = searched.call.scene, [], []
-    for met in (crossed.below, crossed.above):
-        ray, distance = to_light(scene, met.ray, met.hit, crossed.looks.draw)
-        hit = searched.integrand.caster.intersect(ray)
-        rays.append(_in_double(ray))
-        hits.append(hit._replace(prim=torch.where((hit.t < distance) & ((met.what & LIT) == 0), hit.prim, -1)))
-    return nearest_side(geometry_of(scene), searched.surfaces.smooth.continues, rays, hits)
+def sides_of_curves(searched: Searched, crossed: Crossings, rays: list[Ray]) -> tuple[list[Ray], list[Hit]]:
+    """Rays beside crossed curves, and what they hit: of borders of shadows those to the light.
+
+    Args:
+        searched, crossed: as for `curves_crossed`.
+        rays: that see the curves from either side, float64.
+    """
+    shadows = (crossed.kind == differences.SHADOW).nonzero().squeeze(1)
+    hits = [crossed.below.hit, crossed.above.hit]
+    if not len(shadows):
+        return rays, hits
+    sides, draw = rows(((crossed.below, crossed.above), crossed.looks.draw), shadows)
+    found = []
+    for beside, met in zip(zip(rays, hits), sides):
+        way = to_light(searched.integrand, met, draw)
+        hit = searched.integrand.caster.intersect(way.ray)
+        hit = hit._replace(prim=torch.where((hit.t < way.length) & ((met.what & LIT) == 0), hit.prim, -1))
+        found.append(with_leaves(beside, [None if old is None else old.index_copy(0, shadows, new) for old, new in zip(
+            leaves_of(beside), leaves_of((_in_double(way.ray), hit)))]))
+    rays, hits = zip(*found)
+    return list(rays), list(hits)
 
 
 def _in_double(ray: Ray) -> Ray:

@@ -15,8 +15,8 @@ z has no part in this: its own points move with its edge.
 Where nothing lies behind, directions take the place of the points.
 
 Light that the first surface receives straight from lamps is counted in `border.py`, that of later ones that are met by
-chance in `bounced.py`, and that of vertices in media in `shafts.py`; but what no light sample finds, and what comes evenly
-from all around, is better found here.
+chance in `bounced.py`, of those that cameras see by way of one ideal vertex in `reflections.py`, and that of vertices in
+media in `shafts.py`; but what no light sample finds, and what comes evenly from all around, is better found here.
 
 References: Li, Aittala, Durand and Lehtinen 2018, "Differentiable Monte Carlo Ray Tracing through Edge Sampling", section 4;
 Zhang, Miller, Yan, Gkioulekas and Zhao 2020, "Path-Space Differentiable Rendering", section 5.
@@ -78,18 +78,20 @@ class Straight(NamedTuple):
     """Which lights of some extent count here that vertices of paths see straight; others count elsewhere."""
 
     from_surfaces: Lights  # of first vertices
-    by_chance: Lights  # of later ones that are met by chance, past edges that lie on no surface; all others see all here
+    # Of later ones past edges that lie on no surface; all others see all here:
+    by_chance: Lights  # that are met by chance
+    in_mirrors: Lights  # that cameras see by way of one ideal vertex
     in_media: Lights
 
     @staticmethod
     def uncovered(call: RenderCall) -> Straight:
         """Those that no other term has."""
         shafts = Lights.with_shafts(call)
-        return Straight(Lights.uncovered(call), SOFT._replace(soft=not Lights.bounced(call).soft),
-                        Lights(False, not shafts.soft, not shafts.around))
+        by_chance, in_mirrors = (SOFT._replace(soft=not some.soft) for some in (Lights.bounced(call), Lights.mirrored(call)))
+        return Straight(Lights.uncovered(call), by_chance, in_mirrors, Lights(False, not shafts.soft, not shafts.around))
 
 
-EVERYTHING = Straight(SOFT, SOFT, SOFT)
+EVERYTHING = Straight(SOFT, SOFT, SOFT, SOFT)
 
 
 @shadow_term
@@ -111,14 +113,15 @@ class HiddenLight(ShadowTerm):
 
     def applies(self) -> bool:
         later = self.call.integrand.max_depth > (1 if self.call.scene.layout.emitting_media else 2)
-        at_first, _, in_media = Straight.uncovered(self.call)
-        return glues(self.call) and (later or any(at_first) or any(in_media))
+        counted = Straight.uncovered(self.call)
+        return glues(self.call) and (later or any(counted.from_surfaces) or any(counted.in_media))
 
     def samples(self, number: int, amount: Amount = ALL) -> CutsOfView | None:
         return cuts_of_view(self.still, number, self.casting, amount, counted=Straight.uncovered(self.still))
 
     def left_out(self, rendering: Rendering) -> set[str]:
-        counted, outline, names = Straight(Lights.uncovered(self.still), SOFT, SOFT), self.casting.outline, set()
+        counted, outline = EVERYTHING._replace(from_surfaces=Lights.uncovered(self.still)), self.casting.outline
+        names: set[str] = set()
         if rendering.shadows or not any(counted.from_surfaces):
             return names
         call = self.still._replace(integrand=self.still.integrand._replace(max_depth=2))  # light straight from lamps
@@ -262,8 +265,8 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
     lobes = ()
     if call.scene.layout.lights:
         lights = light_points(call.stages, call.scene, call.views[number], len(points.depth))
-        surfaces, by_chance, media, everywhere = (some.of(call.scene)[lights.kind] for some in (*counted, SOFT))
-        later = torch.where(points.by_chance, by_chance, everywhere)
+        surfaces, by_chance, mirrors, media, everywhere = (some.of(call.scene)[lights.kind] for some in (*counted, SOFT))
+        later = torch.where(points.by_chance, by_chance, torch.where(points.in_mirrors, mirrors, everywhere))
         meant = torch.where(points.in_medium, media, torch.where(points.depth > 0, later, surfaces))
         lobe = integrand.part(Ends.SURROUNDINGS).call(light_lobes, at, lights.draw)
         lobes = lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),
@@ -307,14 +310,16 @@ def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at:
         state = path_of(call, ray, key)._replace(medium=medium)
         found = trace(integrand, state, hit=met, depth=depth + 1, flight=flight)
         surfaces = counted.from_surfaces if depth == 0 else counted.by_chance
+        mirrors = counted.in_mirrors if depth == 1 else SOFT
         media = counted.in_media if scatters else SOFT
-        if (surfaces, media) != (SOFT, SOFT):
+        if (surfaces, mirrors, media) != (SOFT, SOFT, SOFT):
             way = None if flight is None else flight._replace(emission=None)  # what media emit there counts
             straight = trace(integrand._replace(max_depth=depth + 2), state, hit=met, depth=depth + 1, flight=way)
-            on_surfaces, in_media = (torch.where(met.prim >= 0, not some.soft, not some.around)
-                                     for some in (surfaces, media))
+            on_surfaces, in_mirrors, in_media = (torch.where(met.prim >= 0, not some.soft, not some.around)
+                                                 for some in (surfaces, mirrors, media))
             if depth > 0:
-                on_surfaces = on_surfaces & (own.by_chance & free)[lanes]
+                chance, mirror, off = rows((own.by_chance, own.in_mirrors, free), lanes)
+                on_surfaces = (on_surfaces & chance | in_mirrors & mirror) & off
             found = found - masked(torch.where(rows(own.in_medium, lanes), in_media, on_surfaces), straight)
         L[:, lanes] = torch.stack(tuple(found)).double()
     angle = solid_angle(scene, past.fixed_to(scene), Ray(start, reach))

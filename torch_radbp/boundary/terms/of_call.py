@@ -13,15 +13,15 @@ from torch_radbp.boundary.curve.rendering import Rendering
 from torch_radbp.boundary.curve.segments import Segments, joined_segments
 from torch_radbp.boundary.curve.term import LineNumbers, lines_on_shapes, lines_slide
 from torch_radbp.boundary.eye.surfaces import line_table
+from torch_radbp.boundary.terms.border import Lights
 from torch_radbp.boundary.terms.primary import bytes_of_jumps, image_jumps, moves
 from torch_radbp.boundary.terms.reflections import (
     Reflected,
     bytes_of_reflections,
-    follows_mirrors,
     reflected_jumps,
     reflections_move,
-    sharp_lights,
 )
+from torch_radbp.boundary.terms.shadow_term import follows_mirrors
 from torch_radbp.boundary.terms.shadows import bytes_of_shadows, shadow_jumps, shadows_move, slides_over_edges
 from torch_radbp.boundary.warning.slid_over import lamps_beside_mirrors, slid_over
 from torch_radbp.call.render_call import RenderCall
@@ -64,7 +64,9 @@ def asked_by_way_of_others(call: RenderCall, primary: bool, shadows: bool) -> tu
     if not follows_mirrors(call) or call.scene.layout.traces_segments:
         return False, False
     moving = reflections_move(call) or lines_slide(call)
-    return primary and moving, shadows and sharp_lights(call) and (moving or shadows_move(call))
+    has_borders = shadows and (moving or shadows_move(call)) and any(
+        map(Lights.mirrored(call).covers, call.scene.layout.lights))
+    return primary and moving, has_borders
 
 
 def edges_of_call(rendering: Rendering, seed: int) -> EdgesOfCall:

@@ -12,6 +12,9 @@ it N (|n_x| + |n_y|) dl times. So each crossing stands for
 
 with the sign by which g grows from the low to the high side of the curve.
 
+Borders of shadows are such curves, too. Each scan has one light sample, and the difference at the border of its shadow is
+the light of this sample: that of lamps of some extent is the mean over their points, as in `border.py`.
+
 References: Loubet, Holzschuch and Jakob 2019, "Reparameterizing Discontinuous Integrands for Differentiable Rendering"
 (discontinuities seen by way of ideal surfaces); Santalo 1976, "Integral Geometry and Geometric Probability", chapter 3
 (lengths of curves by the lines that cross them).
@@ -34,18 +37,21 @@ from torch_radbp.boundary.curve.triangles_in_view import may_see_ideal_surfaces
 from torch_radbp.boundary.eye.deposit import Deposit, image_of
 from torch_radbp.boundary.eye.differences import SHADOW, parted
 from torch_radbp.boundary.eye.ideal_paths import ideal_at_first, only_ideal
+from torch_radbp.boundary.eye.ideal_steps import LIT
 from torch_radbp.boundary.eye.rays import Follows, adjoint_of_start, chains_of, following, follows_chains
 from torch_radbp.boundary.eye.seen_on_film import camera_sample
 from torch_radbp.boundary.eye.surfaces import LineTable, surfaces_of
+from torch_radbp.boundary.eye.viewpoints import path_of
+from torch_radbp.boundary.terms.border import Lights
 from torch_radbp.boundary.terms.crossings import Crossings, curve_crossings
 from torch_radbp.boundary.terms.curves import Curves, curves_crossed, level
 from torch_radbp.boundary.terms.scans import MOST, SHARE, Searched, scans_of
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
-from torch_radbp.path.direct_light import LightDraw
+from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace
 from torch_radbp.tensors.differentiated import any_differentiated, detached, primal
-from torch_radbp.tensors.record import joined, leaves_of
+from torch_radbp.tensors.record import joined, leaves_of, selected
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3, rows
 from torch_radbp.tensors.vector_jacobian import vector_jacobian_product, zeros_unless
 from torch_radbp.threads.workers import in_turns
@@ -64,13 +70,7 @@ class Reflected(NamedTuple):
     meshes: list[Outline]  # edges of all meshes, in the frames of their vertices
     lines: LineTable | None  # of textures
     surfaces: bool  # discontinuities of reflected radiance are computed
-    shadows: bool  # and shadow borders of lights without extent
-
-
-def follows_mirrors(call: RenderCall) -> bool:
-    """True if the scene has ideal mirrors or glass, in which cameras may see something."""
-    return (call.integrand.max_depth > 1 and any(look.kind.delta for look in call.scene.layout.appearances)
-            and all(view.camera.kind.has_area for view in call.views))
+    shadows: bool  # and borders of shadows, of `Lights.mirrored`
 
 
 def reflections_move(call: RenderCall) -> bool:
@@ -78,12 +78,6 @@ def reflections_move(call: RenderCall) -> bool:
     vertices = call.scene.triangles.vertices
     return call.scene.layout.bends_ideally or any_differentiated((
         vertices.p, vertices.n, call.scene.triangles.instances, [view.camera.lens for view in call.views]))
-
-
-def sharp_lights(call: RenderCall) -> bool:
-    """True if surfaces seen in mirrors or glass may have sharp shadows."""
-    return (call.integrand.settings.nee and call.integrand.max_depth > 2
-            and any(kind.delta for kind in call.scene.layout.lights))
 
 
 def bytes_of_reflections(call: RenderCall) -> int:
@@ -111,9 +105,10 @@ def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
         still = call.still()
         surfaces = surfaces_of(still, reflected.meshes, detached(reflected.lines))
         tables, = call.stages(parted).taken(surfaces=surfaces)
+        lights = Lights.mirrored(still) if reflected.shadows else Lights(False, False, False)
     for number in range(len(call.views)):
         integrand = ideal_at_first(integrand_of(still, still.integrand, number))
-        searched = Searched(still, number, only_ideal(integrand), surfaces, tables, reflected.shadows)
+        searched = Searched(still, number, only_ideal(integrand), surfaces, tables, lights)
         found = _jumps_in_view(call, searched, integrand, reflected)
         images.append(image_of(call, number, [] if found is None else [found]))
     return torch.stack(images)
@@ -208,6 +203,28 @@ def crossings_in_view(searched: Searched) -> Crossings | None:
 
 def jumps_at(searched: Searched, integrand: Integrand, crossed: Crossings) -> Tensor:
     """(3, K) float64 jump at crossed curves: radiance on the scan's low side less that on its high side."""
+    jump = torch.zeros(3, len(crossed.times), dtype=torch.float64, device=crossed.times.device)
+    shadows = crossed.kind == SHADOW
+    for chosen, of_some in ((~shadows, radiance_lost), (shadows, light_lost)):
+        own = chosen.nonzero().squeeze(1)
+        if len(own):
+            jump[:, own] = of_some(searched, integrand, rows(crossed, own))
+    return jump
+
+
+def light_lost(searched: Searched, integrand: Integrand, crossed: Crossings) -> Tensor:
+    """The jump at borders of shadows: the light of the sample alone whose shadow it is. Args and result as of `jumps_at`."""
+    call, in_light = searched.call, (crossed.below.what & LIT) != 0
+    lit = selected(in_light, crossed.below, crossed.above)
+    state = path_of(call, lit.ray, crossed.key)._replace(cone=lit.cone)
+    light = light_sent_back(integrand, state, lit.hit, crossed.looks.draw) * lit.beta
+    weight = camera_sample(call, call.views[searched.number], crossed.low, crossed.aperture, crossed.key).weight
+    light = torch.stack(tuple(light if weight is None else light * weight)).double()
+    return torch.where(in_light, light, -light)
+
+
+def radiance_lost(searched: Searched, integrand: Integrand, crossed: Crossings) -> Tensor:
+    """The jump at other curves, of all radiance. Args and result as of `jumps_at`."""
     call = searched.call
     film = joined([crossed.low, crossed.high])
     aperture, key = (joined([part] * 2) for part in (crossed.aperture, crossed.key))

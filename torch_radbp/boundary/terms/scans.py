@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torch_radbp.boundary.curve.places import FEWEST, key_of_places, lot_of, picked
 from torch_radbp.boundary.curve.triangles_in_view import may_see_ideal_surfaces
-from torch_radbp.boundary.eye.differences import CHANCE, SURFACE, Difference, Pairing, path_difference
+from torch_radbp.boundary.eye.differences import CHANCE, SHADOW, SURFACE, Difference, Pairing, path_difference
 from torch_radbp.boundary.eye.ideal_paths import IdealPath, LightLooks, begins, ideal_path, with_light
 from torch_radbp.boundary.eye.light_points import light_points
 from torch_radbp.boundary.eye.seen_edges import salted
@@ -24,13 +24,14 @@ from torch_radbp.call.render_call import RenderCall, started
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import CAMERA_COUNTER, LaneKey, bounce_key, fine_unit, lane_key, random_bits
-from torch_radbp.tensors.record import joined
+from torch_radbp.tensors.record import joined, selected
 from torch_radbp.tensors.vec import Vec2, rows
 
 STEPS = 8  # of a scan; what is narrower than one is likely missed
 SHARE, MOST = 64, 1 << 15  # one place for so many paths of the image; and at most
 FLOOR = 0.25  # of the mean likelihood, by which each pixel with a mirror or glass in view is scanned
 OUTLINE = 0.5  # likelihood of a jump right beside the outline of a curved mirror
+PENUMBRA = 0.25  # the same of a border of the shadow of one point of a lamp, where some of these are hidden
 PASSES, SAMPLES_OF_PASS = 4, 16  # paths from each corner, at most; and one for so many samples of a pixel
 SALT = 0x3C6EF372  # tells the random numbers of these paths from others
 ACROSS, DOWN = 0, 1  # the random numbers of a place
@@ -53,7 +54,7 @@ class Searched(NamedTuple):
     integrand: Integrand  # from `only_ideal`
     surfaces: Surfaces
     tables: Any  # the same, prepared for the stages
-    shadows: bool  # shadow borders of lights without extent are searched
+    lights: Lights  # whose shadow borders are searched: of lights of some extent after one ideal vertex alone
 
 
 class Scans(NamedTuple):
@@ -83,11 +84,12 @@ def parting(searched: Searched, path: IdealPath, pairs: Pairing) -> Difference:
 
 def looks_of(searched: Searched, count: int) -> LightLooks | None:
     """Light samples whose shadow borders are searched; None: none are."""
-    if not searched.shadows:
+    if not any(searched.lights):
         return None
     scene = searched.call.scene
     points = light_points(searched.call.stages, scene, searched.call.views[searched.number], count)
-    return LightLooks(points.draw, Lights(sharp=True, soft=False, around=False).of(scene)[points.kind])
+    wanted, sharp = (lights.of(scene)[points.kind] for lights in (searched.lights, Lights(True, False, False)))
+    return LightLooks(points.draw, wanted, sharp)
 
 
 def scans_of(searched: Searched) -> Scans | None:
@@ -115,11 +117,11 @@ def scans_of(searched: Searched) -> Scans | None:
 
 def pixel_weights(searched: Searched) -> Tensor:
     """The expected number of scans per pixel, (P,) float64, row by row; 0 where no mirror or glass is in view."""
-    call, most, shows = searched.call, None, None
+    call, most, shows, corners = searched.call, None, None, corners_of_pixels(searched)
     turns = max(1, min(PASSES, call.spp // SAMPLES_OF_PASS))
-    looks = looks_of(searched, turns)
+    looks = looks_of(searched, turns * (1 + len(corners.x)))
     for turn in range(turns):
-        found, seen = corner_pass(searched, turn, looks)
+        found, seen = corner_pass(searched, turn, corners, looks_of_corners(looks, turns, turn, len(corners.x)))
         most = found if most is None else torch.maximum(most, found)
         shows = seen if shows is None else shows | seen
     shows = shows.double()[None, None]
@@ -129,18 +131,41 @@ def pixel_weights(searched: Searched) -> Tensor:
     return torch.where(near, most + FLOOR * most.sum() / count + 1e-3, 0.0).flatten()
 
 
-def corner_pass(searched: Searched, turn: int, looks: LightLooks | None) -> tuple[Tensor, Tensor]:
+def corners_of_pixels(searched: Searched) -> Vec2:
+    """The corners of a view's pixels, row by row, ((R + 1) (C + 1),) float64."""
+    view = searched.call.views[searched.number]
+    width, height = view.grid.columns + 1, view.grid.rows + 1
+    corner = torch.arange(width * height, dtype=torch.int32, device=searched.call.scene.device)
+    row = torch.div(corner, width, rounding_mode="floor")
+    return Vec2((corner - row * width - view.window.columns.before).double(), (row - view.window.rows.before).double())
+
+
+def looks_of_corners(looks: LightLooks | None, turns: int, turn: int, count: int) -> LightLooks | None:
+    """The light samples of one of some turns: all corners share one of a light without extent, beside whose shadow they see
+    different things; of other lights each has one of its own, which differ wherever a part of a lamp is hidden.
+
+    Args:
+        looks: one for each turn, and one for each corner in each.
+        count: the number of corners.
+    """
+    if looks is None:
+        return None
+    corner = torch.arange(count, device=looks.wanted.device)
+    shared, own = rows(looks, torch.full_like(corner, turn)), rows(looks, turns + turn * count + corner)
+    return selected(shared.anywhere, shared, own)
+
+
+def corner_pass(searched: Searched, turn: int, film: Vec2, looks: LightLooks | None) -> tuple[Tensor, Tensor]:
     """One path per pixel corner: (R, C) float64 likelihood of a jump in each pixel, (R + 1, C + 1) bool: ideal surfaces."""
     call = searched.call
     view = call.views[searched.number]
     width, height = view.grid.columns + 1, view.grid.rows + 1
     corner = torch.arange(width * height, dtype=torch.int32, device=call.scene.device)
-    row = torch.div(corner, width, rounding_mode="floor")
-    film = Vec2((corner - row * width - view.window.columns.before).double(), (row - view.window.rows.before).double())
     salt = salted(view, SALT + 1)
     shared = lane_key(salt, torch.full_like(corner, -1), torch.full_like(corner, turn))
     aperture = aperture_of(view, lane_key(salt, corner, torch.full_like(corner, turn)))
-    path = paths_from(searched, FilmPoints(film, aperture, shared, rows(looks, torch.full_like(corner, turn))))
+    path = paths_from(searched, FilmPoints(film, aperture, shared, None))
+    lit = None if looks is None else with_light(searched.integrand, path, looks)
     corner, begin = corner.view(height, width).long(), begins(path)
     likely = torch.zeros(height - 1, width - 1, dtype=torch.float64, device=call.scene.device)
     for one, other, pixels in ((corner[:, :-1], corner[:, 1:], ((slice(0, -1), slice(None)), (slice(1, None), slice(None)))),
@@ -151,6 +176,9 @@ def corner_pass(searched: Searched, turn: int, looks: LightLooks | None) -> tupl
         if call.scene.layout.shading_normals:  # by which rays leave outlines of curved mirrors on the wrong side
             outline = (found.kind == SURFACE) & (found.depth == 0) & (begin[pairs.first] | begin[pairs.second])
             likelihood = torch.where(outline, OUTLINE, likelihood)
+        if lit is not None:
+            border = torch.where(looks.anywhere[pairs.first], 1.0, PENUMBRA) * (parting(searched, lit, pairs).kind == SHADOW)
+            likelihood = torch.maximum(likelihood, border)
         found = likelihood.view(one.shape)
         for part in pixels:
             likely = torch.maximum(likely, found[part])

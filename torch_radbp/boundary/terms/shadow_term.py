@@ -153,6 +153,12 @@ def films_have_area(call: RenderCall) -> bool:
     return all(view.camera.kind.has_area for view in call.views)
 
 
+def follows_mirrors(call: RenderCall) -> bool:
+    """True if the scene has ideal mirrors or glass, in which cameras may see something."""
+    return (call.integrand.max_depth > 1 and any(look.kind.delta for look in call.scene.layout.appearances)
+            and films_have_area(call))
+
+
 def glues(call: RenderCall) -> bool:
     """True if random hits of paths are fixed to surfaces, except behind rough glass."""
     return call.integrand.settings.sampling != "attached"
