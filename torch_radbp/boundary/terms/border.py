@@ -210,7 +210,7 @@ class DirectShadows(ShadowTerm):
     def samples(self, number: int) -> CutOff | None:
         call, outline = self.still, self.casting.outline
         view, scene = call.views[number], call.scene
-        found = borders_of(call, number, self.casting, Lights.covered(call), share_of(scene))
+        found = borders_of(self.from_lights, number, Lights.covered(call), share_of(scene))
         if found is None:
             return None
         borders, passed, inwards, times = found
@@ -238,7 +238,7 @@ class DirectShadows(ShadowTerm):
             return set()
         call, outline, view = self.still, self.casting.outline, self.still.views[0]
         lights = Lights.covered(call)._replace(sharp=call.integrand.settings.nee)
-        found = borders_of(call, 0, self.casting, lights, max(1, call.spp * view.width * view.height // FEW))
+        found = borders_of(self.from_lights, 0, lights, max(1, call.spp * view.width * view.height // FEW))
         if found is None:
             return set()
         borders, passed = found.borders, found.passed
@@ -302,6 +302,26 @@ def most_samples(call: RenderCall) -> int:
     return max(samples_of(call, view, share_of(call.scene)) for view in call.views)
 
 
+class EdgesFromLights:
+    """The edges that cast shadows, as light samples see them. Terms of a view that ask for the same samples share them.
+
+    Args:
+        call: detached.
+        casting: the edges.
+    """
+
+    def __init__(self, call: RenderCall, casting: Casting):
+        self.call, self.casting = call, casting
+        self.last: tuple[tuple, LitEdges | None] | None = None  # what was asked for last, and the samples
+
+    def lit(self, number: int, lights: Lights, share: int) -> LitEdges | None:
+        """The samples of `lit_edges`; args and result as there."""
+        asked = number, share, [lights.covers(kind) for kind in self.call.scene.layout.lights]
+        if self.last is None or self.last[0] != asked:
+            self.last = asked, lit_edges(self.call, number, self.casting, lights, share)
+        return self.last[1]
+
+
 def lit_edges(call: RenderCall, number: int, casting: Casting, lights: Lights, share: int) -> LitEdges | None:
     """Samples silhouette edges as seen from light samples; None: they see none.
 
@@ -331,12 +351,12 @@ def shadows_cast(geometry: Geometry, lit: LitEdges, passed: Passed, receiver: Hi
     return CastShadows(borders, passed, passed.outwards * (-BESIDE * extent_of(geometry)), passed.times / lit.count)
 
 
-def borders_of(call: RenderCall, number: int, casting: Casting, lights: Lights, share: int) -> CastShadows | None:
+def borders_of(edges: EdgesFromLights, number: int, lights: Lights, share: int) -> CastShadows | None:
     """Samples shadow borders, visible to view `number` or not; None: there are none. Args as for `lit_edges`."""
-    lit = lit_edges(call, number, casting, lights, share)
+    call, lit = edges.call, edges.lit(number, lights, share)
     if lit is None:
         return None
-    kept, receiver = lit_surfaces(call, casting.outline, lit.passed)
+    kept, receiver = lit_surfaces(call, edges.casting.outline, lit.passed)
     passed = rows(lit.passed, kept)
     return shadows_cast(geometry_of(call.scene), lit, passed, receiver) if len(passed.edge) else None
 

@@ -26,10 +26,10 @@ from torch_radbp.boundary.curve.outline import Outline
 from torch_radbp.boundary.eye.lines_through_edges import height_over_plane, scattered_towards, solid_angle
 from torch_radbp.boundary.eye.lit_behind import light_sent_past, lit_surfaces, sees_receivers
 from torch_radbp.boundary.eye.past_edges import leaving_towards
-from torch_radbp.boundary.eye.seen_edges import BEFORE, Casting, Passed, corners_of, course_of, crossed_at, uniform_numbers
+from torch_radbp.boundary.eye.seen_edges import BEFORE, Passed, corners_of, course_of, crossed_at, uniform_numbers
 from torch_radbp.boundary.eye.slid import less_what_slides
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, path_of, vertex_at, viewpoints
-from torch_radbp.boundary.terms.border import Borders, Lights, light_through, lit_edges, samples_of, shadows_cast
+from torch_radbp.boundary.terms.border import Borders, EdgesFromLights, Lights, light_through, samples_of, shadows_cast
 from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, glues, shadow_term
 from torch_radbp.boundary.terms.spread_borders import spread_borders
 from torch_radbp.call.render_call import RenderCall, integrand_of
@@ -69,7 +69,7 @@ class BouncedShadows(ShadowTerm):
 
     def samples(self, number: int) -> CutOff | None:
         call, casting = self.still, self.casting
-        pairs = pairs_of(call, number, casting, Lights.bounced(call), False)
+        pairs = pairs_of(self.from_lights, number, Lights.bounced(call), False)
         if pairs is None:
             return None
         points, start, borders, inwards, times, passed = pairs
@@ -115,14 +115,15 @@ def bounced_samples(call: RenderCall) -> int:
     return max(samples_of(call, view, SHARE) for view in call.views)
 
 
-def pairs_of(call: RenderCall, number: int, casting: Casting, lights: Lights, following: bool) -> ConnectedPlaces | None:
+def pairs_of(edges: EdgesFromLights, number: int, lights: Lights, following: bool) -> ConnectedPlaces | None:
     """Samples borders, each paired with a path vertex of view `number`; None: there are none.
 
     Args:
-        call, number, casting, lights: as for `border.lit_edges`.
+        edges: that cast shadows.
+        number, lights: as for `border.lit_edges`.
         following: as for `viewpoints`.
     """
-    lit = lit_edges(call, number, casting, lights, SHARE)
+    call, casting, lit = edges.call, edges.casting, edges.lit(number, lights, SHARE)
     if lit is None:
         return None
     integrand, geometry, count = integrand_of(call, call.integrand, number), geometry_of(call.scene), len(lit.passed.edge)

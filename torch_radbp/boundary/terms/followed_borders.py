@@ -48,7 +48,7 @@ class FollowedShadows(ShadowTerm):
 
     def samples(self, number: int) -> CutOff | None:
         call, casting = self.still, self.casting
-        pairs = pairs_of(call, number, casting, Lights(sharp=True, soft=False, around=False), True)
+        pairs = pairs_of(self.from_lights, number, Lights(sharp=True, soft=False, around=False), True)
         if pairs is None:
             return None
         points, start, borders, inwards, times, passed = pairs

@@ -11,7 +11,7 @@ over all terms.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -25,6 +25,9 @@ from torch_radbp.boundary.eye.seen_edges import Casting, Course
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.tensors.vec import Vec2, rows
 
+if TYPE_CHECKING:
+    from torch_radbp.boundary.terms.border import EdgesFromLights
+
 
 class ShadowSearch(NamedTuple):
     """A call of which something moves, and what hides light in its scene."""
@@ -34,6 +37,7 @@ class ShadowSearch(NamedTuple):
     casting: Casting | None  # edges; None: nothing moves shadows
     crossing: Segments | None  # where surfaces pass through each other, and lines that slide; None: nowhere
     lines: LineNumbers | None  # what those lines follow, attached
+    from_lights: EdgesFromLights | None  # the edges `casting` as light samples see them
 
 
 class TermSize(NamedTuple):
@@ -94,7 +98,7 @@ class ShadowTerm(ABC):
     is_split: ClassVar[bool] = False
 
     def __init__(self, search: ShadowSearch) -> None:
-        self.call, self.still, self.casting, self.crossing, self.lines = search
+        self.call, self.still, self.casting, self.crossing, self.lines, self.from_lights = search
 
     @classmethod
     def size(cls, call: RenderCall) -> TermSize:

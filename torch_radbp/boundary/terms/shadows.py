@@ -23,6 +23,7 @@ from torch_radbp.boundary.curve.term import LineNumbers
 from torch_radbp.boundary.eye.deposit import image_of
 from torch_radbp.boundary.eye.edge_tree import edge_tree
 from torch_radbp.boundary.eye.seen_edges import Casting
+from torch_radbp.boundary.terms.border import EdgesFromLights
 from torch_radbp.boundary.terms.shadow_term import SHADOW_TERMS, ShadowSearch, terms_of
 from torch_radbp.boundary.terms.split import samples_of_view
 from torch_radbp.call.render_call import RenderCall
@@ -73,7 +74,7 @@ def shadow_jumps(call: RenderCall, casting: Outline | None, crossing: Segments |
         edges = None if casting is None else once("edges that cast shadows", lambda: (facts(), casting),
                                                   lambda: Casting(casting, edge_tree(call.stages, geometry_of(still.scene),
                                                                                      casting)))
-        terms = terms_of(ShadowSearch(call, still, edges, crossing, lines))
+        terms = terms_of(ShadowSearch(call, still, edges, crossing, lines, edges and EdgesFromLights(still, edges)))
     for number in range(len(call.views)):
         with torch.no_grad():
             found = once(("borders of shadows", number), lambda: (
@@ -95,5 +96,5 @@ def shadows_left_out(rendering: Rendering) -> set[str]:
     if edges is None:
         return set()
     casting = Casting(edges, edge_tree(EAGER, geometry_of(call.scene), edges))
-    search = ShadowSearch(call, call, casting, None, None)
+    search = ShadowSearch(call, call, casting, None, None, EdgesFromLights(call, casting))
     return set().union(*(term(search).left_out(rendering) for term in SHADOW_TERMS))

@@ -25,11 +25,11 @@ from torch_radbp.boundary.curve.places import on_film, velocities_on_film
 from torch_radbp.boundary.eye.deposit import Deposit, attached_geometry
 from torch_radbp.boundary.eye.lines_through_edges import scattered_towards
 from torch_radbp.boundary.eye.past_edges import leaving_towards
-from torch_radbp.boundary.eye.seen_edges import Casting, corners_of, salted, uniform_numbers
+from torch_radbp.boundary.eye.seen_edges import corners_of, salted, uniform_numbers
 from torch_radbp.boundary.eye.seen_on_film import aperture_of, camera_sample
 from torch_radbp.boundary.eye.slid import what_slides
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, flown_along, path_of, vertex_at, viewpoints
-from torch_radbp.boundary.terms.border import Lights, lit_edges, samples_of, share_of
+from torch_radbp.boundary.terms.border import EdgesFromLights, Lights, samples_of, share_of
 from torch_radbp.boundary.terms.shadow_sheets import SampledSheets, SheetPoints, sampled_sheets
 from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, films_have_area, glues, shadow_term
 from torch_radbp.boundary.terms.spread_borders import spread_sheets
@@ -122,9 +122,9 @@ class Shafts(ShadowTerm):
         return has_shafts(self.call)
 
     def samples(self, number: int) -> list[ShaftsInView]:
-        found = [seen_by_camera(self.still, number, self.casting)] if films_have_area(self.still) else []
+        found = [seen_by_camera(self.from_lights, number)] if films_have_area(self.still) else []
         if self.still.integrand.max_depth > 2:
-            found.append(seen_by_vertices(self.still, number, self.casting))
+            found.append(seen_by_vertices(self.from_lights, number))
         return [own for own in found if own is not None]
 
     def jumps(self, number: int, found: list[ShaftsInView]) -> list[Deposit]:
@@ -144,9 +144,10 @@ def has_shafts(call: RenderCall) -> bool:
         Lights.with_shafts(call).of(call.scene).any())
 
 
-def seen_by_camera(call: RenderCall, number: int, casting: Casting) -> ShaftsInView | None:
-    """Points on sheets that the camera of a view sees; None: there are none. Args as for `border.lit_edges`."""
-    lit = lit_edges(call, number, casting, Lights.with_shafts(call), share_of(call.scene))
+def seen_by_camera(edges: EdgesFromLights, number: int) -> ShaftsInView | None:
+    """Points on sheets that the camera of view `number` sees; None: there are none."""
+    call, casting = edges.call, edges.casting
+    lit = edges.lit(number, Lights.with_shafts(call), share_of(call.scene))
     if lit is None:
         return None
     view, integrand = call.views[number], integrand_of(call, call.integrand, number)
@@ -172,9 +173,10 @@ def seen_by_camera(call: RenderCall, number: int, casting: Casting) -> ShaftsInV
     return lit_ones(film, strength, sheets, lit_there, SeenFromCamera(film, aperture, key))
 
 
-def seen_by_vertices(call: RenderCall, number: int, casting: Casting) -> ShaftsInView | None:
-    """Points on sheets that vertices of paths see; None: there are none. Args as for `border.lit_edges`."""
-    lit = lit_edges(call, number, casting, Lights.with_shafts(call), share_of(call.scene))
+def seen_by_vertices(edges: EdgesFromLights, number: int) -> ShaftsInView | None:
+    """Points on sheets that vertices of paths of view `number` see; None: there are none."""
+    call, casting = edges.call, edges.casting
+    lit = edges.lit(number, Lights.with_shafts(call), share_of(call.scene))
     if lit is None:
         return None
     view, integrand, count = call.views[number], integrand_of(call, call.integrand, number), len(lit.passed.edge)
