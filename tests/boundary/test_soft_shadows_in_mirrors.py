@@ -1,4 +1,5 @@
-"""Borders of soft shadows that cameras see by way of one ideal vertex: scans of the film find them, and they alone do."""
+"""Borders of soft shadows that cameras see by way of one ideal vertex: scans of the film find them, and they alone do; by
+default in coats, and everywhere in these tests."""
 
 import pytest
 import torch
@@ -19,7 +20,7 @@ EYE, TARGET = (0.3, 0.6, 2.2), (0.15, WALL, 0.95)
 MIRROR = rectangle((0.0, WALL, 0.9), 3.0, (1, 0, 0), 90, bsdf={"type": "conductor", "material": "none"})
 PLASTIC = FLOOR | {"bsdf": {"type": "plastic", "diffuse_reflectance": rgb(0.5, 0.4, 0.3)}}
 FLOORS, LAMP = {"diffuse": FLOOR, "plastic": PLASTIC}, "rectangle"
-ONLY_SHARP = staticmethod(lambda call: Lights(True, False, False))
+ONLY_SHARP, SCANNED = (staticmethod(lambda call, soft=soft: Lights(True, soft, False)) for soft in (False, True))
 
 
 def shaded(floor: str = "diffuse", lamp: str = LAMP, **objects) -> rb.Scene:
@@ -56,8 +57,9 @@ def assert_agree(one: Tensor, other: Tensor, noise: float) -> None:
 @pytest.mark.parametrize("moving, floor, lamp, noise", [
     *((moving, "diffuse", LAMP, 0.05) for moving in ("plate", "lamp", "floor")),
     ("plate", "plastic", LAMP, 0.1), ("plate", "plastic", "point", 0.02)])
-def test_a_shadow_in_a_mirror_has_the_derivative_of_what_the_mirrored_camera_sees(moving, floor, lamp, noise):
+def test_a_shadow_in_a_mirror_has_the_derivative_of_what_the_mirrored_camera_sees(moving, floor, lamp, noise, monkeypatch):
     """Which `DirectShadows` has, whose borders are projected. On a coat they count whether paths go on from there or not."""
+    monkeypatch.setattr(Lights, "mirrored", SCANNED)
     scene, name = in_a_mirror(floor, lamp), f"{moving}.to_world"
     tangent = PUSH[moving](scene.get_parameter(name).detach())
     terms = "interior", "shadow"  # without what jumps in view: the lamp, and the plate before it, in coats
@@ -71,9 +73,8 @@ def test_vertices_seen_in_a_mirror_look_for_no_lamp_past_edges(monkeypatch):
     monkeypatch.setattr(HiddenLight, "samples", lambda *given: found.append(samples(*given)) or found[-1])
     scene = in_a_mirror()
     tangent = PUSH["plate"](scene.get_parameter("plate.to_world").detach())
-    for scanned in (True, False):
-        if not scanned:
-            monkeypatch.setattr(Lights, "mirrored", ONLY_SHARP)
+    for mirrored in (SCANNED, ONLY_SHARP):
+        monkeypatch.setattr(Lights, "mirrored", mirrored)
         rb.jvp(scene, {"plate.to_world": tangent}, spp=64, max_depth=3)
     assert found[0] is None and found[1] is not None
 
@@ -107,7 +108,17 @@ def test_nothing_is_lost_or_counted_twice_where_scans_find_what_vertices_found(n
     scene = room(**ROOMS[name])
     tangent = torch.zeros(4, 4, dtype=torch.float64)
     tangent[:3, 3] = torch.tensor([0.5, 0.3, 0.8])
+    monkeypatch.setattr(Lights, "mirrored", SCANNED)
     scanned = derivatives(scene, "thing.to_world", tangent, spp=64, max_depth=5, light_paths="camera")
     monkeypatch.setattr(Lights, "mirrored", ONLY_SHARP)
     looked = derivatives(scene, "thing.to_world", tangent, spp=64, max_depth=5, light_paths="camera")
     assert_agree(scanned, looked, 0.2)
+
+
+@pytest.mark.parametrize("name", ROOMS)
+def test_by_default_the_film_is_scanned_for_shadows_in_coats(name, monkeypatch):
+    said, mirrored = [], Lights.mirrored
+    monkeypatch.setattr(Lights, "mirrored", staticmethod(lambda call: said.append(mirrored(call)) or said[-1]))
+    tangent = torch.eye(4, dtype=torch.float64)
+    rb.jvp(room(**ROOMS[name]), {"thing.to_world": tangent}, spp=1, max_depth=3, light_paths="camera")
+    assert said and set(said) == {Lights(True, name == "plastic ball", False)}

@@ -114,13 +114,18 @@ class Lights(NamedTuple):
     @staticmethod
     def mirrored(call: RenderCall) -> Lights:
         """The lights whose borders `reflections.py` scans the film for, on surfaces that cameras see by way of ideal
-        vertices, of soft lights one."""
+        vertices.
+
+        Of soft lights by way of one, and of coats alone: few paths choose these, and single ones would bring much. What
+        mirrors and glass show all paths see, and vertices that look at edges find that with less noise.
+        """
         lights, layout = Lights.sampled_whole(call), call.scene.layout
         if call.integrand.max_depth < 3 or not follows_mirrors(call) or layout.traces_segments:
             return Lights(False, False, False)
         settings, in_media = call.integrand.settings, layout.scattering_media or layout.emitting_media
+        coats = all(look.kind.smooth for look in layout.appearances if look.kind.delta)
         glued = settings.sampling == "hybrid" and not settings.following
-        return Lights(lights.sharp, lights.sharp and lights.soft and glued and not in_media, False)
+        return Lights(lights.sharp, lights.sharp and lights.soft and coats and glued and not in_media, False)
 
     @staticmethod
     def with_shafts(call: RenderCall) -> Lights:

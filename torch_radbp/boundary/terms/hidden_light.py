@@ -15,7 +15,7 @@ z has no part in this: its own points move with its edge.
 Where nothing lies behind, directions take the place of the points.
 
 Light that the first surface receives straight from lamps is counted in `border.py`, that of later ones that are met by
-chance in `bounced.py`, of those that cameras see by way of one ideal vertex in `reflections.py`, and that of vertices in
+chance in `bounced.py`, of those that cameras see by way of one coat in `reflections.py`, and that of vertices in
 media in `shafts.py`; but what no light sample finds, and what comes evenly from all around, is better found here.
 
 References: Li, Aittala, Durand and Lehtinen 2018, "Differentiable Monte Carlo Ray Tracing through Edge Sampling", section 4;
