@@ -113,11 +113,10 @@ class Lights(NamedTuple):
 
     @staticmethod
     def mirrored(call: RenderCall) -> Lights:
-        """The lights whose borders `reflections.py` scans the film for, on surfaces that cameras see by way of ideal
-        vertices.
+        """The lights whose borders `reflections.py` scans the film for, on surfaces seen by way of ideal vertices.
 
-        Of soft lights by way of one, and of coats alone: few paths choose these, and single ones would bring much. What
-        mirrors and glass show all paths see, and vertices that look at edges find that with less noise.
+        Of soft lights by way of one coat: few paths choose it, and single ones would bring much. What mirrors and glass
+        show all paths see, and vertices find with less noise.
         """
         lights, layout = Lights.sampled_whole(call), call.scene.layout
         if call.integrand.max_depth < 3 or not follows_mirrors(call) or layout.traces_segments:
@@ -308,12 +307,7 @@ def most_samples(call: RenderCall) -> int:
 
 
 class EdgesFromLights:
-    """The edges that cast shadows, as light samples see them. Terms of a view that ask for the same samples share them.
-
-    Args:
-        call: detached.
-        casting: the edges.
-    """
+    """Samples of edges that cast shadows, shared by terms of a view that ask for the same ones; `call`: detached."""
 
     def __init__(self, call: RenderCall, casting: Casting):
         self.call, self.casting = call, casting
