@@ -224,12 +224,12 @@ def row_product(row: wp.vec4, v: wp.vec3) -> float:
 
 @wp.kernel
 def closest_of_groups(nodes: wp.array(dtype=wp.vec4), places: wp.array(dtype=wp.vec4), shown: wp.array(dtype=int),
-                         trees: wp.array(dtype=wp.uint64), leaves: int, unit: float,
-                         last: wp.array(dtype=wp.int64), rays: wp.array(dtype=wp.int64),
-                         ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
-                         dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float),
-                         prim: wp.array(dtype=int), u: wp.array(dtype=float), v: wp.array(dtype=float),
-                         t: wp.array(dtype=float), instance: wp.array(dtype=int)):
+                      trees: wp.array(dtype=wp.uint64), leaves: int, unit: float,
+                      last: wp.array(dtype=wp.int64), rays: wp.array(dtype=wp.int64),
+                      ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
+                      dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float),
+                      prim: wp.array(dtype=int), u: wp.array(dtype=float), v: wp.array(dtype=float),
+                      t: wp.array(dtype=float), instance: wp.array(dtype=int)):
     """The kernel of `RayCaster.intersect`, one thread per ray."""
     lane = wp.tid()
     if is_beyond(lane, last, rays):
@@ -262,11 +262,11 @@ def closest_of_groups(nodes: wp.array(dtype=wp.vec4), places: wp.array(dtype=wp.
 
 @wp.kernel
 def any_of_groups(nodes: wp.array(dtype=wp.vec4), places: wp.array(dtype=wp.vec4), shown: wp.array(dtype=int),
-                     trees: wp.array(dtype=wp.uint64), leaves: int, unit: float,
-                     last: wp.array(dtype=wp.int64), rays: wp.array(dtype=wp.int64),
-                     ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
-                     dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float),
-                     tmax: wp.array(dtype=float), hidden: wp.array(dtype=wp.bool)):
+                  trees: wp.array(dtype=wp.uint64), leaves: int, unit: float,
+                  last: wp.array(dtype=wp.int64), rays: wp.array(dtype=wp.int64),
+                  ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
+                  dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float),
+                  tmax: wp.array(dtype=float), hidden: wp.array(dtype=wp.bool)):
     """The kernel of `RayCaster.occluded`, one thread per ray, which ends at the first hit."""
     lane = wp.tid()
     if is_beyond(lane, last, rays):
