@@ -31,9 +31,9 @@ class Model(NamedTuple):
         change = self.changes(step)
         return float((self.weights * change) @ change)
 
-    def fall(self, step: Tensor) -> float:
-        """By how much half the squared residuals fall, as the model has it."""
-        return -float(self.gradient @ step) - 0.5 * self.curvature(step)
+    def fall(self, step: Tensor, true: float = 1.0) -> float:
+        """By how much half the squared residuals fall, as the model has it, if this share of its curvature is no noise."""
+        return -float(self.gradient @ step) - 0.5 * true * self.curvature(step)
 
 
 class Trial(NamedTuple):
