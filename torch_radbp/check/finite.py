@@ -99,7 +99,7 @@ def troubles_of_samples(kind: Kind | CheckedKind, values: Values, wi: Vec3,
                         corners: Sequence[tuple[float, float, float]], length_error: float = 0.0) -> Iterator[str]:
     """Yields what is not finite in samples, and at sampled directions, for each wi with all `corners`.
 
-    Nor may squared lengths of samples be off one by more than `length_error`, and some rounding.
+    It also yields samples whose squared length is off 1 by more than `length_error`, and some rounding.
     """
     lanes = Lanes.of(values, wi, [LaneNumbers(*(torch.full_like(wi.z, number).detach() for number in corner))
                                   for corner in corners])

@@ -123,7 +123,7 @@ def judge(question_asked: Question, comparison: Comparison) -> GradientCheck:
     if its tiles are off by more than chance allows and by more than 1%; the 1% is allowed for the step of the finite
     differences, and what they bend by. It is biased, too, if it is not finite, or if forward mode and the backward pass
     disagree. Silhouettes are named if the renderer has said that it leaves some out. It is too noisy if an error of 5% could
-    have gone undetected. Whether the step makes the error of one that is biased, `said_of_step` finds out.
+    have gone undetected. `said_of_step` finds out whether the finite step is what makes it biased.
     """
     informative = comparison.projections[1]
     surest = min(comparison.projections if informative.bend else [informative], key=hidden)

@@ -34,7 +34,7 @@ class Estimates(NamedTuple):
     bend: Tensor | None = None  # (R, B, 3, H, W) mean error of one-sided differences; None: not estimated
 
     def changed(self, halved: Tensor) -> Estimates:
-        """Estimates to compare with zero: how finite differences change with half of the step, the samples being equal."""
+        """The changes of the finite differences when the step is halved, for the same samples, as estimates of zero."""
         return Estimates(torch.zeros_like(halved), halved - self.difference, 3 * self.rounding)
 
 

@@ -42,7 +42,7 @@ class ProjectorKind(PositionalKind):
         return LightBounds(place, torch.zeros_like(luminance), luminance, axis, corner, torch.zeros_like(luminance))
 
     def beam(self, light: ProjectorTable, across: Vec2) -> tuple[Vec3, Tensor]:
-        """Positions are uniform over the image."""
+        """Samples directions through uniform positions of the image, with their density over solid angle."""
         d = normalize(self.leaving(light, across))
         local = direction_to_local(light.to_local, d)
         area = (light.to_uv.x * light.to_uv.y).abs()  # of the image, for that of the plane at distance 1

@@ -44,7 +44,7 @@ class FilmTensors(NamedTuple):
         return Vec2(position.x * self.size_x - self.crop_x, position.y * self.size_y - self.crop_y)
 
     def without_border(self) -> FilmTensors:
-        """The film of points that come from everywhere: those beside the window count in it by the filter, too."""
+        """The film for points from everywhere, as of light paths: those beside the window count in it, too."""
         reach = torch.full_like(self.columns, self.kernel.reach)
         beside = Vec2(reach, reach)
         whole_x, whole_y = (torch.full_like(inside, self.kernel.integral, dtype=self.size_x.dtype)
@@ -98,7 +98,7 @@ class FilmTensors(NamedTuple):
 
 
 def _any_counts(pixels: list[tuple[Tensor, Tensor]]) -> Tensor:
-    """(N,) bool: some weights are not 0."""
+    """(N,) bool: the weight of a point is not 0 in some pixel."""
     return reduce(operator.or_, [weight != 0.0 for _, weight in pixels])
 
 

@@ -25,7 +25,7 @@ PIECE, PIECE_ELSEWHERE = 1 << 14, 1 << 18
 
 
 class Block(NamedTuple):
-    """Samples of P pixels: as many lanes for each pixel, one after the other."""
+    """Samples of P pixels: equally many lanes for each, pixel after pixel."""
 
     place: Vec2  # (N,) position of each sample in its pixel, in [0, 1)
     samples: int  # of a pixel
@@ -72,7 +72,7 @@ def paired(terms: list[Tensor]) -> Tensor:
 
 
 class PixelAdjoints(NamedTuple):
-    """The adjoints of pixels, which those of samples are gathered from."""
+    """The adjoints (derivatives of the loss) of pixels, from which those of samples are gathered."""
 
     tables: tuple[Tensor, ...]  # one for each value of a sample, with an entry for each pixel
     down: Tensor  # () int32, entries from one row of pixels to the next
@@ -88,7 +88,7 @@ def gathered_from_pixels(kernel: Kernel, pixels: PixelAdjoints, place: Vec2, ent
         kernel: the reconstruction filter.
         pixels: the adjoints of pixels.
         place: (N,) of the samples.
-        entry: (M,) int32, that of the upper left pixel in which the samples count.
+        entry: (M,) int32, the index in the tables of the upper left pixel in which the samples count.
         first, left, count: which samples; see `deposited`.
 
     Returns:
@@ -183,7 +183,7 @@ def gathered_by(stage: Stage, kernel: Kernel, tables: tuple[Tensor, ...], block:
         kernel: the reconstruction filter.
         tables: C, as of `PixelAdjoints`; `down`, `across` likewise.
         block: of the samples.
-        entry: (P,) int32, that of the upper left pixel in which the samples of each pixel count.
+        entry: (P,) int32, the index in the tables of the upper left pixel in which the samples of each pixel count.
     """
     first, left, count = _parts_of(stage, block)
     parts = first.shape[1]

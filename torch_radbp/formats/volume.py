@@ -23,14 +23,14 @@ UNIT_BOX = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
 
 
 class VolumeFile(NamedTuple):
-    """What is in a volume file."""
+    """The values in a volume file, and the box that they fill."""
 
     values: np.ndarray  # (Z, Y, X, C) float32
     box: tuple[float, ...]  # the least x, y and z of its box, and the greatest
 
 
 def read_volume(path: str | os.PathLike, possible: tuple[int, ...] = (1,)) -> VolumeFile:
-    """The values of a volume, and its box.
+    """Reads the values of a volume file, and the box that they fill.
 
     Args:
         path: of the file.
