@@ -129,7 +129,7 @@ class PrincipledKind(FeaturedKind):
         return apart_from_one(eta) if self.transmits else eta
 
     def seen(self, values: Values, wi: Vec3) -> tuple[Vec3, Number, Tensor]:
-        """`wi` flipped to the front; 1 if it was in front, else -1; and the index of its far side over that of its near side."""
+        """`wi` flipped to the front; 1 if it was in front, else -1; and the relative refractive index of its far side."""
         if not self.transmits:
             return above(wi), 1.0, self.index(values)
         side = side_of(wi)

@@ -88,7 +88,7 @@ def smoothing(alpha: Tensor, eta: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class Coat(NamedTuple):
-    """A tabulated coat: its reflectance R inside, the coefficients of its transmittance T, and derivatives; (SUMS,) float64."""
+    """A tabulated coat: its reflectance R inside, its transmittance's coefficients, and derivatives; (SUMS,) float64."""
 
     numbers: Tensor
     by_alpha: Tensor

@@ -167,7 +167,7 @@ class Kind(ABC):
         return replace(self, **nested) if nested else self
 
     def null_transmission(self, values: Values, wi: Vec3) -> tuple[Vec3, Tensor]:
-        """The share of light that passes straight through, attached, and the probability of `choose` to pick that, detached."""
+        """The share of light that passes straight, attached, and the probability that `choose` lets it pass so, detached."""
         return Vec3.full(wi.z, 0.0), torch.zeros_like(wi.z)
 
     def chooses_null(self, choice: LobeChoice) -> Tensor:

@@ -73,10 +73,10 @@ class Target(Protocol):
         """Compiles and loads a program."""
 
     def recorded(self, recording: Recording, given: Sequence[Tensor | int], results: Any) -> Recorded | RecordedLaunches:
-        """A recording, to be done again; args as for `RecordedResults`.
+        """Prepares a recording to be played; args as for `results.RecordedResults`.
 
         Raises:
-            NotRecordable: if it cannot be, the message says why.
+            NotRecordable: if it cannot be played; the message says why.
         """
 
     def chosen(self, flags: Tensor) -> Tensor:

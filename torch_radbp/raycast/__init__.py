@@ -42,8 +42,8 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls 
         balls: which of the triangles are tessellated spheres, found faster; None: none are known.
         instances: of groups, whose triangles come last and are seen only there; None: there are none. The triangles of a
             group are kept once by "embree", and by "warp" where copies were many.
-        last: a caster whose parts the new one may take over; None: none.
-        known: of the mesh, if its device has been asked already.
+        last: a caster whose trees of groups the new one may take over; None: none.
+        known: the extremes of the mesh, if its device has been asked for them already.
 
     Raises:
         ValueError: unknown name, or a mesh that cannot be used.

@@ -37,7 +37,7 @@ PICKED, FOLLOWING = 14, 4
 
 
 class Listed(NamedTuple):
-    """One vector of the rays of a batch that a list names, as those that meet a box."""
+    """One vector of rays taken from a list of rays of a batch, such as those that meet a box."""
 
     mask: str  # flags of lanes within the list
     ray: str  # their places in the batch
@@ -176,7 +176,7 @@ def search_balls(code: Vectors, before: str, count: str, columns: list[str], any
     of runs.
 
     Args:
-        columns: addresses of what the lanes hold of their rays.
+        columns: the addresses of the components of all lanes' rays.
         before, count, any_hit: as for `_search`.
     """
     loop(code, "ball", before, 1)

@@ -92,9 +92,7 @@ def numbers_in_mesh(code: Vectors, prim: str) -> str:
 
 
 def closest_ball(code: Vectors, rays: RayVector, before: tuple[str, str, str, str]) -> tuple[str, str, str, str]:
-    """prim, u, v and t of the closest hit among balls and a hit that is given: its t, which bounds the search, prim, u and
-    v.
-    """
+    """prim, u, v and t of the closest hit among balls and the hit `before`, whose t, prim, u and v are given."""
     farthest, *others = before
     carried = [("ball.t", code.numbers, farthest),
                *((f"ball.{name}", code.integers, "splat (i32 -1)") for name in ("met", "row", "column"))]
@@ -129,7 +127,7 @@ def placed(code: Vectors, rays: RayVector, met: tuple[str, str, str], t: str, ot
 
 
 def any_ball(code: Vectors, rays: RayVector, before: str, tmax: str) -> str:
-    """Flags of rays that are flagged already, or hit a ball at 0 < t <= tmax."""
+    """Flags of rays that are set in `before`, or whose ray hits a ball at 0 < t <= tmax."""
     begin_search(code, rays, [("left", code.numbers, code.choose(before, ZERO, tmax))])
     hit, _, _ = meet_nearest(code, rays, next_ball(code, "%left"), "%left")
     code.lay(f"%left.next = select {code.flags} {hit}, {code.numbers} {ZERO}, {code.numbers} %left",

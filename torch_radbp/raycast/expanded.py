@@ -48,7 +48,7 @@ class ExpandedCaster:
         return [self.triangle, self.instance, *self.caster.reads(dtype)]
 
     def launch(self, *arguments) -> None:
-        """See `jit.nvidia.launches.Caster`."""
+        """Casts a ray for each lane on a GPU, without waiting; see `jit.nvidia.launches.Caster`."""
         self.caster.launch(*arguments)
 
     def count(self, rays: int) -> None:

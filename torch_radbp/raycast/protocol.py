@@ -46,7 +46,7 @@ class RayCaster(Protocol):
     def recorded_as(self) -> Hashable | None:
         """What the code of recorded queries depends on, beside the tables that they read; None: they cannot be recorded.
 
-        Others have `reads`, too.
+        Casters that can be recorded have `reads`, too.
         """
 
     def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:

@@ -166,7 +166,7 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
     """Predicts the bytes of a forward and backward pass.
 
     Args:
-        work: what is to be done.
+        work: of the call.
         chunk: lanes traced together.
         adjoint: the strategy.
         record_bytes: that are kept between the passes at most.
@@ -213,9 +213,9 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
 
 
 def predict_all(works: Sequence[Workload], chunk: int, adjoint: AdjointStrategy, record_bytes: float = inf) -> MemoryPlan:
-    """As `predict`, of what is done one after the other: paths from the camera, and paths from lamps.
+    """Predicts the bytes of several works one after the other: paths from the camera, and paths from lamps.
 
-    What is kept for the derivative, and images, are there at the same time, and `working` is that of the worst.
+    What is kept for the derivative, and the images, add up; `working` is that of the largest work.
     """
     plans, images = [], sum(work.images for work in works)
     for work in works:

@@ -36,10 +36,10 @@ class MemoryPlanner:
 
         Args:
             call: with the chunks and the strategy that it would have without a budget.
-            traced: what it consists of, one after the other: calls with the same strategy and no larger chunks.
+            traced: the calls whose images add up to it, with the same strategy and no larger chunks.
             budget: bytes, or a string such as "2GiB"; None: the call is left as it is.
             adjoint_is_chosen: within a budget the strategy of the call is kept, too.
-            terms: of derivatives, that are asked for.
+            terms: the terms of derivatives to compute, see `Renderer`.
         """
         works = [self.workload(each) for each in traced]
         works[0] = works[0]._replace(jumps=bytes_of_edges(call, PRIMARY in terms, SHADOW in terms))

@@ -218,7 +218,7 @@ class Renderer(nn.Module):
 
     def rendered(self, seed: int | None, sensors: SensorChoice, spp: int | None, seed_grad: int | None,
                  aovs: Sequence[str] | None, window: WindowChoice) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
-        """What `forward` returns, which may presume."""
+        """Renders as `forward` says; it may presume flags that only the device knows, see `Presumptions`."""
         outputs = None if aovs is None else self.outputs(aovs)
         call = self.prepare(seed, sensors, spp, seed_grad, aovs is not None, window)
         self.noise_watch.look(seed, call.parameters)
@@ -232,7 +232,7 @@ class Renderer(nn.Module):
         return images if outputs is None else (images, named_quantities(self, call, edges, outputs, channels))
 
     def forget(self) -> None:
-        """Forgets all that was packed for the last calls."""
+        """Drops the caches of tables packed for the last calls."""
         self.cache, self.cache_for_aovs = PackCache(), PackCache()
 
     @public_call

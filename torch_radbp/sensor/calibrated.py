@@ -29,7 +29,7 @@ GRAZING = 0.05  # cosine to the axis below which a view has no pyramid around it
 
 
 class CameraAttributes(TypedDict, total=False):
-    """Keyword arguments of `Calibrated` that no calibration contains, for readers of calibrations."""
+    """Keyword arguments of `Calibrated` that calibration files do not contain, for readers of such files."""
 
     near_clip: float
     far_clip: float

@@ -72,10 +72,10 @@ class Surface(Shape):
         return self.interior is not None or self.exterior is not None
 
     def connections(self) -> tuple[Callable[..., NamedTuple], tuple[Any, ...]] | None:
-        """A function that computes detached facts which `triangles` needs about the shape's values, and its arguments.
+        """A function that computes detached facts about the shape for `triangles`, such as its topology, and its arguments.
 
         Returns:
-            A function of a module and its arguments, tensors and plain values, attached or not; None: it is told nothing.
+            A function of a module and its arguments, tensors and plain values, attached or not; None: there is none.
         """
         return None
 

@@ -55,7 +55,7 @@ def zero_net(values: Tensor, of_voxels: bool) -> Net:
 
     Args:
         values: (Z, Y, X), detached.
-        of_voxels: vertices on the border between voxels are one for each.
+        of_voxels: vertices on the border between voxels are repeated, one for each voxel.
     """
     check_grid("the grid", values)
     cells = subdivision(values.shape)

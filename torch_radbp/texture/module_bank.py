@@ -84,7 +84,7 @@ class ModuleBank(NamedTuple):
         Args:
             row: (N,) int32, which of the modules gives each lane its value; -1: none, and the value is 0.
             at: (N,) where.
-            lanes: of `sorted`, if it is known.
+            lanes: what `sorted` returns for them, if already known.
         """
         functions = ModuleCopies(self.functions, self.parameters)
 
@@ -113,9 +113,9 @@ class ModuleBank(NamedTuple):
         """The gradients of parameters: module, number of the parameter, and its gradient, float64.
 
         Args:
-            wanted: of each module and each of its parameters.
+            wanted: for each parameter of each module, whether its gradient is wanted.
             row, at: as for `values`.
-            adjoint: (N,) of the values; modules run where it is not 0.
+            adjoint: (N,) the adjoints of the values; modules run where they are not 0.
         """
         row = torch.where((adjoint.x != 0) | (adjoint.y != 0) | (adjoint.z != 0), row, -1)
         leaves_of_modules = [[parameter.detach().requires_grad_(want) for parameter, want in zip(*pair)]
@@ -168,7 +168,7 @@ class ModuleBank(NamedTuple):
         return self.divided(row, order, ends.tolist(), parameters)
 
     def divided(self, row: Tensor, order: Tensor, ends: Sequence[int], parameters: float = torch.inf) -> Sorted:
-        """Lanes in batches, of those sorted by module; args as for `sorted` and as it is told by `sorted_by_torch`."""
+        """Divides lanes into batches; `order`, `ends`: as `sorted_by_torch` returns them, the other args as for `sorted`."""
         counts = lengths(ends)
         batches, first = [], counts[0]
         for module, count in enumerate(counts[1:]):

@@ -30,7 +30,7 @@ def sparse_basis(vectors: Tensor) -> Tensor:
 
 
 def in_words(change: Tensor, values: Tensor, names: list[str], sizes: Tensor) -> str:
-    """What a direction that images do not tell means for the parameters that change.
+    """The meaning, in words, of a direction along which images do not change for the parameters that change.
 
     Args:
         change: (n,) in units of the parameters.
@@ -55,7 +55,7 @@ def in_words(change: Tensor, values: Tensor, names: list[str], sizes: Tensor) ->
 
 
 def pair_in_words(first: int, second: int, change: Tensor, values: Tensor, names: list[str]) -> str:
-    """What is known of two parameters whose change by a direction is not told: a product, a ratio, ...; `in_words`."""
+    """What images still tell of two parameters that change along a direction: a product, a ratio, ...; see `in_words`."""
     both = f"{names[first]} and {names[second]}"
     relative = change / values
     for kinds, (a, b) in ((("product", "ratio"), relative[[first, second]].tolist()),

@@ -16,7 +16,7 @@ from torch_radbp.uncertainty.problem import Parameters, Problem
 
 
 class Outlook(NamedTuple):
-    """What a candidate would leave unknown."""
+    """The uncertainty of the parameters that would be left after photographs by a candidate."""
 
     name: str
     left: float  # the mean over parameters of their variance after it over that of the prior, 0 to 1
@@ -123,7 +123,7 @@ def sensitivity(images: Renderer | Images, parameters: Parameters, *, spp: int |
 
 
 def _sensors_of(renderer: Renderer | Images, sensors: list) -> Images:
-    """The images of some sensors."""
+    """The images of some sensors of a renderer, as a function of seed and spp; raises TypeError for a function."""
     if not isinstance(renderer, Renderer):
         raise TypeError("beside a function, candidates must map names to renderers or functions of seed and spp, and "
                         f"nothing can be `taken`, got sensors {sensors}")

@@ -67,7 +67,7 @@ def named(images: Renderer | Images, parameters: Parameters) -> dict[str, Tensor
 
 
 def precision_of(noise: Noise) -> Tensor:
-    """One over the variance of each number of the images, (M,) or (1,) float64.
+    """The precision, one over the variance, of each number of the images, (M,) or (1,) float64.
 
     Raises:
         ValueError: unless standard deviations are positive; infinite ones are pixels that do not count.

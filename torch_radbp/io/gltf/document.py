@@ -22,7 +22,7 @@ class GltfWarning(UserWarning):
 
 
 class Losses(Repairs):
-    """Collects what is left out or changed on the way, by kind, for one warning."""
+    """Collects, by kind, what is left out or changed between a scene and a glTF file, for one warning."""
 
 
 def without_nulls(document: dict[str, Any], losses: Losses) -> dict[str, Any]:

@@ -286,7 +286,7 @@ def complete(children: dict[str, Plugin], names: Names, corners: tuple[np.ndarra
 
     Args:
         children: of the scene; filled in.
-        names: that are given away.
+        names: those in use.
         corners: (3,) least and (3,) greatest coordinates of the scene.
         options: whether and how.
     """
