@@ -122,7 +122,7 @@ def scene_of(emitter: Light) -> Scene:
 
 
 def light_from(lit: Lit, place: tuple[float, float, float], count: int, seed: int) -> LightSample:
-    """Light samples for one point."""
+    """Samples the light by next-event estimation as seen from one point, many times."""
     generator = torch.Generator().manual_seed(seed)
     bits = LightNumbers(*torch.randint(-(1 << 31), 1 << 31, (4, count), generator=generator).to(torch.int32).unbind())
     p = Vec3(*(torch.full((count,), c, dtype=torch.float64) for c in place))
@@ -192,7 +192,7 @@ def light_off(lit: Lit, where: str, light: LightSample, seed: int) -> tuple[floa
 
 
 def _brightness(radiance: Vec3) -> Tensor:
-    """The mean of the colour channels."""
+    """The mean of the colour channels of radiance."""
     return (radiance.x + radiance.y + radiance.z) / 3
 
 

@@ -58,7 +58,7 @@ class Lanes(NamedTuple):
                      differentiable_copy(joined) if isinstance(joined, Vec3) else joined)
 
     def named(self) -> dict[str, Tensor]:
-        """All scalars of the lanes, by name."""
+        """All scalar arguments of the lanes, by name."""
         scalars = {f"values[{k}].{c}": part for k, value in enumerate(self.values) for c, part in zip("xyz", value)}
         scalars |= {f"wi.{c}": part for c, part in zip("xyz", self.wi)}
         names = ("wo.x", "wo.y", "wo.z") if isinstance(self.other, Vec3) else ("choice", "u", "v")

@@ -21,7 +21,7 @@ MOST_ROUNDINGS = 1e4  # of the dtype's epsilon, between forward and backward pas
 
 
 class Question(NamedTuple):
-    """The settings of a gradient check, and what is known in advance."""
+    """The settings of a gradient check, whether geometry moves, and which terms of the derivative are left out."""
 
     name: str  # these fields as in `GradientCheck`
     direction: Tensor

@@ -34,7 +34,7 @@ LENGTH = 1e-6  # that a squared length may be off
 
 
 class Subject(NamedTuple):
-    """A material at one surface point."""
+    """The scattering functions of a material, and their parameters at one surface point."""
 
     kind: CheckedKind | Kind
     values: Callable[[Tensor], Values]  # of its parameters, on as many lanes as the argument has

@@ -48,7 +48,7 @@ def inside(scene: Scene, name: str, direction: Tensor, step: float, *, chosen: b
         name: of the parameter.
         direction: of its shape.
         step: the largest.
-        chosen: by the user; else a part of it will do.
+        chosen: the step is the user's; else a part of it will do.
         turns: entries of the parameter that stand at the upper end of their range may move down instead of up.
 
     Raises:

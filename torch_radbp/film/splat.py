@@ -137,7 +137,7 @@ def offset_sums(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block:
 
 
 def sums_of(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block: Block) -> Tensor:
-    """The sums by offset of `offset_sums`, detached."""
+    """Computes the sums by offset that `offset_sums` returns, detached."""
     (place, samples, _), size = block, 2 * kernel.reach + 1
     if len(values) > MOST_VALUES:
         some, others = (sums_of(stage, kernel, part, block) for part in (values[:MOST_VALUES], values[MOST_VALUES:]))

@@ -83,7 +83,7 @@ def read_nanovdb(path: str | os.PathLike, name: str | None = None) -> DenseGrid:
 
 
 def grids_in(data: bytes) -> Iterator[tuple[str, bytes]]:
-    """The grids of a file, by their names."""
+    """Yields the grids of a NanoVDB file, decompressed, with their names."""
     at = 0
     while at < len(data) or not at:
         magic, version, count, codec = HEADER.unpack_from(data, at)

@@ -39,7 +39,7 @@ def read_volume(path: str | os.PathLike, possible: tuple[int, ...] = (1,)) -> Vo
     Raises:
         FileNotFoundError: if there is no such file.
         IsADirectoryError: if it is a folder.
-        ValueError: names the file, of what is malformed, cut short, of another number of channels or not finite.
+        ValueError: names the file, if it is malformed, cut short, of another number of channels or not finite.
     """
     place = os.fspath(path)
     with opened(path) as file:

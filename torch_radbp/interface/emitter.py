@@ -178,7 +178,7 @@ class SurfaceKind(LightKind):
     on_surface: ClassVar[bool] = True
 
     def check(self, triangles: EmittingTriangles) -> None:
-        """Raises ValueError if the surfaces cannot carry such an emitter."""
+        """Raises ValueError if the surfaces cannot carry an emitter of this kind."""
 
     @abstractmethod
     def source(self, middle: Tensor, axis: Tensor) -> ShadowSource:

@@ -88,8 +88,8 @@ class MediumKind:
         raise TypeError(f"{type(self).__name__} does not scatter")
 
     def flight_pdf(self, table: Table, ray: Ray, way: Tensor, distance: Tensor) -> tuple[Vec3, Vec3]:
-        """The density of `sample_flight` over distance, and the probability of flying farther, (N,) each: by each of the
-        three colours, of which `v` chooses one with equal probability, from 0 to 1 in turn."""
+        """The density of `sample_flight` over distance, and the probability of flying farther, (N,) each: for each of the
+        three colours by which it may sample, of which `v` in [0, 1) chooses one, by thirds."""
         raise TypeError(f"{type(self).__name__} does not scatter")
 
     def emitted(self, table: Table, p: Vec3) -> Vec3:
@@ -118,8 +118,8 @@ class MediumKind:
         Args:
             table, ray, segment: as for `enter`.
             v: (N,) chooses the colour that decides, as for `sample_flight`.
-            tracking: (N,) so far.
-            flies: rays may scatter; else they do not, and only what is left is estimated.
+            tracking: (N,) the state of the rays so far.
+            flies: rays may scatter; else only the transmittance is estimated.
         """
         raise TypeError(f"{type(self).__name__} is not heterogeneous")
 
@@ -166,5 +166,5 @@ def colour_chosen(values: Vec3, v: Tensor) -> Tensor:
 
 
 def mean_of_colours(values: Vec3) -> Tensor:
-    """The mean over colours, (N,)."""
+    """The mean over the three colours, (N,)."""
     return (values.x + values.y + values.z) / 3.0

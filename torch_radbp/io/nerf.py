@@ -112,7 +112,7 @@ def left_out(path: str | os.PathLike) -> str:
 
 
 def missing_of(missing: str) -> str:
-    """Checks the option that says what to do with missing images."""
+    """Checks the option `missing`, what to do with missing images, and returns it."""
     if missing not in MISSING:
         raise ValueError(f"missing must be {' or '.join(map(repr, MISSING))}, got {missing!r:.60}")
     return missing
@@ -128,7 +128,7 @@ class NerfFrame(NamedTuple):
 
 
 def frames_of(path: Path, document: dict[str, Any]) -> list[NerfFrame]:
-    """The frames of a document, each with a name of its own.
+    """The frames of a document, whose names all differ.
 
     Raises:
         SceneError: names the frame that is none.

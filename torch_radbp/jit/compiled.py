@@ -103,7 +103,7 @@ def code_name(function: Callable, tables: tuple[str, ...], given: Arguments, tar
 
 
 def _plain(column: Column | None) -> tuple[int, ...] | None:
-    """A table's column layout as a tuple."""
+    """A table's column layout as a plain tuple, for keys."""
     return None if column is None else tuple(column)
 
 

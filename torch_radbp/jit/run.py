@@ -65,9 +65,9 @@ class LaneFunction:
         self.first_arguments: Arguments | None = None
 
     def knowing(self, *arguments) -> LaneFunction:
-        """The same function, with its first arguments taken apart for calls with the very same objects.
+        """A copy of this function that prepares its first arguments for calls with the very same objects.
 
-        It keeps them alive. With others it does what this one does; what is compiled serves both.
+        It keeps them alive, and accepts other objects, too; compiled code serves both functions.
         """
         other = copy(self)
         other.first_arguments = Arguments(self.parameters, arguments)
@@ -225,12 +225,12 @@ class LaneFunction:
         """How the function is repeated: which outputs replace which entries of tables in the next repetition.
 
         Args:
-            given: its arguments.
-            results: the output that each result is.
-            running: the number of the result that tells whether lanes go on.
+            given: the function's arguments.
+            results: the index of each result among the program's outputs.
+            running: the index of the result that tells whether lanes go on.
 
         Raises:
-            ValueError: if what it returns does not have the structure of the argument, or leaves of that are the same.
+            ValueError: unless it returns as many tensors as the repeated argument has, which must all differ.
         """
         number = list(self.named).index(self.repeats)
         first = sum(len(form.kinds) for form in given.forms[:number])

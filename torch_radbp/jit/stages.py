@@ -104,7 +104,7 @@ class CompiledStages:
 
 @made_once
 def compiled() -> CompiledStages:
-    """The compiled stages of this process."""
+    """The `CompiledStages` that all renderings of this process share."""
     keep_freed_memory()
     return CompiledStages()
 

@@ -50,7 +50,7 @@ Step = Callable[..., Played]  # of the arguments
 
 
 class Taped(NamedTuple):
-    """A recorded step."""
+    """A recorded step, with what a call returns beside tensors."""
 
     recorded: Recorded | RecordedLaunches
     counts: tuple[int, ...]  # the numbers of `Played.counts` among those of the recording
@@ -67,7 +67,7 @@ class Link(NamedTuple):
 
 
 class Recordings:
-    """Recordings by a key of all that they depend on; None for what cannot be recorded."""
+    """A cache of recordings by keys of all that they depend on; None for what cannot be recorded."""
 
     def __init__(self) -> None:
         self.known: dict[tuple, Any] = {}

@@ -120,7 +120,7 @@ class GaussNewton(torch.optim.Optimizer):
                                        "columns": None if self.columns is None else self.columns._asdict()}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Continues from a state.
+        """Sets the state that `state_dict` of another optimizer has returned, to continue from it.
 
         Raises:
             ValueError: if it is one of another optimizer.

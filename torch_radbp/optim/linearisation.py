@@ -30,7 +30,7 @@ class Products:
 
 
 class Linearisation:
-    """Images as a function of n parameters, with products of its Jacobian J, (M, n), at where these stand.
+    """Images as a function of n parameters, with products of its Jacobian J, (M, n), at their current values.
 
     The function may be any composition of torch and of renderers that reads the parameters where they are: modules with
     parametrisations, networks, exposures. While J v is computed the parameters are dual tensors in place, of unchanged

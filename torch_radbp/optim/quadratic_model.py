@@ -27,7 +27,7 @@ class Model(NamedTuple):
     jacobian: Tensor | None = None  # (M, n) J, if it is known as a whole
 
     def curvature(self, step: Tensor) -> float:
-        """d^T H d."""
+        """The curvature d^T H d of the model along a step d."""
         change = self.changes(step)
         return float((self.weights * change) @ change)
 

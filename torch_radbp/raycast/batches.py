@@ -51,12 +51,12 @@ class Listed(NamedTuple):
         return code.choose(self.mask, code.gather(code.scalar, "%ray.end", self.ray), code.constant(DONE))
 
     def learn(self, code: Vectors, kind: str, name: str, value: str, where: str) -> None:
-        """Scatters new values of a column into the batch, in lanes whose flag is set."""
+        """Scatters new values of a column of the batch's rays, such as their t, in lanes whose flag is set."""
         code.scatter(kind, value, f"%ray.{name}", self.ray, where)
 
 
 class Following(NamedTuple):
-    """One vector of consecutive rays of a batch, whether or not they meet the box."""
+    """One vector of consecutive rays of a batch, whether or not they meet a bounding box."""
 
     at: str
 
@@ -74,7 +74,7 @@ class Following(NamedTuple):
         return self.column(code, "end")
 
     def learn(self, code: Vectors, kind: str, name: str, value: str, where: str) -> None:
-        """Stores new values of a column into the batch, in lanes whose flag is set."""
+        """Stores new values of a column of the batch's rays, such as their t, in lanes whose flag is set."""
         code.store(code.vector(kind), code.choose(where, value, self.column(code, name), kind),
                    code.at(kind, f"%ray.{name}", self.at))
 

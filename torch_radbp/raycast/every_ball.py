@@ -50,7 +50,7 @@ class SphereCrossing(NamedTuple):
 
 
 class Nearest(NamedTuple):
-    """The next ball along each ray."""
+    """The next ball along each ray, and whether there is one."""
 
     number: str  # i32, of the ball; 0 where there is none
     some: str  # flags: there is one
@@ -81,7 +81,7 @@ def beside(kernel: CasterKernel) -> CasterKernel:
 
 
 def prepare(code: Vectors) -> None:
-    """Emits what comes before the loop."""
+    """Emits, before the loop over lanes, the loading of the number of balls, and room for one distance for each."""
     code.lay("%ball_count = load i64, ptr %ball_count_at", f"%starts = alloca {code.numbers}, i64 %ball_count")
 
 
@@ -140,7 +140,7 @@ def begin_search(code: Vectors, rays: RayVector, carried: list[tuple[str, str, s
     that order.
 
     Args:
-        carried: name, type and first value of what goes from turn to turn.
+        carried: name, type and first value of each variable of the loop.
     """
     code.lay("br label %balls", "balls:", "br label %sphere",
              "sphere:", "%s = phi i64 [ 0, %balls ], [ %s.next, %sphere ]")

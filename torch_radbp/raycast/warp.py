@@ -189,7 +189,7 @@ def _started(device: torch.device):
 
 @contextmanager
 def silent() -> Iterator[None]:
-    """A context in which Warp does not say what it finds and compiles."""
+    """A context in which Warp prints no messages about devices and compilation."""
     level, wp.config.log_level = wp.config.log_level, max(wp.config.log_level, wp.LOG_ERROR)
     try:
         yield
@@ -199,7 +199,7 @@ def silent() -> Iterator[None]:
 
 @made_once
 def tree_kernels(device: torch.device) -> tuple[wp.Kernel, wp.Kernel]:
-    """The kernels for closest hits and for any, by a tree; compiled the first time, and kept on disk by Warp."""
+    """Warp's kernels for closest hits and for any hit by a tree; compiled the first time, and kept on disk by Warp."""
     with silent():
         wp.load_module(__name__, device=wp.device_from_torch(device))
     return closest_hit, any_hit

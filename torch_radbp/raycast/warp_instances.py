@@ -133,7 +133,7 @@ def new_group(vertices: Tensor, faces: Tensor, stream: wp.Stream | None) -> Grou
 
 @wp.struct
 class Cursor:
-    """A place in the upper tree."""
+    """The state of a walk through the tree over instances: a node, and the nodes left to visit."""
 
     node: int  # 0: behind the last one
     pending: int  # bits: whether the neighbour of the node, of its parent and so on is still to be visited
@@ -141,7 +141,7 @@ class Cursor:
 
 @wp.struct
 class GroupRay:
-    """A ray in the frame of a group, in the numbers of its tree."""
+    """A ray in the frame of a group, in the units of its tree."""
 
     o: wp.vec3  # where it enters the ball around the group, or begins in it
     d: wp.vec3
@@ -163,7 +163,7 @@ def box_entry(nodes: wp.array(dtype=wp.vec4), node: int, o: wp.vec3, inverse: wp
 
 @wp.func
 def back(cursor: Cursor) -> Cursor:
-    """Goes from a node that is done to the next one."""
+    """Moves on from a node that is done to the next node to visit."""
     node, pending = int(cursor.node), int(cursor.pending)
     if pending == 0:
         return Cursor(0, 0)
@@ -176,7 +176,7 @@ def back(cursor: Cursor) -> Cursor:
 @wp.func
 def next_instance(nodes: wp.array(dtype=wp.vec4), leaves: int, o: wp.vec3, inverse: wp.vec3, end: float,
                   cursor: Cursor) -> Cursor:
-    """Goes on to a leaf whose box the ray enters before `end`, the nearer one of two neighbours first."""
+    """Moves on to the next leaf whose box the ray enters before `end`, the nearer one of two neighbours first."""
     at = Cursor(cursor.node, cursor.pending)
     while at.node > 0 and at.node < leaves:
         first, second = box_entry(nodes, 2 * at.node, o, inverse), box_entry(nodes, 2 * at.node + 1, o, inverse)

@@ -16,7 +16,7 @@ WIDER = 2.0**-20  # how much wider boxes are, in units of the mesh's extent: eno
 
 
 def triangle_tree(corners: Tensor, stream: wp.Stream | None) -> wp.Mesh:
-    """Builds a tree of triangles.
+    """Builds Warp's tree over triangles.
 
     Args:
         corners: (F, 3, 3) float32, as by `in_units`.

@@ -104,7 +104,7 @@ def reaching(integrand: Integrand, pilot: PathState) -> list[float]:
 
 
 def lane_bytes(record) -> int:
-    """The bytes of one lane of a record."""
+    """The bytes that one lane takes in a record of tensors."""
     return sum(leaf.element_size() for leaf in leaves_of(record) if isinstance(leaf, Tensor))
 
 
@@ -114,7 +114,7 @@ def record_sizes(integrand: Integrand, pilot: PathState, triangles: bool) -> Rec
     Args:
         integrand: of the detached scene.
         pilot: the paths.
-        triangles: whether the memo of the backward pass has the adjoints of triangles.
+        triangles: whether the backward pass carries adjoints of triangles from vertex to vertex.
     """
     with torch.no_grad():
         step = take_step(integrand, pilot, 0)[-1]
@@ -254,7 +254,7 @@ def _candidates(chunk: int, adjoint: AdjointStrategy | None,
 
 
 def bytes_text(count: float) -> str:
-    """Bytes as text, in binary units."""
+    """A number of bytes as text, in binary units."""
     unit = max((unit for unit in UNITS if UNITS[unit] <= count and len(unit) != 2), key=UNITS.get, default="B")
     return f"{count / UNITS[unit]:.3g} {unit}"
 

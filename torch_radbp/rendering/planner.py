@@ -72,7 +72,7 @@ class MemoryPlanner:
         Args:
             call: whose scene, with what is differentiated in it, and whose strategy tell its kind.
             integrand: of the call, detached and eager.
-            triangles: the memo of the backward pass has the adjoints of triangles.
+            triangles: the backward pass carries adjoints of triangles from vertex to vertex.
         """
         wanted = tuple(isinstance(leaf, Tensor) and leaf.requires_grad for leaf in tree_flatten(call.scene)[0])
         taped = call.adjoint.taped

@@ -29,10 +29,10 @@ class Towards(NamedTuple):
 
 
 def towards_spheres(spheres: Sequence[BoundingSphere], p: Vec3, choice: Tensor, across: Vec2) -> Towards:
-    """Samples directions from points into the cones around spheres, evenly; all of them where a point lies in a sphere.
+    """Samples directions from points uniformly within the cones around spheres; all directions where a point is inside one.
 
     Args:
-        spheres: some.
+        spheres: at least one.
         p: (N,) the points, detached.
         choice, across: (N,) uniform numbers in [0, 1).
     """
@@ -55,7 +55,7 @@ def rays_to_spheres(spheres: Sequence[BoundingSphere], d: Vec3, choice: Tensor, 
     """Samples points on parallel rays through spheres, evenly over the discs in which these are seen.
 
     Args:
-        spheres: some.
+        spheres: at least one.
         d: (N,) unit direction of the rays, detached.
         choice, across: as for `towards_spheres`.
 

@@ -51,7 +51,7 @@ class Stage(Protocol):
     def __call__(self, *arguments): ...
 
     def knowing(self, *arguments) -> Stage:
-        """The same stage, prepared for calls whose first arguments are these objects."""
+        """A copy of the stage, prepared for calls whose first arguments are these objects."""
 
     def taken(self, **arguments) -> tuple:
         """Prepares arguments, given by name, for several calls."""

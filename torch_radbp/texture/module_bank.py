@@ -65,7 +65,7 @@ class ModuleCopies:
         self.made: dict[tuple[int, int], ModuleFunction] = {}
 
     def of(self, module: int) -> ModuleFunction:
-        """This thread's copy of a module."""
+        """This thread's copy of the module with a given index."""
         key = module, get_ident()
         if key not in self.made:
             self.made[key] = self.functions[module].with_parameters(self.parameters[module])

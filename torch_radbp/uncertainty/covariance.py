@@ -34,12 +34,12 @@ class CovarianceOfParameters(NamedTuple):
 
     @property
     def standard_deviations(self) -> dict[str, Tensor]:
-        """By parameter, in its shape and units, float64; infinite for what takes part in a flat direction."""
+        """Standard deviations by parameter, in its shape and units, float64; infinite where a flat direction takes part."""
         return self.problem.by_name(self.matrix.diag().sqrt())
 
     @property
     def correlations(self) -> Tensor:
-        """(n, n) float64; NaN for what is flat."""
+        """(n, n) float64, the correlations of the parameters; NaN for those that take part in a flat direction."""
         deviation = self.matrix.diag().sqrt()
         deviation = torch.where(deviation.isfinite(), deviation, torch.nan)
         return self.matrix / deviation / deviation[:, None]
@@ -192,7 +192,7 @@ def diagonal_covariance(images: Renderer | Images, parameters: Parameters, *, no
 
 
 class PosteriorSamples(NamedTuple):
-    """What fits may be off by, in units of the prior's deviations S: (S H S + 1) x = b = S J^T Sigma^-1/2 e + f."""
+    """Samples x of errors of fits, in units of the prior's deviations S: (S H S + 1) x = b = S J^T Sigma^-1/2 e + f."""
 
     found: Tensor  # (K, n) float64, x
     drawn: Tensor  # (K, n) b

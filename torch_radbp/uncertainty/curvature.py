@@ -20,7 +20,7 @@ DENSE = 200  # parameters, for which a matrix is computed
 
 
 class Product(NamedTuple):
-    """A product with J^T Sigma^-1 J."""
+    """A product with the curvature J^T Sigma^-1 J, or its diagonal, and the standard error."""
 
     value: Tensor  # (n,) float64
     error: Tensor  # (n,) its standard error by the noise of the renderings; NaN of a single pair
@@ -51,7 +51,7 @@ class Curvature:
         return self.problem.linear.size
 
     def product(self, direction: Tensor, pairs: int = 4, *, independent: bool = True) -> Product:
-        """J^T Sigma^-1 J v, with its noise.
+        """The product J^T Sigma^-1 J v with a direction v, and its standard error.
 
         Args:
             direction: v, (n,), in the order of the parameters.
@@ -136,7 +136,7 @@ class Curvature:
         return Product(torch.stack(found).mean(0), torch.stack(found).std(0) / probes ** 0.5)
 
     def _half(self, direction: Tensor, forward: int, backward: int) -> Tensor:
-        """J_b^T Sigma^-1 J_a v of two seeds."""
+        """The product J_b^T Sigma^-1 J_a v with Jacobians of two seeds."""
         linear, spp = self.problem.linear, self.problem.spp
         return linear.backward(self.problem.weighted(linear.forward(direction, forward, spp)), backward, spp).cpu()
 

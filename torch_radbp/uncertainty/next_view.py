@@ -24,7 +24,7 @@ class Outlook(NamedTuple):
 
 
 class RankedViews(NamedTuple):
-    """Candidates, the one that tells most first."""
+    """Candidate views, the one that tells most about the parameters first."""
 
     ranking: list[Outlook]
     before: Outlook  # without any of them

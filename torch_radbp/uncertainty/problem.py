@@ -52,7 +52,7 @@ def images_of(images: Renderer | Images) -> Images:
 
 
 def named(images: Renderer | Images, parameters: Parameters) -> dict[str, Tensor]:
-    """The parameters by name.
+    """The tensors of the parameters by name.
 
     Raises:
         TypeError: for names beside a function, whose scene is not known.

@@ -66,7 +66,7 @@ class ConstVolume(VolumeFunction):
         return transform_points(self.to_world, unit)
 
     def colour(self) -> Vec3:
-        """The value, () for each channel, attached."""
+        """The volume's value, () for each channel, attached."""
         return Vec3.of(self.value.texels()[0, 0])
 
 

@@ -268,7 +268,7 @@ class _Reader:
 
 
 def lies_mirrored(uv: np.ndarray, faces: np.ndarray, place: str, losses: Losses) -> bool:
-    """True if a normal map read at (V, 2) uv, v down, is mirrored on most triangles; notes the others."""
+    """True if a normal map read at (V, 2) uv, v down, is mirrored on most triangles; notes those that differ."""
     first, second, third = (uv[faces[:, corner]] for corner in range(3))
     (a, b), (c, d) = (second - first).T, (third - first).T
     mirrored = a * d - b * c > 0

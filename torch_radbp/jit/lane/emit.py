@@ -87,7 +87,7 @@ class ProgramText:
         return self.text()
 
     def text(self) -> Body:
-        """What has been emitted."""
+        """The LLVM IR emitted so far."""
         return Body(self.program, self.entry, self.body, tuple(self.declared.values()), self.names)
 
     # -- Types and constants --------------------------------------------------------------------------------------------
@@ -101,7 +101,7 @@ class ProgramText:
         return name if self.width == 1 else f"v{self.width}{name}"
 
     def everywhere(self, scalar: str, literal: str) -> str:
-        """A constant block of equal lanes."""
+        """The LLVM constant of a block whose lanes all are `literal`."""
         return literal if self.width == 1 else f"splat ({scalar} {literal})"
 
     def constant(self, value: Value) -> str:

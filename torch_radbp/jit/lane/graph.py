@@ -121,7 +121,7 @@ def _rounded(number: bool | int | float, dtype: torch.dtype) -> bool | int | flo
 
 
 def program(outputs: tuple[Value | None, ...]) -> Program:
-    """The program that computes `outputs`."""
+    """The program of all values on which `outputs` depend, in order."""
     needed: set[Value] = set()
     waiting = [value for value in outputs if value is not None]
     while waiting:

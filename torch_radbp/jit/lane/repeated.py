@@ -14,7 +14,7 @@ from torch_radbp.jit.lane.schedule import few_alive
 
 
 class RepeatedText:
-    """Emits a repeated program.
+    """Emits a program that is repeated for a lane while an output says so.
 
     Args:
         emitter: of the program (`emit.ProgramText`), for blocks of one lane; the label before its instructions is `lane`.

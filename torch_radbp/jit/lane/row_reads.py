@@ -94,7 +94,7 @@ class RowReading:
                 for order in ((0, 1, 4, 5), (2, 3, 6, 7))]
 
     def joined(self, parts: Sequence[str]) -> str:
-        """Concatenates vectors of four."""
+        """Emits the concatenation of vectors of four lanes."""
         size, parts = AT_ONCE, list(parts)
         while len(parts) > 1:
             order = ", ".join(f"i32 {place}" for place in range(2 * size))

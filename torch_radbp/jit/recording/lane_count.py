@@ -22,7 +22,7 @@ class LaneCount(NamedTuple):
 
     @property
     def alone(self) -> Tensor:
-        """(1,) the number, on the device."""
+        """(1,) the number of lanes, a tensor on the device."""
         return self.counts[self.number:self.number + 1]
 
 

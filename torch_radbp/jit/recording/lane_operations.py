@@ -33,7 +33,7 @@ class LoopBody(Protocol):
 
 
 class RecordedLoop(NamedTuple):
-    """A recorded loop over lanes."""
+    """A recorded call of a compiled loop over lanes."""
 
     body: int | LoopBody  # address, or body that is being compiled
     lanes: LaneSpan
@@ -123,12 +123,12 @@ class Outside(NamedTuple):
 
     @property
     def outputs(self) -> tuple[MemoryPlace, ...]:
-        """The outputs of all parts."""
+        """The places of the outputs of all groups of lanes."""
         return tuple(place for part in self.parts for place in part.outputs)
 
 
 class NewTensor(NamedTuple):
-    """A tensor made while recording."""
+    """A tensor that a recorded operation makes, with an entry for each lane of a span."""
 
     dtype: torch.dtype
     lanes: LaneSpan

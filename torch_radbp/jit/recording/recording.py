@@ -145,7 +145,7 @@ class Recording:
 
     def loop(self, body: int | LoopBody, lanes: int, part: int, inputs: Sequence[Tensor | int], outputs: Sequence[Tensor],
              first: int = 0, lengths: bool = False, of_lanes: Sequence[bool] = ()) -> None:
-        """Records a loop over lanes.
+        """Records a compiled loop over lanes.
 
         Args:
             body, lanes, part: as of `team.run_lanes`.
@@ -384,9 +384,9 @@ def listening(recording: Recording) -> Iterator[None]:
 
 @contextmanager
 def unguarded() -> Iterator[None]:
-    """A context in which this thread's torch operations are not checked, as for tracing.
+    """A context in which a recording does not check torch's operations on tensors without contents, as for tracing.
 
-    No other mode of torch's may have been entered since this thread began to listen.
+    No other mode of torch's may have been entered since the recording began.
     """
     guard = HERE.guard
     if guard is None:

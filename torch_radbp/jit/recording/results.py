@@ -17,7 +17,7 @@ SIZES = (1, 4, 8)  # bytes of a tensor's entries
 
 
 class RecordedInputs:
-    """The inputs of a recording as a list: tensors, and addresses of what loops read."""
+    """The inputs of a recorded function: tensors, and addresses of memory that its loops read."""
 
     __slots__ = ("items", "addresses", "lengths")
 

@@ -51,7 +51,7 @@ def _described(item: tuple | None) -> str:
 
 
 class Leaf:
-    """Placeholder for a tensor."""
+    """Placeholder for a tensor in a structure of nested tuples."""
 
 
 def with_other_leaves(part: Any, next_leaf: Callable[[], Any]) -> Any:
