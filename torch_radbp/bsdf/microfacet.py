@@ -45,7 +45,7 @@ SQRT_PI = math.sqrt(math.pi)
 
 
 def half_vector(h: Vec3) -> tuple[Vec3, Tensor]:
-    """The unit half vector of `h`, flipped to the side of the normal (which replaces a vanishing one), and |h|^2."""
+    """The unit vector along a half vector `h`, flipped to the side of the normal (the normal if h vanishes), and |h|^2."""
     squared = dot(h, h)
     vanishes = (squared < SMALLEST_HALF_VECTOR).to(h.z.dtype)
     squared = squared.clamp_min(SMALLEST_HALF_VECTOR)

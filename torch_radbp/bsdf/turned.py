@@ -219,7 +219,7 @@ def chance_of_frame(chance: Tensor, turned_round: Tensor) -> Tensor:
 
 
 def picked_with(chance: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
-    """True with probability `chance`, by a uniform number, and a uniform number made of what that leaves."""
+    """True with probability `chance`, by a uniform random number, and a new uniform number made of its remainder."""
     picked = number < chance
     rest = torch.where(picked, number / chance, (number - chance) / (1.0 - chance))
     return picked, rest.clamp(0.0, LARGEST_NUMBER)

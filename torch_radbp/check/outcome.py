@@ -151,7 +151,7 @@ def said_of_step(question: Question, result: GradientCheck, halved: Comparison, 
 
 
 def said_of_floor(result: GradientCheck, floor: float) -> GradientCheck:
-    """The biased verdict on a parameter that is below a floor of its plugin."""
+    """Revises a biased verdict on a parameter that lies below the value to which its plugin clamps it."""
     return replace(result, verdict=AT_FLOOR, explanation=(
         f"values below {floor:.3g} may count as larger ones, with the derivatives that these have, so that optimizers can "
         f"leave the end of the range again; differences do not show that. Check the derivative at {floor:.3g} or more"))

@@ -23,7 +23,7 @@ from torch_radbp.transforms import transform
 
 
 class ProjectorTable(NamedTuple):
-    """One row for each projector; attached."""
+    """The table of projectors, a row for each; attached."""
 
     place: Vec3
     to_local: Frame  # rows of the matrix from world directions to the projector's, which shines along its +z

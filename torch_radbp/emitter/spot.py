@@ -35,7 +35,7 @@ CUTOFF = NUMBER._replace(low=0.0, high=180.0, low_is_in=False, unit=" degrees")
 
 
 class SpotTable(NamedTuple):
-    """One row for each spot; attached."""
+    """The table of spotlights, a row for each; attached."""
 
     place: Vec3
     to_local: Frame  # rows of the matrix from world directions to the spot's, which shines along its +z

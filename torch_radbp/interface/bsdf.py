@@ -188,7 +188,7 @@ class Kind(ABC):
 
 
 class DeltaKind(Kind):
-    """A kind with delta lobes only: ideal specular scattering, which light sampling cannot find."""
+    """A BSDF with delta lobes only: ideal specular scattering, which light sampling cannot find."""
 
     delta: ClassVar[bool] = True
     smooth: ClassVar[bool] = False
@@ -241,7 +241,7 @@ def either(condition: Tensor, first: Tensor | None, second: Tensor | None) -> Te
 
 
 def above(w: Vec3) -> Vec3:
-    """`w` mirrored to the side of the normal, to keep one-sided kinds finite where they are black."""
+    """`w` mirrored to the side of the normal, to keep one-sided BSDFs finite where they are black."""
     return Vec3(w.x, w.y, w.z.abs())
 
 

@@ -27,7 +27,7 @@ counter = itertools.count()
 
 
 class Form:
-    """The structure of one argument, with a generated function that takes it apart.
+    """The structure of one argument, with a generated function that extracts its tensors.
 
     Args:
         argument: one with this structure.
@@ -199,7 +199,7 @@ def elsewhere(parameter: Parameter, device: torch.device, other: torch.device) -
 
 
 class Arguments:
-    """The arguments of one call (or its first ones), taken apart.
+    """The arguments of one call (or its first ones), split into tensors and structures.
 
     Args:
         parameters: of the function, those that the arguments belong to.

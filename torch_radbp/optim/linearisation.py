@@ -79,7 +79,7 @@ class Linearisation:
             self.products = before
 
     def products_at(self, seed: int, spp: int | None) -> Products:
-        """The work that products at the current values, this seed and spp share; new if the last ones had others."""
+        """The record of shared work for products at the current values, this seed and spp; a new one if any has changed."""
         if self.products is None:
             return Products(torch.empty(0, dtype=torch.float64), seed, spp)
         here = self.position()

@@ -62,7 +62,7 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls 
 
 def _new_caster(name: str, vertices: Tensor, faces: Tensor, balls: Balls | None, instances: Instances | None,
                 last: RayCaster | None = None, known: MeshExtremes | None = None) -> RayCaster:
-    """Builds the ray caster called `name`, as `make_caster` does, without instances in casters that know none."""
+    """Builds the ray caster called `name`, as `make_caster` does; instances are copied for casters that know none."""
     if name not in CASTERS:
         raise ValueError(f"unknown ray caster {name!r}; known are {', '.join(map(repr, CASTERS))}")
     caster = getattr(importlib.import_module(f"torch_radbp.raycast.{name}"), CASTERS[name])

@@ -26,7 +26,7 @@ class MeshExtremes(NamedTuple):
 
     @staticmethod
     def asked_of(vertices: Tensor, faces: Tensor, instances: Instances | None = None) -> list[Tensor]:
-        """The tensors on the device that hold these numbers; none if it is no valid mesh, which later checks report.
+        """The tensors on the device that hold the numbers of this record; none for invalid meshes, which are checked later.
 
         Args:
             vertices: (V, 3).

@@ -34,7 +34,7 @@ class FewFaces(NamedTuple):
 
 
 def few_faces(corners: Tensor, device: torch.device) -> FewFaces | None:
-    """The faces of triangles, on a device; None: they are more than a ray should try.
+    """The `FewFaces` of triangles, on a device; None if they are more than a ray should test one by one.
 
     Args:
         corners: (F, 3, 3) float32, of the host, which would wait for the device a dozen times otherwise.
@@ -93,7 +93,7 @@ def four_of(rows: wp.array(dtype=wp.vec4), place: int) -> wp.vec4:  # type: igno
 
 @wp.struct
 class FaceCrossing:
-    """Where a ray crosses a face."""
+    """The crossing of a ray with a face: its t, and the triangle of the face."""
 
     t: float  # 0: it does not
     second: wp.bool  # on its second triangle

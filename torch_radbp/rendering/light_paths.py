@@ -179,7 +179,7 @@ def left_out_of_paths(light_paths: str) -> SilhouetteWarning:
 
 
 def image_from_lamps(renderer: Renderer, own: CallsOfLight, number: int) -> Tensor:
-    """(1, 3, H, W) what paths from lamps bring to the image of view `number`; attached to the scene, in either mode."""
+    """(1, 3, H, W) the part of view `number`'s image by paths from lamps; attached to the scene, forwards and backwards."""
     call, view = own.of_lamps[number], own.whole.views[number]
     settings = call.integrand.settings
     if any_differentiated((call.scene.triangles, view.camera, call.source.ray)):

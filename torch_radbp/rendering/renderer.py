@@ -108,8 +108,8 @@ class Renderer(nn.Module):
             samples of both are traced together, in the forward pass: an image whose derivative nobody will ask for is
             cheaper under `torch.no_grad()`. Of what the shared paths need, as much is kept until the backward pass as takes
             an eighth of the machine's memory; the rest is traced again.
-        light_paths: which light comes by paths that begin at lamps, as many as from the camera, as far as these see it other
-            than in mirrors and through glass. "camera": none; "caustics": what comes by way of a mirror or glass beside a
+        light_paths: which light is found by paths that begin at lamps, as many as from the camera, where the camera does not
+            see it in mirrors or through glass. "camera": none; "caustics": what comes by way of a mirror or glass beside a
             lamp; "all"; "auto": "caustics" where a light without extent has some, and for derivatives that turn mirrors or
             glass in which surfaces see lamps, whose edges they lack otherwise. None: as the integrator element says.
 

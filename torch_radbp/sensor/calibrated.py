@@ -274,7 +274,7 @@ class Calibrated(ProjectiveCamera):
             far=matrix.new_tensor(self.far_clip), distortion=model(*(getattr(self, name) for name in model._fields)))
 
     def for_mitsuba(self) -> Plugin:
-        """A `perspective`, if it is one exactly."""
+        """A `perspective` that is exactly this camera; raises ValueError if there is none."""
         beyond = self.beyond_perspective()
         if beyond:
             raise ValueError(f"its sensors have no {', '.join(beyond)}")

@@ -107,7 +107,7 @@ def mistaken_if_any(differ: Tensor) -> None:
 
 @dataclass
 class Presumptions:
-    """Whether a caller may presume what is nearly always so: as long as no presumption of it was mistaken."""
+    """Lets a caller go on by presumed values of flags that only a device knows, as long as none of them was wrong."""
 
     mistaken: bool = False
 

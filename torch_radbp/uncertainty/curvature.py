@@ -27,20 +27,20 @@ class Product(NamedTuple):
 
 
 class DenseCurvature(NamedTuple):
-    """J^T Sigma^-1 J as a matrix, with what its noise is estimated from."""
+    """The curvature J^T Sigma^-1 J as a matrix, with standard errors."""
 
     matrix: Tensor  # (n, n) float64, symmetric; unbiased, so that eigenvalues may be negative by noise
     error: Tensor  # (n, n) standard errors, by the jackknife
     without: Tensor  # (K, n, n) the matrices without the samples of one of the K seeds
 
     def along(self, directions: Tensor) -> tuple[Tensor, Tensor]:
-        """v^T H v of the columns of (n, k), and their standard errors, (k,) each."""
+        """The curvatures v^T H v along the columns v of (n, k) directions, and their standard errors, (k,) each."""
         others = torch.einsum("ik,sij,jk->sk", directions, self.without, directions)
         return torch.einsum("ik,ij,jk->k", directions, self.matrix, directions), _jackknife(others)
 
 
 class Curvature:
-    """Products with J^T Sigma^-1 J at where the parameters stand; see `curvature`."""
+    """Products with the curvature J^T Sigma^-1 J at the parameters' current values; see `curvature`."""
 
     def __init__(self, problem: Problem, seed: int):
         self.problem, self.seed = problem, seed

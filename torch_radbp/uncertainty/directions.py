@@ -11,7 +11,7 @@ ALIKE = 0.1  # how far apart two changes may be, relative to the larger, to be c
 
 
 class Direction(NamedTuple):
-    """A direction of parameters along which images change by less than can be told."""
+    """A direction of parameters along which images change by less than can be told from noise."""
 
     change: Tensor  # (n,) in units of the parameters; its largest entry in units of its own deviation is 1
     words: str
@@ -30,7 +30,7 @@ def sparse_basis(vectors: Tensor) -> Tensor:
 
 
 def in_words(change: Tensor, values: Tensor, names: list[str], sizes: Tensor) -> str:
-    """The meaning, in words, of a direction along which images do not change for the parameters that change.
+    """Describes a direction of parameters along which images do not change, by what they still tell of these.
 
     Args:
         change: (n,) in units of the parameters.

@@ -43,7 +43,7 @@ class RankedViews(NamedTuple):
 def next_view(images: Renderer | Images, candidates: Sequence[str | int] | Mapping[str, Renderer | Images],
               parameters: Parameters, *, noise: float, prior: Mapping[str, float | Tensor], taken: Sequence[str | int] = (),
               spp: int | None = None, repeats: int = 3, seed: int = 0) -> RankedViews:
-    """Which candidate shrinks the covariance of parameters most, by derivatives at where these stand.
+    """Ranks candidate views by how much they would shrink the covariance of parameters, by derivatives at their values.
 
         views = rb.next_view(renderer, ["left", "above", "close"], names, noise=0.02, prior={name: 0.3 for name in names})
         views.best

@@ -38,7 +38,7 @@ class Look(NamedTuple):
 
 
 class GltfMaterials:
-    """Reads the looks of a scene's surfaces, each at its first use."""
+    """Reads the looks (materials, emission) of a scene's surfaces, each at its first use."""
 
     def __init__(self, document: Document, textures: GltfTextures, losses: Losses, names: Names,
                  children: dict[str, Plugin]):

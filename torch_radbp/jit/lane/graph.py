@@ -82,14 +82,14 @@ class Program(NamedTuple):
 
 
 class Builder:
-    """Makes values; the same operation on the same values gives the same value."""
+    """Makes the values of a program; the same operation on the same values gives the same value."""
 
     def __init__(self) -> None:
         self.values: dict[tuple, Value] = {}
 
     def value(self, operation: str, arguments: tuple[Value, ...], dtype: torch.dtype, kind: str | None = None,
               static: Any = None) -> Value:
-        """Makes a value; per lane, unless all arguments are numbers or `kind` says otherwise."""
+        """Makes a value, with a number for each lane unless all arguments are numbers or `kind` says otherwise."""
         if kind is None:
             kind = NUMBER if all(argument.kind == NUMBER for argument in arguments) else LANES
         assert len(arguments) == OPERATIONS[operation], (operation, arguments)

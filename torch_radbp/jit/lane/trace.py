@@ -61,7 +61,7 @@ class TableStandIn(Tensor):
 
 
 class Tracer(TorchDispatchMode):
-    """Records the operations on known tensors as values."""
+    """A mode of torch that records operations on traced tensors as values of a program."""
 
     def __init__(self) -> None:
         super().__init__()

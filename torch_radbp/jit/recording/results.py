@@ -98,7 +98,7 @@ def made_in(operation: Operation) -> Iterator[int]:
 
 
 class ResultPlace(NamedTuple):
-    """The memory in which a result of a recording lies."""
+    """The place in memory of a recorded function's result."""
 
     group: int  # index in `ResultLayout.groups`; GIVEN: an input; EMPTY: no lanes
     row: int  # row of the group, or index of the input
