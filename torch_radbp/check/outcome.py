@@ -103,7 +103,7 @@ class GradientCheck:
         return [("projected on", "differences", "JVP", "std error", "z", "off by", "VJP-JVP"), *body]
 
     def summary(self) -> list[tuple[str, str]]:
-        """The other figures as text: label and value."""
+        """The figures of pixels and tiles as text: label and value."""
         pixels, tiles = self.comparison.pixels, self.comparison.tiles
         bias = f"{tiles.relative_bias:.2%}" if tiles.mean_square_z > tiles.limit else "no more than chance explains"
         return [("pixels: mean square z", f"{pixels.mean_square_z:.2f}"),

@@ -154,7 +154,7 @@ def sums_of(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block: Blo
 
 
 def _parts_of(stage: Stage, block: Block) -> tuple[Tensor, Tensor, int]:
-    """`first` and `left`, (P, parts of a pixel), and `count` of lanes that split a block's samples; see `deposited`."""
+    """Splits a block's samples into parts: `first` and `left`, (P, parts of a pixel), and `count`, of `deposited`."""
     (place, samples, spp), count = block, 1
     # The same for all samples of a pixel: a compiled sum of products rounds otherwise if there are more of them.
     while stage.is_compiled and count < min(spp, TOGETHER):

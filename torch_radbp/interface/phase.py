@@ -83,5 +83,5 @@ class PhaseFunction(Phase):
 
 
 def entry(column: Tensor, like: Tensor) -> Tensor:
-    """The only entry of a column, for every lane."""
+    """The only entry of a column, repeated for every lane."""
     return lookup(column, torch.zeros_like(like, dtype=torch.int32))

@@ -59,7 +59,7 @@ class Taped(NamedTuple):
 
 
 class Link(NamedTuple):
-    """A recorded step that passes its results on to the next one."""
+    """A recorded step that hands its results on to the next one, see `Tape.link`."""
 
     recorded: Recorded
     handed: Handed
@@ -159,7 +159,7 @@ class Tape:
         return Played(dual(*results) if taped.dual else results, [numbers[place] for place in taped.counts], taped.constant)
 
     def link(self, key: tuple, step: Step, arguments: tuple, blank: Callable) -> tuple[Link | None, RecordedInputs]:
-        """Records a step whose results are the first argument of the next one, tile by tile; None if it cannot be recorded.
+        """Records a step whose results are handed to the next one, tile by tile of lanes; None if it cannot be recorded.
 
         Also returns the inputs of the recording. Args: as for `play`.
         """

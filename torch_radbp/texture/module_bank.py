@@ -162,7 +162,7 @@ class ModuleBank(NamedTuple):
 
         Args:
             row: as for `values`.
-            parameters: a place that a batch may have at the most.
+            parameters: the most parameters of a module for each place of a batch, which limits the number of batches.
         """
         order, ends = sorted_by_torch(row + 1, len(self.functions) + 1)
         return self.divided(row, order, ends.tolist(), parameters)
@@ -178,7 +178,7 @@ class ModuleBank(NamedTuple):
         return Sorted(None if len(row) in counts else order, batches)
 
     def size(self, module: int, device: torch.device, parameters: float = PARAMETERS) -> float:
-        """The greatest batch size of a module; args as for `sorted`."""
+        """The greatest number of places in a batch of a module; args as for `sorted`."""
         if device.type != "cpu":
             return torch.inf
         return max(BATCH, sum(map(Tensor.numel, self.parameters[module])) / parameters)
@@ -191,7 +191,7 @@ def length_of_batches(count: int, most: float) -> int:
     equally much to do. The number of threads itself must not matter, for sums of gradients would be other ones.
 
     Args:
-        most: places of a batch.
+        most: the number of places in a batch.
     """
     if 2 * count <= most:
         return max(1, count)

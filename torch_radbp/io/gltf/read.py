@@ -306,6 +306,6 @@ def complete(children: dict[str, Plugin], names: Names, corners: tuple[np.ndarra
 
 
 def said(losses: list[str]) -> str:
-    """Joins messages to one, shortened if long."""
+    """Joins messages about losses to one, shortened if long."""
     more = f"; and {len(losses) - LISTED} more" if len(losses) > LISTED else ""
     return "; ".join(losses[:LISTED]) + more

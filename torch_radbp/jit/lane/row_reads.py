@@ -41,7 +41,7 @@ class RowReading:
         self.emitter, self.index, self.scalar, self.line = emitter, index, scalar, emitter.line
 
     def emit(self, gathers: Sequence[Value]) -> list[str]:
-        """Emits the instructions for some gathers, and returns the names of their results."""
+        """Emits the instructions of gathers from these rows, and returns the names of their results."""
         tables = {self.emitter.program.column(value.arguments[0]).place: value for value in gathers}
         first, table = min(tables.items())
         width = self.emitter.program.column(table.arguments[0]).width

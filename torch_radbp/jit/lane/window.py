@@ -66,7 +66,7 @@ class WindowReading:
         self.emitter, self.window, self.index, self.scalar = emitter, window, index, scalar
 
     def emit(self, gathers: Sequence[Value]) -> list[str]:
-        """Emits the instructions for some gathers, and returns the names of their results."""
+        """Emits the instructions of gathers at this index, and returns the names of their results."""
         emitter, number = self.emitter, len(self.emitter.body)
         near, far, read = f"near{number}", f"far{number}", f"read{number}"
         base, offset, within = self.place()

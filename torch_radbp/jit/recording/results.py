@@ -43,7 +43,7 @@ class ResultGroup(NamedTuple):
 
 
 class ResultLayout:
-    """The memory layout of tensors made: results in groups, temporaries in rows that are reused after their last reading.
+    """The memory layout of the tensors that a recording makes: results in groups, temporaries in rows that are reused.
 
     Args:
         recording: whose tensors are laid out.
