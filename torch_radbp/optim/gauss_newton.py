@@ -22,6 +22,7 @@ FORWARD = 2  # images that take as long as one in forward mode
 SHORT, DOUBLINGS = 1.5, 3  # a step after which the error falls by so many times what is predicted is doubled up to so often
 ATTEMPTS = 5  # of a step, each with ten times the damping
 NOISY = 0.3  # the share of noise in a step from which more samples are asked for
+MOST_NOISE = 0.875  # of J along a step, that the step is lengthened for
 LEAST_ERROR = 1e-3  # of J along a step, below which none counts
 LEAST_DAMPING, FIRST_DAMPING = 1e-9, 1e-3  # of steps that are as good as predicted; after the first that was not
 
@@ -50,7 +51,8 @@ class GaussNewton(torch.optim.Optimizer):
 
     Residuals and J have samples of their own: two renderings of residuals, r_1 and r_2, whose mean is r, and J of a third
     seed. So the gradient J^T r has no bias from noise, and steps end where it is 0. J^T J has one, which shortens steps, as
-    damping does, in directions that few samples hardly see; where the error falls by half more than predicted, the step is
+    damping does, in directions that few samples hardly see. Where J is computed as a whole, a step is lengthened by what its
+    noise adds to the curvature along it, up to eightfold; where the error falls by half more than predicted, the step is
     doubled up to three times, as long as it falls further. Up to 64 parameters J is computed as a whole, in forward mode,
     parameters that change no channel in common by one rendering (`SeparateColumns`), and kept for up to 8 steps, as long as
     a new one would not lower the error more for each image: what a step leaves is the error of J along it. Beyond that,
@@ -183,7 +185,9 @@ class GaussNewton(torch.optim.Optimizer):
             step, share = self.proposed(model, start)
             if model.jacobian is not None and self.kept_for == 0:
                 state["noise_of_j"] = noise_of_j(model, step, linear.forward(step, seeds[3], state["spp_of_j"]), weights)
-            predicted = 0.0 if known and share > NOISY else model.fall(step)
+            true = 1.0 if model.jacobian is None else 1 - min(state["noise_of_j"], MOST_NOISE)  # share of the curvature
+            step = self.within(start + step / true) - start
+            predicted = 0.0 if known and share > NOISY else model.fall(step, true)
             linear.move_to(start + step)
             state["noise_share"] = share
             if known and share > NOISY:

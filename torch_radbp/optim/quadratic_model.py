@@ -31,9 +31,9 @@ class Model(NamedTuple):
         change = self.changes(step)
         return float((self.weights * change) @ change)
 
-    def fall(self, step: Tensor) -> float:
-        """The fall of half the squared residuals that the model predicts for a step."""
-        return -float(self.gradient @ step) - 0.5 * self.curvature(step)
+    def fall(self, step: Tensor, true: float = 1.0) -> float:
+        """The predicted fall of half the squared residuals by a step; `true`: the share of the curvature that is no noise."""
+        return -float(self.gradient @ step) - 0.5 * true * self.curvature(step)
 
 
 class Trial(NamedTuple):
