@@ -49,7 +49,7 @@ class VolumeFunction(Volume):
         raise TypeError(f"{type(self).__name__} does not define its table")
 
     def channels(self) -> int:
-        """The number of channels."""
+        """The number of channels of the volume's values."""
         raise TypeError(f"{type(self).__name__} does not define its channels")
 
     def entries(self) -> dict[str, Tensor]:

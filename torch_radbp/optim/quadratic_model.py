@@ -32,7 +32,7 @@ class Model(NamedTuple):
         return float((self.weights * change) @ change)
 
     def fall(self, step: Tensor, true: float = 1.0) -> float:
-        """The predicted fall of half the squared residuals by a step; `true`: the share of the curvature that is no noise."""
+        """The predicted fall of half the squared residuals by a step; `true`: the share of curvature that is no noise."""
         return -float(self.gradient @ step) - 0.5 * true * self.curvature(step)
 
 
