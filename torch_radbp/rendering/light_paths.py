@@ -65,7 +65,7 @@ def caustics_by_default(renderer: Renderer, call: RenderCall, turned: bool) -> b
 
 
 def counts_edges_twice(renderer: Renderer, call: RenderCall) -> bool:
-    """True if edges over which attached directions slide would count twice, since paths from lamps have their effect, too."""
+    """True if edges over which attached directions slide would count twice: paths from lamps have their effect, too."""
     return renderer.sampling == "attached" and not all(kind.delta for kind in lights_of_paths(call.scene, "caustics"))
 
 
