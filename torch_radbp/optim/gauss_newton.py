@@ -28,7 +28,7 @@ LEAST_DAMPING, FIRST_DAMPING = 1e-9, 1e-3  # of steps that are as good as predic
 
 
 class KeptPlace(NamedTuple):
-    """Where and by which samples a Jacobian was computed that is kept, so that it can be computed again."""
+    """The parameters, seed and samples of the Jacobian that is kept, by which it can be computed again."""
 
     position: Tensor  # (n,) float64
     seed: int
@@ -115,14 +115,14 @@ class GaussNewton(torch.optim.Optimizer):
         self.diagonal: Tensor | None = None  # an estimate of that of J^T W J, (n,), where J is not computed as a whole
 
     def state_dict(self) -> dict[str, Any]:
-        """What the next step depends on beside the parameters and the settings; numbers, lists and tensors."""
+        """All that the next step depends on beside the parameters and the settings: numbers, lists and tensors."""
         place = None if self.kept_at is None else self.kept_at._asdict()
         return super().state_dict() | {"search": dict(self.search), "seed": self.seed, "kept_for": self.kept_for,
                                        "kept_at": place, "diagonal": self.diagonal,
                                        "columns": None if self.columns is None else self.columns._asdict()}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Continues from a state.
+        """Sets the state that `state_dict` of another optimizer has returned, to continue from it.
 
         Raises:
             ValueError: if it is one of another optimizer.
@@ -167,7 +167,7 @@ class GaussNewton(torch.optim.Optimizer):
             return self.stepped(closure, linear)
 
     def stepped(self, closure: Images, linear: Linearisation) -> float:
-        """`step`, of a linearisation whose renderings are counted."""
+        """Makes one step, with a linearisation of the residuals that counts renderings; returns the squared error before."""
         state = self.search
         seeds = [4 * self.seed + number for number in range(4)]
         self.seed += 1
@@ -217,11 +217,11 @@ class GaussNewton(torch.optim.Optimizer):
         return float((weights * pair[0] * pair[1]).sum()) / len(pair[0])
 
     def judge_jacobian(self) -> None:
-        """Asks for more samples of J if it is noisy, and drops it where a new one pays.
+        """Doubles the samples of J if it is noisy, and drops it where a new one pays.
 
-        What is left of the residuals after a step is the error of J along it. So it is kept as long as the logarithm of that
-        falls more for each image than with a new one. The error of that is the noise of the last one, and of its other error
-        what is left for steps that have become shorter, as their squares.
+        The part of the residuals that a step leaves is the error of J along it. J is kept as long as its steps lower the
+        logarithm of the residuals more for each image than a new one would. The error of a new J is taken to be its noise
+        plus a rest that falls with the square of the length of steps.
         """
         state = self.search
         noisy = self.kept_for == 0 and state["noise_of_j"] > NOISY and 2 * state["spp_of_j"] <= self.max_spp
@@ -249,7 +249,7 @@ class GaussNewton(torch.optim.Optimizer):
         self.kept, self.kept_at = None, None
 
     def computed_again(self, closure: Images, place: KeptPlace) -> Tensor:
-        """J of a place, (M, n); parameters stay where they are, and evaluations are not counted."""
+        """Computes a kept J again, (M, n), without moving the parameters or counting evaluations."""
         linear = Linearisation(closure, self.param_groups[0]["params"])
         now = linear.position()
         linear.move_to(place.position)
@@ -259,7 +259,7 @@ class GaussNewton(torch.optim.Optimizer):
             linear.move_to(now)
 
     def model(self, linear: Linearisation, pair: list[Tensor], weights: Tensor, seed: int) -> Model:
-        """The quadratic model around where parameters stand, from residuals, (M,) each, and the derivatives' seed."""
+        """The quadratic model around the current parameters, from two estimates of residuals, (M,) each, and J of a seed."""
         spp = self.search["spp_of_j"]
         if linear.size <= FULL:
             if self.kept is None or len(self.kept) != len(weights):
@@ -270,7 +270,7 @@ class GaussNewton(torch.optim.Optimizer):
             return model_of(self.kept, pair, weights)
 
         def transposed(part: Tensor) -> Tensor:
-            """At one seed forward and backward are transposes, so that H is symmetric and never negative."""
+            """J^T times `part`, by the same seed as J, so that H is symmetric and has no negative eigenvalue."""
             return linear.backward(part, seed, spp)
 
         if self.diagonal is None or self.kept_for >= KEPT:
