@@ -27,7 +27,7 @@ class Action(NamedTuple):
 
 
 def kept_depths(bounces: int, stride: int | str, most: int | None = None) -> tuple[int, ...]:
-    """The depths whose state is kept after `bounces` bounces, a subset of those after one bounce less, and the last.
+    """The depths whose path states are kept after `bounces` bounces: some of those kept one bounce before, and the last.
 
     Args:
         bounces: how many were taken so far, N.
@@ -45,7 +45,7 @@ def kept_depths(bounces: int, stride: int | str, most: int | None = None) -> tup
 
 
 def square_root_step(bounces: int) -> int:
-    """The stride for "sqrt": the least power of two s with 2 s^2 >= N; at most 2.13 sqrt(N) states are held at once."""
+    """The step s for stride "sqrt": the least power of two with 2 s^2 >= N; at most 2.13 sqrt(N) states are held at once."""
     step = 1
     while 2 * step * step < bounces:
         step *= 2
@@ -71,7 +71,7 @@ def backward_plan(bounces: int, kept: tuple[int, ...], stride: int | str) -> lis
 
 
 def replay_segment(first: int, end: int, plan: list[Action]) -> None:
-    """Plans to replay a segment once, keeping every state of it."""
+    """Plans to replay the bounces `first` to `end` once, keeping every state."""
     plan.append(Action(LOAD, first))
     for depth in range(first, end - 1):
         plan += [Action(ADVANCE, depth), Action(KEEP, depth + 1)]
