@@ -109,7 +109,7 @@ class RenderFunction(torch.autograd.Function):
             [wanted[place] for place in scene_leaves_met(call.scene)]))
 
         def seen_by(wavefront: Wavefront, integrand: Integrand) -> Integrand:
-            seen = call.sink.asked(integrand_of_wavefront(call, integrand, wavefront, 1), adj_sums)
+            seen = call.sink.backward_integrand(integrand_of_wavefront(call, integrand, wavefront, 1), adj_sums)
             # Of camera paths another function for the first bounce would take longer to compile than it saves.
             fixed = call.sink.at_vertices and seen.settings.moving and not start_counts
             return seen._replace(settings=seen.settings._replace(fixed_start=fixed))
