@@ -109,8 +109,8 @@ def edge_bounds(geometry: Geometry, outline: Outline, slots: Tensor, slot: Tenso
     Args:
         geometry: of the scene, detached.
         outline: the edges.
-        slots: of `EdgeTree`.
-        slot: (N,) int32, which.
+        slots: the order of edges, as `EdgeTree.slots`.
+        slot: (N,) int32, indices of slots.
     """
     edge = lookup(slots, slot)
     exists = edge >= 0

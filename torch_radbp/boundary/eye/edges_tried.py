@@ -101,7 +101,7 @@ def edge_tried(geometry: Geometry, outline: Outline, eyes: Eyes, edges: Tensor, 
 
     Args:
         geometry, outline, extent: as for `seen_edges.angle_seen`.
-        eyes: that may look.
+        eyes: the viewpoints.
         edges: (K,) int32, the edges that are tried.
         seed: of random numbers.
         pairing: how many eyes try an edge.

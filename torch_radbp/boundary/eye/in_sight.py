@@ -52,12 +52,12 @@ def in_sight(geometry: Geometry, places: Places, chosen: Tensor, sent: Sent, cou
 
     Args:
         geometry: of the scene, detached.
-        places: of which some are meant.
-        chosen: (K,) int32, which.
+        places: the samples, of which some are used.
+        chosen: (K,) int32, the indices of the samples to use.
         sent: to these.
         count: () int32, K.
         lane: (K,) int32, 0, 1, ...
-        kinds: of curves, of which some may be among them.
+        kinds: the kinds of curves that may be among the samples.
     """
     places = rows(places, chosen)
     rays, hits = zip(*(sent.of(way, count, lane) for way in range(3)))

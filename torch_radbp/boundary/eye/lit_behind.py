@@ -29,8 +29,8 @@ def behind_boundaries(integrand: Integrand, state: PathState, hit: Hit) -> tuple
     """What rays meet behind the boundaries of media that they pass, and their ways up to there, on which nothing scatters.
 
     Args:
-        integrand: of a detached scene.
-        state, hit: (N,) with the rays, and what they meet first.
+        integrand: with a detached scene.
+        state, hit: (N,) the path states with the rays, and what these hit first.
     """
     return free_flights(integrand.standing(), state, hit, integrand.max_depth - 1)
 
@@ -64,7 +64,7 @@ def sees_receivers(integrand: Integrand, state: PathState, receiver: Hit, p: Vec
     media; None: they pass none.
 
     Args:
-        integrand: the view's, of a detached scene.
+        integrand: for the view, with a detached scene.
         state: (N,) with the rays.
         receiver, p: (N,) surfaces, and world points on these, float64.
         depth: of the bounce; 0: rays are a camera's.
@@ -82,7 +82,7 @@ def light_sent_past(integrand: Integrand, state: PathState, receiver: Hit, fligh
     and it is hidden.
 
     Args:
-        integrand: the view's, of a detached scene.
+        integrand: for the view, with a detached scene.
         state, receiver, flight: (N,) rays, the surfaces that they meet, and their ways, as of `sees_receivers`.
         draw: the light samples.
         passed: the edges that light passes.

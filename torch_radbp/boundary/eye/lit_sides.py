@@ -44,7 +44,7 @@ def deposits_of_sides(call: RenderCall, number: int, places: Places, hit: Hit, l
     """What the motions of the surfaces beside K places add.
 
     Args:
-        call, number: of the view.
+        call, number: the rendering, and the number of the view.
         places: on curves.
         hit: (2 K,) what lies behind them, then ahead.
         light: (3, 2 K) from lamps there, for each sample.

@@ -76,9 +76,9 @@ def swept(geometry: Geometry, camera: Camera, places: Places, chosen: Tensor, ki
     Args:
         geometry: of the scene, attached.
         camera: attached.
-        places: of which some are meant.
-        chosen: (K,) int32, which.
-        kinds: of curves, of which some may be among them.
+        places: the samples, of which some are used.
+        chosen: (K,) int32, the indices of the samples to use.
+        kinds: the kinds of curves that may be among the samples.
     """
     area = signed_area(geometry, camera, rows(places, chosen), kinds)
     return area - primal(area)

@@ -52,8 +52,8 @@ def straight_past_edges(scene: SceneTensors, at: Vec3, passed: Passed, beyond: H
 
     Args:
         scene: any part of it.
-        at: (M,) the viewpoints.
-        passed: (N,) places on edges that are seen from them.
+        at: (M,) world positions of the viewpoints.
+        passed: (N,) samples on edges as the viewpoints see them.
         beyond: (N,) what rays meet that begin right beside those.
     """
     start = rows(at, passed.eye)
@@ -68,10 +68,10 @@ def seen_past_edges(call: RenderCall, integrand: Integrand, outline: Outline, po
 
     Args:
         call: detached.
-        integrand: the view's.
+        integrand: for the view.
         outline: the edges.
-        points: (M,) viewpoints, which lie `at`.
-        passed: (N,) places on edges that are seen from them.
+        points: (M,) the viewpoints, at positions `at`.
+        passed: (N,) samples on edges as the viewpoints see them.
         alone: (N,) bool: they count even if no surface is behind.
     """
     if not call.scene.layout.traces_segments:

@@ -103,8 +103,8 @@ def edge_found(geometry: Geometry, slots: EdgeSlots, eyes: Eyes, at: Descent, ex
 
     Args:
         geometry, extent: as for `angle_seen`.
-        slots: of the tree.
-        eyes: look for them.
+        slots: the edges in the order of the tree.
+        eyes: the viewpoints.
         at: (N,) at the last nodes.
     """
     own, first = rows(eyes, at.eye), at.node * GROUP
@@ -119,10 +119,10 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, found: EdgeLot
 
     Args:
         geometry, outline, extent: as for `angle_seen`.
-        eyes: look for them.
+        eyes: the viewpoints.
         found: their edges.
         seed: of the random numbers.
-        place: (N,) int32, numbers of the places.
+        place: (N,) int32, the numbers of the samples.
     """
     key, aim, turn = numbers_of_places(seed, place)
     number, _, times = picked(found.lot, place, aim)
@@ -200,7 +200,7 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
         stages: of the call.
         geometry: of the scene, detached.
         casting: the edges.
-        eyes: look at them.
+        eyes: the viewpoints.
         seed: of the random numbers.
         each: how often each looks for an edge.
         count: how many places there are to be on edges that were found, at most: no more than ways that found one.
@@ -245,7 +245,7 @@ def point_of_edge(geometry: Geometry, outline: Outline, edge: Tensor, along: Ten
     Args:
         geometry: attached.
         outline: the edges.
-        edge: (N,) int32, which.
+        edge: (N,) int32, indices of edges.
         along: (N,) shares of the way from one end to the other.
     """
     a, b = in_world(geometry, rows((outline.edges.a, outline.edges.b), edge), rows(outline.instance, edge))

@@ -62,8 +62,8 @@ def segment_bounds(geometry: Geometry, segments: Segments, slots: Tensor, slot: 
     Args:
         geometry: of the scene, detached.
         segments: (S,).
-        slots: of their tree.
-        slot: (N,) int32, which.
+        slots: the order of segments in the tree.
+        slot: (N,) int32, indices of slots.
     """
     number = lookup(slots, slot)
     exists = number >= 0
@@ -85,8 +85,8 @@ def segment_found(geometry: Geometry, segments: Segments, slots: Tensor, eyes: E
     Args:
         geometry: of the scene, detached.
         segments: (S,).
-        slots: of the tree over these.
-        eyes: look for them.
+        slots: the order of segments in the tree.
+        eyes: the viewpoints.
         at: (N,) at the last nodes.
         extent: () of the scene.
     """

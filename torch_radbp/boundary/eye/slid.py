@@ -26,7 +26,7 @@ def less_what_slides(call: RenderCall, number: int, geometry: Geometry, points: 
     """Subtracts how triangles' points slide from attached border positions; (N,) barycentric.
 
     Args:
-        call, number: of the view.
+        call, number: the rendering, and the number of the view.
         geometry: of the call's scene, attached.
         points, start: (N,) the vertices that see the places, and where they are, detached.
         met: (N,) the triangles on which the places lie.

@@ -143,8 +143,8 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, batch: PathB
     """Samples one vertex per camera path, in proportion to throughput; paths without candidates are dropped.
 
     Args:
-        call, number: of the view.
-        integrand: of the detached scene.
+        call, number: the rendering, and the number of the view.
+        integrand: with a detached scene.
         batch: the paths.
         following: vertices whose scattered directions carry derivatives are meant; else those after which points are glued.
     """
@@ -208,7 +208,7 @@ def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, foll
     """Samples one vertex of each path; the last hit is no candidate.
 
     Args:
-        integrand: of the detached scene.
+        integrand: with a detached scene.
         start: of the paths.
         key: of random numbers.
         following: as for `viewpoints`.

@@ -273,11 +273,11 @@ def border(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: B
 
     Args:
         scene: attached.
-        geometry: its.
+        geometry: of the scene, attached.
         outline: the edges.
-        borders: the places.
-        step: by which share of the edges' lengths others lie that are meant.
-        off: (N,) by which others lie off the edges; None: by nothing.
+        borders: the samples.
+        step: a shift of the samples along the edges, as a share of their lengths.
+        off: (N,) a shift of the samples off the edges; None: none.
     """
     corners = corners_of(geometry, borders.receiver)
     return interpolated(corners, *crossed_at(corners, light_through(scene, geometry, outline, borders, step, off)))

@@ -70,7 +70,7 @@ def jumps_of_cuts(call: RenderCall, number: int, outline: Outline, found: CutsOf
     """The boundary term of light that edges occlude from paths, for view `number`.
 
     Args:
-        call: of which something moves.
+        call: the rendering, in which something moves.
         outline: the edges of all that casts shadows.
         found: of the view.
     """
@@ -109,7 +109,7 @@ def cut_at(geometry: Geometry, outline: Outline, vertices: Vec3, cuts: Cuts, ste
         geometry: attached.
         outline: the edges.
         vertices: (M,) the viewpoints, attached.
-        cuts: the places.
+        cuts: the samples.
         step, off: as for `border`.
     """
     start, p = rows(vertices, cuts.viewpoint), point_of_edge(geometry, outline, cuts.edge, cuts.along + step)
@@ -125,8 +125,8 @@ def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, h
     Args:
         geometry: of the scene, detached.
         outline: the edges.
-        at: (M,) the viewpoints.
-        passed: (N,) places on edges that are seen from them.
+        at: (M,) world positions of the viewpoints.
+        passed: (N,) samples on edges as the viewpoints see them.
         hit: (N,) what lies beyond.
         extent: () of the scene.
     """
@@ -144,7 +144,7 @@ def all_cuts(stages: Stages, geometry: Geometry, casting: Casting, points: Viewp
     Args:
         stages, geometry, casting: as for `places_seen`.
         points: viewpoints, which lie `at` (M,) world.
-        passed: (N,) places on edges that are seen from them.
+        passed: (N,) samples on edges as the viewpoints see them.
         hit: (N,) where lines from viewpoints through these are cut off.
         light: from cuts to (3, N) what the view sees of the light there, for each unit of `cut_at`'s coordinates.
     """

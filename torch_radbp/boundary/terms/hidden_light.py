@@ -149,7 +149,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount
         call: detached.
         casting: the edges of all that casts shadows.
         amount: how many paths are looked at; cuts of those that are only tried are among the others.
-        counted: what counts of the light that vertices receive straight.
+        counted: the lights that count here where vertices see them directly.
     """
     view, integrand = call.views[number], integrand_of(call, call.integrand, number)
     paths, more, before = (number_of_paths(call, view, share, ROUNDS * MOST) for share in (
@@ -212,7 +212,7 @@ def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting:
 
     Args:
         call, number, casting: as for `cuts_of_view`.
-        integrand: the view's.
+        integrand: for the view.
         batch: the paths.
         counted: as for `cuts_of_view`.
     """
@@ -257,10 +257,10 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
     """The viewpoints, with weights of directions, from which edges are sampled.
 
     Args:
-        call, number: of the view.
-        integrand: the view's.
-        points, at: the viewpoints, and where they are.
-        counted: what counts of the light that vertices receive straight.
+        call, number: the rendering, and the number of the view.
+        integrand: for the view.
+        points, at: the viewpoints, and their positions.
+        counted: the lights that count here where vertices see them directly.
     """
     lobes = ()
     if call.scene.layout.lights:
@@ -293,10 +293,10 @@ def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at:
     """(3, N) float64 light past the edges that reaches the view, per unit of `cut_at`'s coordinates.
 
     Args:
-        points, at: the viewpoints, and where they are.
+        points, at: the viewpoints, and their positions.
         passed: (N,) the edges, as the viewpoints `passed.eye` see them.
         past: (N,) what the light comes from.
-        counted: what counts of the light that vertices receive straight.
+        counted: the lights that count here where vertices see them directly.
         free: (N,) bool: the edges lie on no surface.
     """
     scene, scatters = integrand.proposal, bool(call.scene.layout.scattering_media)

@@ -97,7 +97,7 @@ def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
     """(B, 3, H, W) zeros with the derivatives of discontinuities seen by way of ideal mirrors and glass.
 
     Args:
-        call: of which something moves.
+        call: the rendering, in which something moves.
         reflected: what is looked for.
     """
     images = []

@@ -63,7 +63,7 @@ def shadow_jumps(call: RenderCall, casting: Outline | None, crossing: Segments |
     """(B, 3, H, W) zeros whose derivative is what borders of shadows contribute to the image.
 
     Args:
-        call: of which something moves.
+        call: the rendering, in which something moves.
         casting: the edges of all that casts shadows; None: nothing moves these.
         crossing: where surfaces pass through each other, of which something moves, and lines that slide; None: nowhere.
         lines: what those follow, attached.

@@ -216,7 +216,7 @@ def lit_in_medium(integrand: Integrand, state: PathState, sheets: SampledSheets,
     """What media scatter along rays of the light right beside sheets.
 
     Args:
-        integrand: the view's, of a detached scene.
+        integrand: for the view, with a detached scene.
         state: (N,) rays towards the points.
         sheets: (N,) these.
         depth: of the vertices there.
