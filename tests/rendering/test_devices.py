@@ -65,7 +65,7 @@ def trace_on_cuda(stage, arguments: tuple) -> set[torch.device]:
 
 
 OF_MANY_LAMPS, OF_TWO_SIDES = {"pick_light", "emitter_met", "chance_of_light"}, {"side_met"}
-OF_JUMPS = {"slopes", "swept", "asked_of_places", "scaled_slopes"}
+OF_JUMPS = {"slopes", "swept", "adjoint_of_motion", "scaled_slopes"}
 OF_SEGMENTS = {"segment_weight", "segment_place"}
 OF_CROSSINGS = {"segment_bounds", "segment_found", "segment_passed", "sheets_seen"}
 OF_SHADOWS = {"descended", "edge_found", "edge_tried", "edge_passed", "direct_light", "scattered", "border_course",

@@ -28,8 +28,7 @@ def may_see(view: View, scene: SceneTensors, some: Tensor) -> bool:
 
 
 def is_quick(scene: SceneTensors, paths: int) -> bool:
-    """True if `may_see` takes less time than tracing `paths` paths, without instances and invisible surfaces in the
-    scene."""
+    """True if `may_see` is quicker than tracing `paths` paths, and the scene has no instances or invisible surfaces."""
     triangles, appearances = scene.triangles, scene.layout.appearances
     invisible = any(appearance.kind.invisible for appearance in appearances)
     return triangles.instances is None and len(triangles.material) <= paths and not invisible
