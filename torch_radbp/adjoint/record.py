@@ -103,8 +103,7 @@ def traced_apart(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
 
 def traced_as_one(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
                   recorder: Recorder) -> tuple[CameraSample, CameraSample, Hit | None, Vec3]:
-    """Traces the samples of image and derivative as one wavefront: camera rays of both, and the image's hits and
-    radiance."""
+    """Traces the samples of image and derivative as one wavefront: rays of both, and the image's hits and radiance."""
     image, derivative = (samples_of_chunks(call, wavefront, which) for which in (0, 1))
     lanes = wavefront.lanes
     both = joined([samples._replace(weight=None, place=None) for samples in (*derivative, *image)])

@@ -129,13 +129,14 @@ class Gradients:
 def gradients_of(workers: Sequence[Gradients], repetitions: Repetitions | None = None) -> tuple[list[Tensor], bool]:
     """Sums all workers' gradients in a fixed order, in the tables' shapes and dtypes.
 
-    Columns of the same rows get gradients that are columns of the same rows. The workers' sums are zero afterwards.
+    Tables that are columns of one array get gradients that are columns of one array, too. The workers' sums are zero
+    afterwards.
 
     Returns:
         The gradients; and whether all are finite.
 
     Raises:
-        TooFewRepetitions: if what was repeated has not come to its end.
+        TooFewRepetitions: if a loop on the device was not repeated to its end.
     """
     tables, results, pieces, size = workers[0].tables, [], [], 0
     touched = {entries: pages_touched([worker.touched[entries] for worker in workers]) for entries in workers[0].touched}

@@ -32,7 +32,7 @@ def kept_depths(bounces: int, stride: int | str, most: int | None = None) -> tup
     Args:
         bounces: how many were taken so far, N.
         stride: every `stride`-th; "sqrt" for about sqrt(N) of them, every s-th with s the least power of two whose square
-            is at least N / 2; "log" for those at most (1 - 2^-i), at most log2 of it.
+            is at least N / 2; "log" for the depths most * (1 - 2^-i), i = 0, 1, ..., about log2(most) of them.
         most: the greatest number of bounces that there may be; None: `bounces`. Used by "log" only.
     """
     if stride == "log":

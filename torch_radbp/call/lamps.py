@@ -123,7 +123,7 @@ def ideal_surfaces(scene: SceneTensors) -> tuple[BoundingSphere, ...]:
 
 
 def narrow_triangles(scene: SceneTensors) -> Tensor:
-    """(T,) bool: triangles whose material has ideal lobes, unless it is invisible, or is narrow throughout."""
+    """(T,) bool: triangles whose material has an ideal lobe, invisible ones aside, or a small roughness throughout."""
     materials = scene.materials
     ideal = [look for look, of in enumerate(scene.layout.appearances) if of.kind.delta and not of.kind.invisible]
     of_rows = torch.isin(materials.appearance, torch.tensor(ideal, device=scene.device))

@@ -32,7 +32,7 @@ class SurfaceMet:
         return layout.appearances[self.appearance]
 
     def still(self, layout: Layout) -> tuple[bool, ...]:
-        """For each value of the material, whether it has no derivative."""
+        """For each value of the material, True if it depends on no differentiated parameter."""
         return layout.still[self.appearance]
 
     @property

@@ -8,8 +8,7 @@ ASKED = 16  # bounces after which a device is asked how many paths are left
 
 
 def power_of_2(number: int) -> int:
-    """The least power of 2 that is not less than a number; 0 of 0. Tensors have such sizes, so that launches are prepared
-    for few of them."""
+    """The least power of 2 that is not less than a number; 0 of 0. It serves as tensor size, so that these are few."""
     return 1 << (number - 1).bit_length() if number else 0
 
 

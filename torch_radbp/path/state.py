@@ -49,7 +49,7 @@ class Position(NamedTuple):
 
 
 class PathState(NamedTuple):
-    """The state of a path before a bounce, per lane; what a schedule keeps."""
+    """The state of a path before a bounce, per lane, which checkpoints of the backward pass keep."""
 
     ray: Ray
     beta: Vec3  # throughput

@@ -49,7 +49,7 @@ def bounces_taken(integrand: Integrand, dtype: torch.dtype, bounce: Bounce = bou
 def recordable(integrand: Integrand) -> bool:
     """True if bounces can be recorded as machine code: stages are compiled, and autograd does not record them. Paths through
     boundaries of media are recorded on a processor if nothing moves, and on a GPU if the caller checks that repetitions were
-    enough (`Integrand.repetitions`). Those that evaluate networks are not in forward mode."""
+    enough (`Integrand.repetitions`). Bounces with networks are not recorded in forward mode."""
     layout = integrand.proposal.layout
     return (integrand.stages.is_compiled and not (integrand.attached and torch.is_grad_enabled())
             and not (layout.traces_segments and integrand.repetitions is None

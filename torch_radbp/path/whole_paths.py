@@ -71,7 +71,7 @@ def take_whole(integrand: Integrand, onward: Onward, totals: Sequence[Vec3 | Bro
 
 
 def step_of(bounce: Bounce, integrand: Integrand, depth: int) -> Callable[[Onward, Vec3, Position], Played]:
-    """A recordable function that takes a bounce, adds to `total`, and returns only the paths that go on."""
+    """A recordable function that takes a bounce, adds its radiance to a total, and returns only the paths that go on."""
     def step(onward: Onward, total: Vec3 | BroughtToFilm, at: Position) -> Played:
         _, _, onward = bounce(integrand, onward, depth, total)
         return Played(() if depth + 1 == integrand.bounces else onward)

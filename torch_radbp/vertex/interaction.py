@@ -55,7 +55,7 @@ class SurfaceInteraction(NamedTuple):
 
 
 def is_met(scene: SceneTensors, hit) -> Tensor:
-    """(N,) bool: rays hit a surface to which vertices are glued, not an invisible boundary of a medium in which their flight
+    """(N,) bool: rays hit a surface that fixes the next vertex, not an invisible boundary of a medium where their flight
     ends."""
     met = hit.prim >= 0
     return met if scene.boundaries is None else met & ~is_boundary(scene, hit.prim)

@@ -74,8 +74,8 @@ def attached_outgoing_ray(scene: SceneTensors, material: Material, si: SurfaceIn
 
 
 def slide_of(scene: SceneTensors, floor: Floor | None, there: Corners, d: Vec3, following) -> Slide | None:
-    """How far next vertices slide over their triangles; None: none does. `floor`: of this vertex; None: no material is
-    plain. Other args as for `glued_direction`, `following`: its `hit`."""
+    """How far next vertices, hit at `following`, slide over their triangles; None: none does. `floor`: the surface of this
+    vertex; None: no material lets points slide. Other args as for `glued_direction`."""
     if floor is None:
         return None
     plain = lookup(scene.triangles.plain, following.prim.clamp_min(0))

@@ -116,12 +116,12 @@ def resting_among(segments: Segments) -> Segments | None:
 
 
 def keys_of(corner: Tensor, instance: Tensor | None) -> Tensor:
-    """(N,) int64 keys that are equal for equal pairs of `corner`, (N,) int32, and `instance`."""
+    """(N,) int64 keys that are equal for equal pairs of a corner, (N,) int32, and an instance."""
     return corner.long() if instance is None else corner.long() * (1 << 31) + instance
 
 
 def has_other_side(key: Tensor, place: Vec3, reach: Tensor) -> Tensor:
-    """(N,) bool: parts of edges at which the edge's other triangle has a surface on its other side as well.
+    """(N,) bool: parts of edges both of whose triangles touch a surface, on opposite sides.
 
     Args:
         key: (N,) of the edges.

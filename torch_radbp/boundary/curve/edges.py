@@ -45,9 +45,9 @@ def padded(edges: Edges, most: int) -> Edges:
 def edges_of(vertices: Tensor, faces: Tensor) -> Edges:
     """Finds the edges of a mesh.
 
-    Vertices at the same place count as one, and an edge ends at those of its first triangle: others may be of shapes that
-    touch it and move otherwise. Degenerate triangles are skipped; an edge of one triangle ends at every vertex that lies on
-    it.
+    Vertices at the same place count as one; an edge has those of its first triangle, since others may belong to shapes that
+    touch it and move differently. Degenerate triangles are skipped; an edge of only one triangle is split at every vertex
+    that lies on it.
 
     Args:
         vertices: (V, 3), detached; may begin and end with vertices of other meshes.

@@ -32,7 +32,7 @@ class Geometry(NamedTuple):
 
 
 class _ShownBy(NamedTuple):
-    """The instances of vertices, in place of a `Hit`."""
+    """The instances that show vertices, for functions that expect a `Hit`."""
 
     instance: Tensor  # (N,) int32, as hits count
 

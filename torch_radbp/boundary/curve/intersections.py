@@ -198,12 +198,12 @@ def planes_of(geometry: Geometry, faces: Faces, pairs: Pairs) -> Planes:
 
 
 def segments_between(geometry: Geometry, faces: Faces, pairs: Pairs) -> Segments:
-    """The segments along which pairs of triangles intersect, each on the first triangle of its pair."""
+    """The segments along which pairs of triangles, given by row, intersect, each on the first triangle of its pair."""
     return segments_on(planes_of(geometry, faces, pairs))
 
 
 def segments_on(planes: Planes) -> Segments:
-    """The segments along which pairs of triangles intersect, each on the first triangle of its pair."""
+    """The segments along which the pairs of triangles in `planes` intersect, each on the first triangle of its pair."""
     meet = planes.heights[0].crosses & planes.heights[1].crosses
     planes = rows(planes, meet.nonzero().squeeze(1))
     return _segments_along(planes, tuple(own.height for own in planes.heights))

@@ -120,8 +120,8 @@ class Outlines:
         self.passing = Passing()
 
     def of_views(self, rendering: Rendering, seed: int) -> list[Jumps]:
-        """The discontinuity curves of each view: of all shapes if its camera moves, or if anything does while all other
-        light comes by paths from lamps (`eye/lit_sides.py`); else of moving shapes.
+        """The discontinuity curves of each view: those of moving shapes, or of all shapes if the camera moves. They are of
+        all shapes, too, if paths begin at lamps and anything moves (`eye/lit_sides.py`).
 
         Args:
             rendering: the rendering, in which something moves.
@@ -152,7 +152,7 @@ class Outlines:
         return [found[three] for three in wanted]
 
     def sliding(self, rendering: Rendering, seed: int) -> tuple[Segments | None, LineNumbers | None]:
-        """The segments of texture lines that move over surfaces, and these lines' numbers; args as for `of_views`."""
+        """The segments of texture lines that move over surfaces, and the lines' `LineNumbers`; args as for `of_views`."""
         names, lines = names_sliding(rendering), lines_on_shapes(rendering)
         numbers = numbers_of(lines, rendering.call) if any(names) else None
         if numbers is None:

@@ -44,7 +44,7 @@ IN_PLANE = 1e-6  # share of the largest coordinate up to which viewers lie in a 
 
 
 class SeenFrom(NamedTuple):
-    """The sides from which S segments are visible, as where edges rest on surfaces; float64 but for the last."""
+    """The sides of the triangles from which S segments are visible; float64 but for the last."""
 
     side: Tensor  # of the segment's triangle: 1, -1; 0: both
     side_of_through: Tensor  # of the intersecting triangle, likewise

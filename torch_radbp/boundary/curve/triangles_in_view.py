@@ -17,7 +17,7 @@ def may_see(view: View, scene: SceneTensors, some: Tensor) -> bool:
     """False if each of some triangles lies outside of the camera's view, behind one and the same plane of its frustum.
 
     Args:
-        view: of the camera.
+        view: the view of the camera.
         scene: detached, without instances.
         some: (T,) bool, True for the triangles.
     """

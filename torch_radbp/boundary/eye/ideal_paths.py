@@ -130,8 +130,7 @@ def along(path: IdealPath, chosen: Tensor, depth: Tensor) -> Reached:
 
 
 def with_light(integrand: Integrand, path: IdealPath, looks: LightLooks) -> IdealPath:
-    """The paths, with the flag `LIT` at vertices after an ideal one that scatter light of an unoccluded light sample
-    back."""
+    """The paths, with `LIT` set at vertices after an ideal one at which an unoccluded light sample is scattered back."""
     found = list(path)
     for number, (place, met) in enumerate(path[1:integrand.max_depth - 1], 1):
         lane = (place >= 0).nonzero().squeeze(1)  # in the order of `met`

@@ -48,8 +48,8 @@ def in_sight(geometry: Geometry, places: Places, chosen: Tensor, sent: Sent, cou
     A ray to a sample hits a triangle there, or passes by. Where an outline turns back and forth within rounding, the ray
     does not tell which piece it hits, of which only one has a jump. Pieces that run back have their surface on the other
     side; they count as -1, so that the sum is one. Where coordinates are so large that rays miss samples by more than
-    `USUAL`, rays do not tell triangles apart either, and the hits on either side decide. What hides a sample just inside of another
-    body is known by the plane of the triangle that the ray hits.
+    `USUAL`, rays do not tell triangles apart either, and the hits on either side decide. What hides a sample just inside of
+    another body is known by the plane of the triangle that the ray hits.
 
     Args:
         geometry: of the scene, detached.

@@ -238,7 +238,7 @@ def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, foll
 @stage("picked", "reached")
 def picked_vertex(picked: Picked, reached: PathsAtBounce, vertex: Tensor, key: SampleKey, counter: Tensor,
                   settings: tuple[bool, float]) -> tuple[Tensor, Picked]:
-    """Updates the selection by the vertices of one bounce: the indices of their paths, (N,) int32, and the new selection.
+    """Reservoir sampling: updates the selected vertex of N paths by one bounce; returns the paths, int32, and the selection.
 
     Args:
         picked: the selection of all paths.

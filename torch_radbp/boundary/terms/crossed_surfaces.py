@@ -61,7 +61,7 @@ LOOKS, PLACES = 4, 2  # for segments from each vertex, and places on segments th
 
 
 class Sheets(NamedTuple):
-    """N surfaces at points where others pass through, seen up to these; detached, float64 but for integers."""
+    """N surfaces that others intersect, at points of the intersection, as viewpoints see them; detached, float64."""
 
     triangle: Tensor  # (N,) int32
     instance: Tensor | None  # (N,) int32, that shows it

@@ -121,7 +121,7 @@ def drawn_by_steps(key: SampleKey, lane: Tensor, counter: Tensor) -> Tensor:
 
 def divided(searched: Searched, points: FilmPoints, path: IdealPath, pairs: ScanSteps,
             turn: int) -> tuple[FilmPoints, IdealPath, ScanSteps]:
-    """Replaces steps whose ends differ by a random part whose ends differ; returns new points and paths, too."""
+    """Replaces each step whose ends differ with a random part whose ends differ; returns points, paths and steps."""
     count, (first, second) = len(pairs.times), pairs.ends
     low, high = rows(points.film, first), rows(points.film, second)
     shares = [part / PARTS for part in range(1, PARTS)]

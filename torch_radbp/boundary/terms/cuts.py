@@ -67,7 +67,7 @@ class CutsOfView(NamedTuple):
 
 
 def jumps_of_cuts(call: RenderCall, number: int, outline: Outline, found: CutsOfView) -> Deposit:
-    """The deposit of view `number` for light that edges occlude from path vertices.
+    """The derivative from light that edges occlude from path vertices, as a deposit on the film of view `number`.
 
     Args:
         call: the rendering, in which something moves.

@@ -86,8 +86,8 @@ def edges_of_call(rendering: Rendering, seed: int) -> EdgesOfCall:
 
 
 def lamps_are_slid_over(rendering: Rendering) -> bool:
-    """True if surfaces see lamps in ideal mirrors or glass that parameters turn; also under `torch.no_grad()`, so that
-    images have the same samples there."""
+    """True if surfaces see lamps in ideal mirrors or glass whose scattered directions turn with parameters; also under
+    `torch.no_grad()`, so that images have the same samples there."""
     if not lamps_beside_mirrors(rendering):
         return False
     with torch.enable_grad():

@@ -48,7 +48,7 @@ class PictureLines(NamedTuple):
 
 
 class LitCurves(NamedTuple):
-    """N points on such lines whose light hits a receiver; detached."""
+    """N points on the discontinuity lines of projected images, and the surfaces that their light hits; detached."""
 
     row: Tensor  # (N,) int32, light: row of the table of its kind
     element: Tensor  # (N,) int32, of `LightTable`
@@ -186,7 +186,7 @@ def curves_lit(call: RenderCall, number: int, kind: int,
 
 def borders_seen(call: RenderCall, number: int, kind: int, curves: LitCurves, times: Tensor,
                  key: LaneKey) -> CutOff | None:
-    """Selects the samples that the camera of a view sees; args as of `curves_lit`, and its results."""
+    """Selects the samples of projected images' lines that a view's camera sees; args as of `curves_lit`, and its result."""
     view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
     integrand, camera = integrand_of(call, call.integrand, number), view.camera
     aperture, one = aperture_of(view, key), torch.ones_like(curves.receiver.t)

@@ -124,7 +124,7 @@ class CurveCrossings(NamedTuple):
 
 
 def _jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, reflected: Reflected) -> Deposit | None:
-    """The deposit of a view's discontinuities seen by way of mirrors and glass; None: there are none.
+    """The derivative from a view's discontinuities seen in mirrors and glass, as a film deposit; None: there are none.
 
     Args:
         call: attached.

@@ -41,7 +41,7 @@ class SheetPoints(NamedTuple):
 
 
 class SampledSheets(NamedTuple):
-    """N points on sheets, with the area for which each stands; detached."""
+    """N points on sheets between light and shadow in media, with the area for which each stands; detached."""
 
     points: SheetPoints
     p: Vec3  # where they are, world, float64

@@ -123,7 +123,7 @@ class ShadowTerm(ABC):
         return set()
 
     def jumps(self, number: int, found: Any) -> list[Deposit]:
-        """The deposits of samples, `found` by `samples`, in view `number`; attached."""
+        """The derivative from the samples `found` by `samples`, as deposits on the film of view `number`; attached."""
         seen = self.seen(number, attached_geometry(self.call.scene), found)
         return [Deposit(found.place, found.strength.unbind(), swept_areas(seen, found.normal))]
 

@@ -66,7 +66,7 @@ def shadow_jumps(call: RenderCall, casting: Outline | None, crossing: Segments |
         call: the rendering, in which something moves.
         casting: the edges of everything that casts shadows; None: nothing moves shadows.
         crossing: intersections of surfaces that move, and texture lines that slide; None: there are none.
-        lines: the numbers of those lines, attached.
+        lines: the coefficients of those lines, attached.
     """
     still, images = call.still(), []
     facts = cache(still.facts)

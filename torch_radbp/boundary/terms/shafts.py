@@ -50,7 +50,7 @@ SALT = 0x7A1D3B65  # tells the random numbers of these paths from others
 
 
 class LitInMedium(NamedTuple):
-    """The light beside sheets that media scatter towards viewpoints; (N,), detached."""
+    """The light that media scatter towards viewpoints right beside sheets of shadow; (N,), detached."""
 
     light: Tensor  # (3, N) float64, radiance per length of the ray; 0: none
     ray: Ray  # from the vertex to the point
@@ -145,7 +145,7 @@ def has_shafts(call: RenderCall) -> bool:
 
 
 def seen_by_camera(edges: EdgesFromLights, number: int) -> ShaftsInView | None:
-    """Samples points on sheets that the camera of view `number` sees; None: there are none."""
+    """Samples points on sheets between light and shadow that the camera of view `number` sees; None: there are none."""
     call, casting = edges.call, edges.casting
     lit = edges.lit(number, Lights.with_shafts(call), share_of(call.scene))
     if lit is None:
@@ -174,7 +174,7 @@ def seen_by_camera(edges: EdgesFromLights, number: int) -> ShaftsInView | None:
 
 
 def seen_by_vertices(edges: EdgesFromLights, number: int) -> ShaftsInView | None:
-    """Samples points on sheets that path vertices of view `number` see; None: there are none."""
+    """Samples points on sheets between light and shadow that path vertices of view `number` see; None: there are none."""
     call, casting = edges.call, edges.casting
     lit = edges.lit(number, Lights.with_shafts(call), share_of(call.scene))
     if lit is None:
@@ -205,7 +205,7 @@ def seen_by_vertices(edges: EdgesFromLights, number: int) -> ShaftsInView | None
 
 def lit_ones(place: Vec2, strength: Tensor, sheets: SampledSheets, lit: LitInMedium,
              seen_from: SeenFromCamera | SeenFromVertices) -> ShaftsInView | None:
-    """The `ShaftsInView` of those points of which any light is seen; None: there are none. Args as of `ShaftsInView`."""
+    """The `ShaftsInView` of those points in media at which light is seen, None if none; args as of `ShaftsInView`."""
     kept = ((strength != 0) & torch.isfinite(strength)).any(0).nonzero().squeeze(1)
     place, area, points, ways, seen_from = rows((place, sheets.area, sheets.points, lit[1:], seen_from), kept)
     lit = LitInMedium(lit.light[:, kept], *ways)
@@ -213,7 +213,7 @@ def lit_ones(place: Vec2, strength: Tensor, sheets: SampledSheets, lit: LitInMed
 
 
 def lit_in_medium(integrand: Integrand, state: PathState, sheets: SampledSheets, depth: int) -> LitInMedium:
-    """The light right beside sheets that media scatter back along rays.
+    """The light that media scatter back along rays, right beside sheets between light and shadow.
 
     Args:
         integrand: for the view, with a detached scene.

@@ -16,7 +16,7 @@ from torch_radbp.vertex.material import followed
 
 
 class SlidOver(NamedTuple):
-    """The parameters that turn scattered directions, so that these slide over edges, and where that goes uncounted."""
+    """The parameters that turn scattered directions over edges for which there is no boundary term, and where these are."""
 
     names: dict[str, bool]  # True: hybrid sampling follows at all these surfaces, too
     seen_by_surfaces: bool  # alone: those that cameras see are computed
