@@ -32,7 +32,7 @@ from torch_radbp.vertex.interaction import corner_rows
 
 
 class Memo(NamedTuple):
-    """The memo of the recursion: L_{k+1} and derivatives from the bounce below, (N,) each; zeros where there is none."""
+    """What a bounce gets of the one after it in the backward sweep: L_{k+1} and derivatives, (N,); 0 where there is none."""
 
     L: Vec3  # L_{k+1}
     adj_ray: Ray | None = None  # dloss/dray_{k+1}; None if rays do not carry derivatives

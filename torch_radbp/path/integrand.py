@@ -181,7 +181,7 @@ def int32_number(value: int, device: torch.device) -> Tensor:
 
 @functools.lru_cache(maxsize=4096)
 def position(depth: int, roulette: bool, dtype: torch.dtype, device: torch.device) -> Position:
-    """The position of the bounce at `depth` as cached tensors, with or without Russian roulette."""
+    """The `Position` of the bounce at `depth` on its path, as cached tensors, with or without Russian roulette."""
     least, most = (SURVIVE_AT_LEAST, SURVIVE_AT_MOST) if roulette else (1.0, 1.0)
     return Position(depth_counter(depth, device), torch.tensor(least, dtype=dtype, device=device),
                     torch.tensor(most, dtype=dtype, device=device))

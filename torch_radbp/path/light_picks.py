@@ -63,7 +63,7 @@ def chance_of_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, l
 
 def picked_lights(integrand: Integrand, state: PathState, hit: Hit, depth: int,
                   flight: Flight | None = None) -> LightPick | None:
-    """Selects a light for each path's vertex by the light tree; None if vertices do not matter. `flight`: see `Arrival`."""
+    """Selects a light for each path's vertex by the light tree; None if that is not used. `flight`: see `Arrival`."""
     choice = integrand.proposal.lights.choice
     if not integrand.settings.nee or not integrand.proposal.lights.by_place:
         return None

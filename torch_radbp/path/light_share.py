@@ -33,7 +33,7 @@ def first_was_narrow(state: PathState) -> Tensor:
 
 
 def next_first(state: PathState, pdf: Tensor, narrow: Tensor | None) -> Tensor | None:
-    """`PathState.first` after another vertex with a direction of density `pdf`; args as for `narrowly`."""
+    """`PathState.first` once paths scatter at another vertex, with density `pdf`; args as for `narrowly`."""
     if state.first is None:
         return None
     here = narrowly(pdf, narrow).to(torch.int32)

@@ -90,7 +90,7 @@ class Onward(NamedTuple):
         return len(self.paths.lane if self.alive is None else self.alive) if self.number is None else self.number
 
     def with_less_room(self, depth: int) -> Onward:
-        """These paths in less memory, if only the device knows how many they are; it is asked at every `ASKED`-th depth."""
+        """These paths in less memory, where only the device knows their number; waits for that at every `ASKED`-th depth."""
         if self.number is None or depth % ASKED:
             return self
         most = min(power_of_2(waited_for(self.number)), self.number.most)

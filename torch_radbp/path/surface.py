@@ -133,7 +133,7 @@ SURFACE = SurfaceVertex()
 
 def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings,
                 here: Corners | None = None) -> SurfaceInteraction:
-    """The surface interactions of rays; hit points slide with rays that are differentiated or not random, else are glued."""
+    """The surface interactions of rays; points move with rays that are differentiated or not random, else with triangles."""
     slides = None
     if settings.moving:
         pdf = arrival.state.pdf

@@ -136,7 +136,7 @@ LEVELS: dict[int, Level] = {RIM: _facing, NEAR: beyond_near, FAR: beyond_far}
 
 @film_term
 class Contours(FilmTerm):
-    """The film term of rims, where shading normals turn away from the camera, and of cuts by its near and far plane."""
+    """The film curves of rims, where shading normals turn away from the camera, and of cuts by its near and far plane."""
 
     rank = 1
     kinds = RIM, NEAR, FAR

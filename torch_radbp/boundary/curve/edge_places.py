@@ -42,7 +42,7 @@ ASKANCE = 1e-2  # cosine between line of sight and interpolated normal at the ed
 
 @film_term
 class OutlineEdges(FilmTerm):
-    """The film term of mesh edges: those that are silhouettes or creases."""
+    """The film curves of mesh edges: those that are silhouettes or creases."""
 
     rank = 0
 

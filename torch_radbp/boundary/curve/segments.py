@@ -86,7 +86,7 @@ def from_everywhere(segments: Segments) -> SeenFrom:
 
 @film_term
 class InnerLines(FilmTerm):
-    """The film term of straight curves inside of triangles: texture lines, and intersections of surfaces."""
+    """The film curves of straight lines inside of triangles: texture lines, and intersections of surfaces."""
 
     rank = 2
     kinds = TEXTURE, INTERSECTION

@@ -28,7 +28,7 @@ ON_EDGE = 1e-6  # of the rise of a triangle, below which a line runs along one o
 
 @boundary_term
 class TextureLines(LinesTerm):
-    """The lines term of textures: discontinuities of a shape's material or emission textures."""
+    """The lines on surfaces at which a shape's material or emission textures are discontinuous."""
 
     what = "lines at which textures jump"
 

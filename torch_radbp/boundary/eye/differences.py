@@ -147,7 +147,8 @@ def part_of_one(surfaces: Surfaces, one: Reached, other: Reached) -> Tensor:
 
 
 def how_bent(surfaces: Surfaces, one: Reached, other: Reached) -> tuple[Tensor, Tensor]:
-    """(N,) bool: neighbouring rays surely hit different surfaces; (N,) float64: BEND times the sine of the bend between."""
+    """Whether neighbouring rays surely hit different surfaces; and BEND times the sine of the surface's bend between;
+    (N,)."""
     way = point_met(other) - point_met(one)
     length = torch.sqrt(dot(way, way)).clamp_min(TINY)
     bend = torch.zeros_like(length)

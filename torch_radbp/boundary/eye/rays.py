@@ -94,7 +94,7 @@ class Follows(NamedTuple):
 
 
 def following(follows: Follows, start: Ray, scene: SceneTensors) -> Tensor:
-    """(K,) float64 zeros whose derivatives pass through chains of mirrors and glass.
+    """(K,) float64 zeros that carry derivatives through chains of mirrors and glass to camera rays and the scene.
 
     Args:
         follows: the derivatives by the rays of the chains.

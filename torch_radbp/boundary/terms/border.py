@@ -197,7 +197,7 @@ class BordersInView(NamedTuple):
 
 @shadow_term
 class DirectShadows(ShadowTerm):
-    """The term of shadow borders on surfaces that the camera sees."""
+    """The boundary term of shadow borders on surfaces that the camera sees."""
 
     rank = 0
 

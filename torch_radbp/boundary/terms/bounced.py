@@ -54,7 +54,7 @@ class ConnectedBorders(NamedTuple):
 
 @shadow_term
 class BouncedShadows(ShadowTerm):
-    """The term of shadow borders on surfaces that path vertices see, for light of light samples."""
+    """The boundary term of shadow borders on surfaces that path vertices see, for light of light samples."""
 
     rank = 5
     through_media = True

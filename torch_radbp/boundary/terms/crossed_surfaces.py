@@ -85,7 +85,7 @@ class CrossedOfView(NamedTuple):
 
 @shadow_term
 class CrossedSurfaces(ShadowTerm):
-    """The term of surface intersections, and of lines that slide over surfaces, as path vertices see them."""
+    """The boundary term of surface intersections, and of lines that slide over surfaces, as path vertices see them."""
 
     rank = 8
     needs = "crossing",

@@ -39,7 +39,7 @@ class FollowedBorders(NamedTuple):
 
 @shadow_term
 class FollowedShadows(ShadowTerm):
-    """The term of shadow borders of lights without extent, seen in scattered directions that carry derivatives."""
+    """The boundary term of shadow borders of lights without extent, seen in scattered directions that carry derivatives."""
 
     rank = 7
 

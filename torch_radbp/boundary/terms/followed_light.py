@@ -84,7 +84,7 @@ class LightBeside(NamedTuple):
 
 @shadow_term
 class FollowedLight(ShadowTerm):
-    """The term of scattered directions that carry derivatives: they turn with parameters, and slide over edges."""
+    """The boundary term of scattered directions that carry derivatives: they turn with parameters, and slide over edges."""
 
     rank = 6
 

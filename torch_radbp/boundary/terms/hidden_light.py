@@ -96,7 +96,7 @@ EVERYTHING = Straight(SOFT, SOFT, SOFT, SOFT)
 
 @shadow_term
 class HiddenLight(ShadowTerm):
-    """The term of light that edges occlude from path vertices, whose next hits are fixed to surfaces."""
+    """The boundary term of light that edges occlude from path vertices, whose next hits are fixed to surfaces."""
 
     rank = 3
     through_media = True
@@ -274,7 +274,8 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
 
 
 def number_of_paths(call: RenderCall, view: View, share: float = 1.0, most: int = MOST) -> int:
-    """The number of paths whose vertices sample edges, for a share of all samples; 0 for share 0."""
+    """The number of a view's paths whose vertices sample edges: `share` / SHARE of all samples, within limits; 0 for share
+    0."""
     return max(FEWEST_PATHS, int(share * min(most, view.width * view.height * call.spp // SHARE))) if share else 0
 
 

@@ -105,7 +105,7 @@ class PictureBorders(NamedTuple):
 
 @shadow_term
 class ProjectedImages(ShadowTerm):
-    """The term of projected images: their borders and discontinuities on surfaces that the camera sees."""
+    """The boundary term of projected images: their borders and discontinuities on surfaces that the camera sees."""
 
     rank = 1
 

@@ -111,7 +111,7 @@ def jumps_of_views(call: RenderCall, jumps: list[Jumps | None], seen: SeenByCame
 
 
 class JumpSearch(NamedTuple):
-    """A call in which something moves, and what the searches of its views share."""
+    """A call in which something moves, with what its views share in the search for discontinuities."""
 
     call: RenderCall  # attached
     still: RenderCall  # without derivatives
@@ -230,7 +230,7 @@ def sides_in_sight(call: RenderCall, integrand: Integrand, viewed: ExaminedView,
 
 
 def lit_sides(call: RenderCall, still: RenderCall, number: int, viewed: ExaminedView, found: JumpPlaces) -> list[Deposit]:
-    """The deposits of samples `found` for light of paths from lamps, see `eye/lit_sides.py`; `still`: `call`, detached."""
+    """The deposits at samples `found` for light that paths from lamps bring to either side; `still`: `call`, detached."""
     with torch.no_grad():
         integrand = integrand_of(still, still.integrand, number)
         table = viewed.stages(in_sight).taken(places=found.places)

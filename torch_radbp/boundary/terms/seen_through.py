@@ -57,7 +57,7 @@ def passes_straight(scene: SceneTensors) -> bool:
 
 @shadow_term
 class SeenThrough(ShadowTerm):
-    """The term of edges that path vertices see through surfaces which let light pass straight."""
+    """The boundary term of edges that path vertices see through surfaces which let light pass straight."""
 
     rank = 4
     is_split = True

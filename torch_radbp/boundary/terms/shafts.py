@@ -106,7 +106,7 @@ class ShaftsInView(NamedTuple):
 
 @shadow_term
 class Shafts(ShadowTerm):
-    """The term of sheets between light and shadow in media, as cameras and path vertices see them."""
+    """The boundary term of sheets between light and shadow in media, as cameras and path vertices see them."""
 
     rank = 9
     through_media = True

@@ -48,7 +48,7 @@ class Strips(NamedTuple):
 
 @shadow_term
 class OpeningStrips(ShadowTerm):
-    """The term of strips that become visible below edges which rest on a surface, when these rise."""
+    """The boundary term of strips that become visible below edges which rest on a surface, when these rise."""
 
     rank = 2
     needs = "casting", "crossing"

@@ -38,17 +38,17 @@ def same_bits_each(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> list[
 
 
 def equal_on_device(tensors: Sequence[Tensor], copies: Sequence[Tensor],
-                    asked: Sequence[Tensor] = ()) -> tuple[list[bool], list[list[float]]]:
-    """For pairs of tensors of one device, whether their bits are equal, with one wait; and the numbers of `asked`.
+                    others: Sequence[Tensor] = ()) -> tuple[list[bool], list[list[float]]]:
+    """Whether pairs of tensors of one device have equal bits, and the numbers of `others`; with one wait.
 
     Small tensors are compared as one, entry by entry, and what differs is counted up to the end of each.
 
     Args:
         tensors, copies: the pairs.
-        asked: other tensors whose numbers are fetched as well, in float64; of large ones the extremes.
+        others: tensors whose numbers are fetched as well, in float64; of large ones the extremes.
     """
     answers, order = counted_differences(tensors, copies)
-    parts = list(map(fetched_of, asked))
+    parts = list(map(fetched_of, others))
     dtypes = list(dict.fromkeys([part.dtype for part in parts]))
     joined = [torch.cat([part for part in parts if part.dtype == dtype]).double() for dtype in dtypes]
     joined = [*([torch.cat(answers).double()] if answers else []), *joined]

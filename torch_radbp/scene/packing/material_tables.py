@@ -24,7 +24,7 @@ from torch_radbp.texture.bitmap import reader_of
 
 
 class MaterialTextures(NamedTuple):
-    """The material textures of a scene that one reader reads, which are stored in one table."""
+    """The material textures of a scene that are of one kind, read by one reader from one table."""
 
     reader: Reader
     textures: tuple[Texture, ...]  # in the order of its bank

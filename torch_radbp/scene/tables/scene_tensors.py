@@ -86,7 +86,7 @@ class Layout:
 
     @property
     def emitting_media(self) -> tuple[int, ...]:
-        """The numbers of the media that emit light; paths that begin at lamps meet none."""
+        """The numbers of the media whose emission counts: of all that emit, but of none for paths that begin at lamps."""
         return tuple(number for number, kind in enumerate(self.media)
                      if kind.emission is not None and not self.from_lamps)
 
