@@ -57,7 +57,7 @@ class FlightEnd:
         """None: a medium has no appearance."""
 
     def still(self, layout: Layout) -> tuple[()]:
-        """Empty: a medium has no material whose values could lack derivatives."""
+        """Empty: a medium has no material whose values could be differentiated."""
         return ()
 
     @property
@@ -86,7 +86,7 @@ class Ends(Enum):
         """None: nothing scatters light where a path ends."""
 
     def still(self, layout: Layout) -> tuple[()]:
-        """Empty: there is no material whose values could lack derivatives."""
+        """Empty: where a path ends there is no material whose values could be differentiated."""
         return ()
 
     @property

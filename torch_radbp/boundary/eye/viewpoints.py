@@ -268,7 +268,7 @@ def picked_vertex(picked: Picked, reached: PathsAtBounce, vertex: Tensor, key: S
 
 
 def flown(step: Step) -> tuple[Flight | None, Hit | None]:
-    """The flights of a bounce through media, and the last boundary that each ray passes, as of `Viewpoints`."""
+    """How far the rays of a bounce come through media, and the last boundary that each passes, as in `Viewpoints`."""
     flight = step.flight
     if flight is None or flight.crossings is None:
         return flight, None

@@ -85,7 +85,7 @@ class Straight(NamedTuple):
 
     @staticmethod
     def uncovered(call: RenderCall) -> Straight:
-        """The lights that no other term counts."""
+        """The lights whose occlusion by edges, as path vertices see it, no other boundary term computes."""
         shafts = Lights.with_shafts(call)
         by_chance, in_mirrors = (SOFT._replace(soft=not some.soft) for some in (Lights.bounced(call), Lights.mirrored(call)))
         return Straight(Lights.uncovered(call), by_chance, in_mirrors, Lights(False, not shafts.soft, not shafts.around))
@@ -274,8 +274,8 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
 
 
 def number_of_paths(call: RenderCall, view: View, share: float = 1.0, most: int = MOST) -> int:
-    """The number of a view's paths whose vertices sample edges: `share` / SHARE of all samples, within limits; 0 for share
-    0."""
+    """The number of a view's paths whose vertices sample edges: `share` / SHARE of all samples, within limits; for 0
+    none."""
     return max(FEWEST_PATHS, int(share * min(most, view.width * view.height * call.spp // SHARE))) if share else 0
 
 

@@ -243,7 +243,7 @@ def lit_sides(call: RenderCall, still: RenderCall, number: int, viewed: Examined
 
 def differences(call: RenderCall, integrand: Integrand, viewed: ExaminedView, found: InView, indices: Tensor,
                 seen: SeenByCamera) -> tuple[Tensor, Tensor]:
-    """The visible ones of samples `indices`, (M,) int32, as (K,) int32, and values behind less ahead, (C, K) float64."""
+    """The visible samples among `indices`, (K,) int32, and image values behind less ahead of the curves, (C, K) float64."""
     start, clear, times = sides_in_sight(call, integrand, viewed, found, indices)
     values = seen.evaluate(integrand, Onward(started(call, start.sample), None, start.hit, flight=start.flight))
     weight = start.sample.weight

@@ -213,7 +213,7 @@ def jumps_at(searched: Searched, integrand: Integrand, crossed: Crossings) -> Te
 
 
 def light_lost(searched: Searched, integrand: Integrand, crossed: Crossings) -> Tensor:
-    """The jumps at shadow borders: the light of the one sample whose shadow it is. Args and result as of `jumps_at`."""
+    """The jumps at shadow borders: the light of the light sample that one side lacks. Args and result as of `jumps_at`."""
     call, in_light = searched.call, (crossed.below.what & LIT) != 0
     lit = selected(in_light, crossed.below, crossed.above)
     state = path_of(call, lit.ray, crossed.key)._replace(cone=lit.cone)

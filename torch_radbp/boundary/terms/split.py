@@ -34,7 +34,7 @@ class SampledIntegral(Protocol):
     """The interface of the samples of one boundary integral."""
 
     def independent(self) -> Tensor:
-        """(3, N) image changes for equal motion of all edges, in independent parts: the variance is the sum of squares."""
+        """(3, N) changes of the image if all edges move alike, in independent parts: the variance is the sum of squares."""
 
 
 class Amount(NamedTuple):

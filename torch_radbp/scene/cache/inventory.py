@@ -68,7 +68,7 @@ class Inventory:
                 and list(map(KIND, self.tensors)) == self.kinds)
 
     def reach(self, modules: tuple[nn.Module, ...]) -> frozenset[int]:
-        """The ids of all that may change within modules while the inventory holds: tensors, and restless modules."""
+        """The ids of what may change within modules unseen by the inventory: of tensors, and of modules if `is_restless`."""
         if modules not in self.reaches:
             self.reaches[modules] = reach_of(modules)
         return self.reaches[modules]

@@ -65,7 +65,7 @@ class ModuleTree(nn.Module):
     """A tree of modules some of whose submodules are roots of their own and do not count as parts, as a scene's sensors."""
 
     def separate_roots(self) -> Collection[nn.Module]:
-        """The submodules that are roots of their own, such as sensors."""
+        """The submodules whose attributes are compared separately from the rest, such as sensors."""
         raise NotImplementedError
 
     def shared_with_roots(self) -> list[nn.Module]:

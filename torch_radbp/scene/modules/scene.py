@@ -168,7 +168,7 @@ class Scene(ModuleTree):
                 for part, view in child.views().items()}
 
     def separate_roots(self) -> list[Sensor]:
-        """The sensors: a rendering need not look at those that it does not show."""
+        """The sensors, whose attributes are compared separately: a rendering looks only at those that it shows."""
         return self.sensors
 
     def shared_with_roots(self) -> list[Medium]:
