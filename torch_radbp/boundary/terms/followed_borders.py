@@ -29,7 +29,7 @@ from torch_radbp.tensors.vec import Frame, Vec2, Vec3, dot, normalize
 
 
 class FollowedBorders(NamedTuple):
-    """K samples on borders, each seen from a path vertex; detached."""
+    """K samples on shadow borders, each seen from a path vertex by a scattered direction; detached."""
 
     points: Viewpoints  # the path vertices
     borders: Borders
@@ -39,7 +39,7 @@ class FollowedBorders(NamedTuple):
 
 @shadow_term
 class FollowedShadows(ShadowTerm):
-    """Borders of lights without extent that are seen in scattered directions which carry derivatives."""
+    """The boundary term of shadow borders of lights without extent, seen in scattered directions that carry derivatives."""
 
     rank = 7
 
@@ -73,6 +73,6 @@ class FollowedShadows(ShadowTerm):
 
 def _sight_of(scene: SceneTensors, geometry: Geometry, outline: Outline, at: Vec3, borders: Borders,
               basis: tuple[Vec3, Vec3], step: Tensor | float = 0.0, off: Vec3 | None = None) -> Vec2:
-    """Shadow ends as points `at` see them, (N,) coordinates across the lines of sight, attached; args as of `border`."""
+    """Shadow ends as seen from points `at`, (N,) coordinates across the lines of sight, attached; args as of `border`."""
     d = normalize(border(scene, geometry, outline, borders, step, off) - at)
     return Vec2(*(dot(d, across) for across in basis))
