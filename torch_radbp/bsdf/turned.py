@@ -212,6 +212,21 @@ class TurnedKind(Kind):
         frame, own = self.drawn_frame(values, wi, choice)
         return self.nested.spread(values[self.normal_values:], frame.to_local(wi), own)
 
+    def null_transmission(self, values: Values, wi: Vec3) -> tuple[Vec3, Tensor]:
+        nested, frame = values[self.normal_values:], self.frame(values, wi)
+        turned = frame.to_local(wi)
+        light, chance = self.nested.null_transmission(nested, turned)
+        light = light * self.passes(frame, -wi, -turned)
+        if not self.draws_frames:
+            return light, chance
+        round_, flipped = self.chance_of_turned_round(values), torch.ones_like(chance, dtype=torch.bool)
+        chances = (self.nested.null_transmission(nested, self.frame_if(values, mask).to_local(wi))[1]
+                   for mask in (flipped, ~flipped))
+        return light, sum(share * each for share, each in zip((round_, 1.0 - round_), chances))
+
+    def chooses_null(self, choice: LobeChoice) -> Tensor:
+        return self.nested.chooses_null(choice.parts[0] if self.draws_frames else choice)
+
 
 def chance_of_frame(chance: Tensor, turned_round: Tensor) -> Tensor:
     """The probability of the sampled `turned_round`, which is true with probability `chance`."""
@@ -223,15 +238,6 @@ def picked_with(chance: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
     picked = number < chance
     rest = torch.where(picked, number / chance, (number - chance) / (1.0 - chance))
     return picked, rest.clamp(0.0, LARGEST_NUMBER)
-
-    def null_transmission(self, values: Values, wi: Vec3) -> tuple[Vec3, Tensor]:
-        frame = self.frame(values, wi)
-        turned = frame.to_local(wi)
-        light, chance = self.nested.null_transmission(values[self.normal_values:], turned)
-        return light * self.passes(frame, -wi, -turned), chance
-
-    def chooses_null(self, choice: LobeChoice) -> Tensor:
-        return self.nested.chooses_null(choice)
 
 
 def squared_tangent(w: Vec3) -> Tensor:
