@@ -68,7 +68,7 @@ class Viewpoints(NamedTuple):
     flight: Flight | None = None  # by which the ray comes there through media, or ends before `hit`; see `Arrival`
     boundary: Hit | None = None  # that it passes last; triangle -1: none; None: rays pass none, or carry no derivatives
     by_chance: Tensor | None = None  # (M,) bool: the ray's direction is entirely random
-    in_mirrors: Tensor | None = None  # (M,) bool: the camera sees the vertex by way of one ideal vertex
+    behind_ideal: Tensor | None = None  # (M,) bool: the camera sees the vertex by way of one ideal vertex
 
     @property
     def in_medium(self) -> Tensor:

@@ -53,18 +53,17 @@ from torch_radbp.boundary.eye.seen_edges import (
 from torch_radbp.boundary.eye.seen_on_film import aperture_of, camera_sample, into_shade, seen_at
 from torch_radbp.boundary.eye.viewpoints import path_of
 from torch_radbp.boundary.eye.ways_down import lot_of_found
+from torch_radbp.boundary.terms.covered_lights import Lights
 from torch_radbp.boundary.terms.shadow_term import (
     CutOff,
     ShadowTerm,
     TermSize,
     cut_off,
     films_have_area,
-    follows_mirrors,
     shadow_term,
 )
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.view import View
-from torch_radbp.interface.emitter import LightKind
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.event import Ends
 from torch_radbp.path.light_share import ends_lamp_paths
@@ -73,7 +72,6 @@ from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene.tables.part import part_of
 from torch_radbp.scene.tables.scene_tensors import SceneTensors, extent_of
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.stage import EAGER, Stages, stage
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3, interpolated, max_component, rows
 
@@ -83,82 +81,6 @@ SHARP_SHARE = 4  # the same where some lights have no extent: all that shadows m
 LOOKS = 4  # for edges from each light sample
 FEW = 1024  # light samples of a warning
 BYTES_OF_TRIED = 20, 240  # an edge that is tried from a light sample: in fused loops, in plain torch
-
-
-class Lights(NamedTuple):
-    """A selection of kinds of lights, for which a boundary term samples shadow borders."""
-
-    sharp: bool  # lights without extent
-    soft: bool  # area lights
-    around: bool  # the environment
-
-    @staticmethod
-    def covered(call: RenderCall) -> Lights:
-        """The lights whose shadow borders `DirectShadows` samples; none if pixels have no area."""
-        if not films_have_area(call):
-            return Lights(False, False, False)
-        lights = Lights.sampled_whole(call)
-        # Where rays pass boundaries of media others are seen by all vertices alike.
-        return lights._replace(soft=False, around=False) if call.scene.layout.traces_segments else lights
-
-    @staticmethod
-    def bounced(call: RenderCall) -> Lights:
-        """The lights whose shadow borders `BouncedShadows` samples, at random path vertices after the first.
-
-        For environments, and for lamps behind boundaries of media, edges are better sampled from path vertices.
-        """
-        lights = Lights.sampled_whole(call) if call.integrand.max_depth > 2 else Lights(False, False, False)
-        soft = lights.sharp and lights.soft and not call.scene.layout.traces_segments
-        return Lights(lights.sharp, soft, False)
-
-    @staticmethod
-    def mirrored(call: RenderCall) -> Lights:
-        """The lights whose shadow borders, seen by way of ideal vertices, `reflections.py` finds by scans of the film.
-
-        Area lights only by way of one coat, which few paths sample, each with a large contribution. What mirrors and glass
-        show is seen by all paths, and found from path vertices with less noise.
-        """
-        lights, layout = Lights.sampled_whole(call), call.scene.layout
-        if call.integrand.max_depth < 3 or not follows_mirrors(call) or layout.traces_segments:
-            return Lights(False, False, False)
-        settings, in_media = call.integrand.settings, layout.scattering_media or layout.emitting_media
-        coats = all(look.kind.smooth for look in layout.appearances if look.kind.delta)
-        glued = settings.sampling == "hybrid" and not settings.following
-        return Lights(lights.sharp, lights.sharp and lights.soft and coats and glued and not in_media, False)
-
-    @staticmethod
-    def with_shafts(call: RenderCall) -> Lights:
-        """The lights whose shafts in media `Shafts` samples; if pixels have no area, only those without extent."""
-        lights = Lights.sampled_whole(call)
-        return lights if films_have_area(call) else lights._replace(soft=False, around=False)
-
-    @staticmethod
-    def sampled_whole(call: RenderCall) -> Lights:
-        """The lights all of whose light is found by light samples."""
-        emitters, lights, layout = call.module.emitters, call.scene.lights, call.scene.layout
-        surfaces, around = (all(emitter.sampled_whole() for emitter in emitters if emitter.kind().surround == around)
-                            for around in (False, True))
-        if layout.surround is not None:
-            number, kind = layout.surround
-            around = around and not kind.even(detached(lights.tables[number]))
-        return Lights(call.integrand.settings.nee, surfaces, around or layout.surround is None)
-
-    @staticmethod
-    def uncovered(call: RenderCall) -> Lights:
-        """The lights of some extent whose shadow borders `DirectShadows` does not sample."""
-        covered = Lights.covered(call)
-        return Lights(False, not covered.soft, not covered.around)
-
-    def covers(self, kind: LightKind) -> bool:
-        """True if a kind of light is selected."""
-        return self.sharp if kind.delta else self.around if kind.surround else self.soft
-
-    def of(self, scene: SceneTensors) -> Tensor:
-        """For each kind of light in a scene, whether it is selected; bool."""
-        return torch.tensor([self.covers(kind) for kind in scene.layout.lights], device=scene.device)
-
-
-SOFT = Lights(False, True, True)
 
 
 class Borders(NamedTuple):

@@ -29,7 +29,8 @@ from torch_radbp.boundary.eye.past_edges import leaving_towards
 from torch_radbp.boundary.eye.seen_edges import BEFORE, Passed, corners_of, course_of, crossed_at, uniform_numbers
 from torch_radbp.boundary.eye.slid import less_what_slides
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, path_of, vertex_at, viewpoints
-from torch_radbp.boundary.terms.border import Borders, EdgesFromLights, Lights, light_through, samples_of, shadows_cast
+from torch_radbp.boundary.terms.border import Borders, EdgesFromLights, light_through, samples_of, shadows_cast
+from torch_radbp.boundary.terms.covered_lights import Lights
 from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, glues, shadow_term
 from torch_radbp.boundary.terms.spread_borders import spread_borders
 from torch_radbp.call.render_call import RenderCall, integrand_of

@@ -18,8 +18,9 @@ from torch_radbp.boundary.curve.outline import Outline
 from torch_radbp.boundary.eye.drawn_directions import DirectionNumbers, drawn
 from torch_radbp.boundary.eye.seen_edges import course_of
 from torch_radbp.boundary.eye.viewpoints import Viewpoints, arriving, path_of, vertex_on
-from torch_radbp.boundary.terms.border import Borders, Lights, border
+from torch_radbp.boundary.terms.border import Borders, border
 from torch_radbp.boundary.terms.bounced import light_sent_on, pairs_of, way_to
+from torch_radbp.boundary.terms.covered_lights import Lights
 from torch_radbp.boundary.terms.followed_light import moved_directions
 from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, cut_off, follows, shadow_term, sharp_lights_later
 from torch_radbp.call.render_call import integrand_of

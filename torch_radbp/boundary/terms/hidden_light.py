@@ -42,7 +42,8 @@ from torch_radbp.boundary.eye.seen_edges import Casting, Passed, places_seen, sa
 from torch_radbp.boundary.eye.thinning import chances, thinned
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, eyes_at, path_of, vertex_at, viewpoints
 from torch_radbp.boundary.terms import split
-from torch_radbp.boundary.terms.border import SOFT, Lights, most_samples
+from torch_radbp.boundary.terms.border import most_samples
+from torch_radbp.boundary.terms.covered_lights import SOFT, Lights
 from torch_radbp.boundary.terms.cuts import (
     CutsOfView,
     cuts_that_matter,
@@ -80,15 +81,16 @@ class Straight(NamedTuple):
     from_surfaces: Lights  # of first vertices
     # Of later ones past edges that lie on no surface; all others see all here:
     by_chance: Lights  # that are met by chance
-    in_mirrors: Lights  # that cameras see by way of one ideal vertex
+    behind_ideal: Lights  # that cameras see by way of one ideal vertex
     in_media: Lights
 
     @staticmethod
     def uncovered(call: RenderCall) -> Straight:
         """The lights whose occlusion by edges, as path vertices see it, no other boundary term computes."""
         shafts = Lights.with_shafts(call)
-        by_chance, in_mirrors = (SOFT._replace(soft=not some.soft) for some in (Lights.bounced(call), Lights.mirrored(call)))
-        return Straight(Lights.uncovered(call), by_chance, in_mirrors, Lights(False, not shafts.soft, not shafts.around))
+        by_chance, behind_ideal = (SOFT._replace(soft=not lights.soft)
+                                   for lights in (Lights.bounced(call), Lights.mirrored(call)))
+        return Straight(Lights.uncovered(call), by_chance, behind_ideal, Lights(False, not shafts.soft, not shafts.around))
 
 
 EVERYTHING = Straight(SOFT, SOFT, SOFT, SOFT)
@@ -266,7 +268,7 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
     if call.scene.layout.lights:
         lights = light_points(call.stages, call.scene, call.views[number], len(points.depth))
         surfaces, by_chance, mirrors, media, everywhere = (some.of(call.scene)[lights.kind] for some in (*counted, SOFT))
-        later = torch.where(points.by_chance, by_chance, torch.where(points.in_mirrors, mirrors, everywhere))
+        later = torch.where(points.by_chance, by_chance, torch.where(points.behind_ideal, mirrors, everywhere))
         meant = torch.where(points.in_medium, media, torch.where(points.depth > 0, later, surfaces))
         lobe = integrand.part(Ends.SURROUNDINGS).call(light_lobes, at, lights.draw)
         lobes = lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),
@@ -311,16 +313,16 @@ def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at:
         state = path_of(call, ray, key)._replace(medium=medium)
         found = trace(integrand, state, hit=met, depth=depth + 1, flight=flight)
         surfaces = counted.from_surfaces if depth == 0 else counted.by_chance
-        mirrors = counted.in_mirrors if depth == 1 else SOFT
+        mirrors = counted.behind_ideal if depth == 1 else SOFT
         media = counted.in_media if scatters else SOFT
         if (surfaces, mirrors, media) != (SOFT, SOFT, SOFT):
             way = None if flight is None else flight._replace(emission=None)  # what media emit there counts
             straight = trace(integrand._replace(max_depth=depth + 2), state, hit=met, depth=depth + 1, flight=way)
-            on_surfaces, in_mirrors, in_media = (torch.where(met.prim >= 0, not some.soft, not some.around)
+            on_surfaces, behind_ideal, in_media = (torch.where(met.prim >= 0, not some.soft, not some.around)
                                                  for some in (surfaces, mirrors, media))
             if depth > 0:
-                chance, mirror, off = rows((own.by_chance, own.in_mirrors, free), lanes)
-                on_surfaces = (on_surfaces & chance | in_mirrors & mirror) & off
+                chance, mirror, off = rows((own.by_chance, own.behind_ideal, free), lanes)
+                on_surfaces = (on_surfaces & chance | behind_ideal & mirror) & off
             found = found - masked(torch.where(rows(own.in_medium, lanes), in_media, on_surfaces), straight)
         L[:, lanes] = torch.stack(tuple(found)).double()
     angle = solid_angle(scene, past.fixed_to(scene), Ray(start, reach))

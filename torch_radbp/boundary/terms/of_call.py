@@ -13,7 +13,7 @@ from torch_radbp.boundary.curve.rendering import Rendering
 from torch_radbp.boundary.curve.segments import Segments, joined_segments
 from torch_radbp.boundary.curve.term import LineNumbers, lines_on_shapes, lines_slide
 from torch_radbp.boundary.eye.surfaces import line_table
-from torch_radbp.boundary.terms.border import Lights
+from torch_radbp.boundary.terms.covered_lights import Lights
 from torch_radbp.boundary.terms.primary import bytes_of_jumps, image_jumps, moves
 from torch_radbp.boundary.terms.reflections import (
     Reflected,

@@ -42,7 +42,7 @@ from torch_radbp.boundary.eye.rays import Follows, adjoint_of_start, chains_of, 
 from torch_radbp.boundary.eye.seen_on_film import camera_sample
 from torch_radbp.boundary.eye.surfaces import LineTable, surfaces_of
 from torch_radbp.boundary.eye.viewpoints import path_of
-from torch_radbp.boundary.terms.border import Lights
+from torch_radbp.boundary.terms.covered_lights import Lights
 from torch_radbp.boundary.terms.crossings import Crossings, curve_crossings
 from torch_radbp.boundary.terms.curves import Curves, curves_crossed, level
 from torch_radbp.boundary.terms.scans import MOST, SHARE, Searched, scans_of

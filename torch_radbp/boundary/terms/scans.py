@@ -19,7 +19,7 @@ from torch_radbp.boundary.eye.light_points import light_points
 from torch_radbp.boundary.eye.seen_edges import salted
 from torch_radbp.boundary.eye.seen_on_film import aperture_of, camera_sample
 from torch_radbp.boundary.eye.surfaces import Surfaces
-from torch_radbp.boundary.terms.border import Lights
+from torch_radbp.boundary.terms.covered_lights import Lights
 from torch_radbp.call.render_call import RenderCall, started
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.sampling.running_sum import running_sum
