@@ -29,8 +29,9 @@ from benchmarks.peers import Ours
 from benchmarks.scenes import QUICK, SCENES
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.arguments import Arguments
-from torch_radbp.jit.cpu.cpu import CpuLoop, loop_module
-from torch_radbp.jit.cpu.machine import host_width, object_code
+from torch_radbp.jit.cpu.cpu import loop_module
+from torch_radbp.jit.cpu.kernel_code import CpuLoop, KernelCode
+from torch_radbp.jit.cpu.machine import host_width
 from torch_radbp.jit.lane.emit import ProgramText
 from torch_radbp.jit.lane.graph import LANES, Program, Value
 from torch_radbp.jit.lane.instructions import memory
@@ -77,7 +78,8 @@ class Unread(ProgramText):
 
 def without_reads(program: Program) -> CpuLoop:
     """The loop of a program without its gathers."""
-    return CpuLoop(object_code(loop_module(Unread(program, host_width()).instructions(), host_width())))
+    text = loop_module(Unread(program, host_width()).instructions(), host_width())
+    return CpuLoop(KernelCode.made(text, well=True).packed())
 
 
 def copied(x):
