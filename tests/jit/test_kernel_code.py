@@ -1,29 +1,25 @@
 """Machine code of both kinds computes the same bits, and a kernel gets the better one once it has had enough lanes."""
 
-import numpy as np
 import pytest
 import torch
 
 from tests.jit.edge_values import assert_same, pairs
 from tests.jit.programs import arguments, mixed
+from tests.jit.quickly import Quick
 from torch_radbp.jit import LaneFunction, compiled, run
 from torch_radbp.jit.cpu import kernel_code
 from torch_radbp.jit.cpu.cpu import Cpu
-from torch_radbp.jit.cpu.kernel_code import ENOUGH, Ahead, CpuLoop, KernelCode
-
-
-class Quick(Cpu):
-    """The CPU, by code that is made quickly."""
-
-    def compile(self, program) -> CpuLoop:
-        return CpuLoop(KernelCode.made(self.text(program), well=False).packed())
+from torch_radbp.jit.cpu.kernel_code import ENOUGH, LONGEST, MANY, Ahead, CpuLoop, KernelCode
 
 
 def sums(x, y, z):
-    """Products that are fused with a sum, and some that must not be, since they are needed themselves."""
+    """Products that are fused with the sum that they enter, two in a sum, and some that must not be: they are needed."""
     product = x * y
-    return (x * z + y, y - z * x, x * z - y, -(x * z) + y, y - -(z * z), x * x + y * y, x * y - z * z, (x + y) * (z - x) + z,
+    return (x * z + y, y - z * x, x * x - y, -(y * z) + x, x - -(y * y), z * y + z * z, (x + y) * (z - x) - z / y,
             product + z, product - y, product)
+
+
+FUSED = 5  # of these have one product, needed once
 
 
 @pytest.fixture
@@ -31,7 +27,7 @@ def made(monkeypatch) -> list[bool]:
     """Of all code that is made in the test, whether it is made well."""
     found, make = [], kernel_code.object_code
     monkeypatch.setattr(kernel_code, "object_code", lambda text, well: found.append(well) or make(text, well))
-    monkeypatch.setattr(Ahead, "lanes", 0)
+    monkeypatch.setattr(Ahead, "paths", 0)
     return found
 
 
@@ -47,16 +43,14 @@ def test_fused_sums_have_the_same_bits_in_both(dtype, width):
 
 @pytest.mark.parametrize("target", [Cpu(), Quick()], ids=["well", "quickly"])
 def test_a_product_that_nothing_else_needs_is_rounded_once_with_its_sum(target):
-    """In float64 products of float32 are exact, and so are these sums."""
-    x, y, z = torch.tensor(np.float32([[1 + 2**-12, 3.0, -1 + 2**-11], [1 - 2**-12, 1 / 3, 1.0], [-1.0, -1.0, 1.0]]))
-    exact = [each.double() for each in (x, y, z)]
-    found = LaneFunction(sums, target=target)(x, y, z)
-    fused, rounded = sums(*exact)[:6], sums(x, y, z)[6:]
-    for each, expected in zip(found[:5], fused):
-        assert_same(each, expected.float())
-    assert not torch.equal(found[0], sums(x, y, z)[0])
-    for each, expected in zip(found[8:], rounded[2:]):
-        assert_same(each, expected)
+    """In float64 products of numbers of float32 between 1 and 2 are exact, and so are these sums."""
+    x, y, z = given = 1.0 + torch.rand(3, 100, generator=torch.Generator().manual_seed(2))
+    found, singly = LaneFunction(sums, target=target)(x, y, z), sums(x, y, z)
+    for each, exact, rounded in zip(found[:FUSED], sums(*given.double()), singly):
+        assert_same(each, exact.float())
+        assert not torch.equal(each, rounded)
+    for each, rounded in zip(found[-3:], singly[-3:]):
+        assert_same(each, rounded)
 
 
 def test_code_is_made_quickly_and_well_once_it_has_had_enough_lanes(made):
@@ -65,11 +59,10 @@ def test_code_is_made_quickly_and_well_once_it_has_had_enough_lanes(made):
     loop = function.prepared(given)[0].loop.result()
     first = loop.address
     assert made == [False]
-    for _ in range(ENOUGH // 1000 - 1):
-        loop.takes(1000)
+    for _ in range(2):
+        loop.takes(ENOUGH // 2 - 1000)
     assert loop.improving is None
-    loop.takes(1000)
-    loop.takes(1000)
+    loop.takes(2000)
     loop.improving.result()
     assert made == [False, True] and loop.address != first and not loop.takes(1000)
     found = function(*given)
@@ -77,10 +70,26 @@ def test_code_is_made_quickly_and_well_once_it_has_had_enough_lanes(made):
     assert_same(found[2], expected[2])
 
 
-def test_code_is_made_well_at_once_for_a_rendering_that_has_enough(made):
-    Ahead.are(ENOUGH)
-    LaneFunction(mixed, tables=("colours",))(*arguments(1000))
-    assert made == [True]
+def test_code_is_made_well_at_once_for_a_rendering_of_many_paths(made):
+    function, other = (LaneFunction(mixed, tables=("colours",)) for _ in range(2))
+    function(*arguments(1000))
+    Ahead.are(MANY - 1)
+    function(*arguments(1000))
+    assert made == [False]
+    Ahead.are(MANY)
+    other(*arguments(1000))
+    assert made == [False, True]
+    function(*arguments(1000))
+    function.prepared(arguments(1000))[0].loop.result().improving.result()
+    assert made == [False, True, True]
+
+
+def test_long_kernels_are_made_well_at_once(made):
+    """The stack of a thread may be a megabyte."""
+    text = Cpu().text(LaneFunction(mixed, tables=("colours",)).program(*arguments(9)))
+    for lines in (0, LONGEST):
+        KernelCode.first(text + lines * "; a comment\n")
+    assert made == [False, True]
 
 
 def test_better_code_takes_the_place_of_the_first_on_disk(made, tmp_path, monkeypatch):

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from torch_radbp.jit.cpu import cpu_order, cpu_patches, cpu_runs, cpu_scatter
-from torch_radbp.jit.cpu.kernel_code import Ahead, CpuLoop, KernelCode
+from torch_radbp.jit.cpu.kernel_code import CpuLoop, KernelCode
 from torch_radbp.jit.cpu.machine import host, host_features, host_width
 from torch_radbp.jit.cpu.prefetch import DECLARATION, prefetches
 from torch_radbp.jit.cpu.recorded import Recorded
@@ -56,8 +56,8 @@ class Cpu:
         return f"{host()}, {self.width or host_width()} lanes"
 
     def code(self, program: Program) -> bytes:
-        """The machine code of a program, made quickly unless there is much for it to do; see `Target`."""
-        return KernelCode.made(self.text(program), well=Ahead.are_enough()).packed()
+        """The machine code of a program, made quickly for a small rendering; see `Target`."""
+        return KernelCode.first(self.text(program)).packed()
 
     def loop(self, code: bytes, searched: Sequence[int] = (), keep: Callable[[bytes], None] | None = None) -> CpuLoop:
         """Loads machine code as a loop; see `Target`."""

@@ -1,8 +1,8 @@
-"""Machine code of a kernel: made quickly for its first lanes, and well for many.
+"""Machine code of a kernel: made quickly, and well where there is much for it to do.
 
-Without optimising LLVM makes code in less than half the time, which then takes several times as long. So a kernel begins
-with such code. Once it has had so many lanes that better code pays, a helper makes that, and whoever runs the kernel next
-takes it; where a rendering has so many from the beginning, there is only the better one. Both compute the same bits, for
+Without optimising LLVM makes code in a third of the time, and loops take up to a quarter longer. So a kernel that is first
+needed by a small rendering begins with such code, and once it has had so many lanes that better code pays, a helper makes
+that, and whoever runs the kernel next takes it; a larger rendering has only the better one. Both compute the same bits, for
 what LLVM might round otherwise is said by the program (`lane/fused.py`).
 """
 
@@ -18,7 +18,9 @@ from torch_radbp.jit.cpu.machine import MachineCode, object_code
 from torch_radbp.threads.later import Later
 from torch_radbp.threads.team import run_lanes
 
-ENOUGH = 1 << 19  # lanes for which better code pays
+MANY = 1 << 16  # paths of a rendering that is not small
+LONGEST = 1 << 14  # lines of a kernel whose values, which all lie on the stack if it is made quickly, find room there
+ENOUGH = 1 << 25  # lanes, bounce by bounce, for which better code pays beside the first
 
 
 class KernelCode(NamedTuple):
@@ -26,6 +28,11 @@ class KernelCode(NamedTuple):
 
     object: bytes  # an object file
     text: bytes  # the LLVM IR, compressed; empty: it is made well
+
+    @staticmethod
+    def first(text: str) -> KernelCode:
+        """Compiles LLVM IR for the rendering that runs."""
+        return KernelCode.made(text, well=Ahead.are_many() or text.count("\n") > LONGEST)
 
     @staticmethod
     def made(text: str, well: bool) -> KernelCode:
@@ -41,19 +48,19 @@ class KernelCode(NamedTuple):
 
 
 class Ahead:
-    """The lanes of the rendering that runs; those of several threads are not told apart."""
+    """The paths of the rendering that runs; those of several threads are not told apart."""
 
-    lanes = 0
-
-    @staticmethod
-    def are(lanes: int) -> None:
-        """Says how many lanes the rendering that begins has."""
-        Ahead.lanes = lanes
+    paths = 0
 
     @staticmethod
-    def are_enough() -> bool:
-        """True if better code pays for them alone."""
-        return Ahead.lanes >= ENOUGH
+    def are(paths: int) -> None:
+        """Says how many paths the rendering that begins has."""
+        Ahead.paths = paths
+
+    @staticmethod
+    def are_many() -> bool:
+        """True if it is not a small one."""
+        return Ahead.paths >= MANY
 
 
 class CpuLoop:
@@ -86,7 +93,7 @@ class CpuLoop:
         if not self.may_improve:
             return False
         self.lanes += lanes
-        if self.improving is None and (self.lanes >= ENOUGH or Ahead.are_enough()):
+        if self.improving is None and (self.lanes >= ENOUGH or Ahead.are_many()):
             self.improving = Later(self.improve).meanwhile()
         return True
 
