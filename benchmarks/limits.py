@@ -25,7 +25,7 @@ from unittest.mock import patch
 
 import torch
 
-from benchmarks.peers import Ours
+from benchmarks.peers import Ours, compile_well
 from benchmarks.scenes import QUICK, SCENES
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.arguments import Arguments
@@ -191,6 +191,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="tiny images, to see that it works")
     options = parser.parse_args()
     torch.set_num_threads(1)
+    compile_well()
     limits = machine()
     print(f"one thread: {limits.moved / 1e9:.1f} GB/s, {limits.operations / 1e9:.1f} billion operations and "
           f"{limits.gathers / 1e9:.2f} billion gathers a second (float32)\n")

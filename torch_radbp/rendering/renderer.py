@@ -23,7 +23,6 @@ from torch_radbp.call.pixels import Films
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.source import Cameras
 from torch_radbp.call.view import OF_NO_SENSOR, Shot, view_of
-from torch_radbp.jit.cpu.kernel_code import Ahead
 from torch_radbp.jit.recording.repetitions import LearntRepetitions
 from torch_radbp.jit.stages import compiled
 from torch_radbp.jit.target import COMPILED
@@ -355,7 +354,6 @@ class Renderer(nn.Module):
         views = [view_of(shot, seeds, seeds[0] ^ OF_DERIVATIVE == seeds[1], spp, scene, cache) for shot in shots]
         setattr(self, "cache_for_aovs" if aovs else "cache", cache.close())
         stages = compiled() if fused else EAGER
-        Ahead.are(len(shots) * windows[0].columns.size * windows[0].rows.size * spp)
         settings = settings_of_integrand(self, scene, [view.camera for view in views])
 
         def make_integrand(tensors: SceneTensors) -> Integrand:
