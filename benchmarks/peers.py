@@ -55,7 +55,7 @@ def timed(forward: Callable[[], object], backward: Callable[[object], None], set
 
 
 def compile_well() -> None:
-    """From here on code is made well at once, as it is for larger renderings, and after some hundred steps for small ones."""
+    """From here on code is made well at once, as for larger renderings; small ones get it after some hundred steps."""
     kernel_code.MANY = 0
 
 
