@@ -32,7 +32,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.peers import Mitsuba, Ours, Pass, compile_well, timed
+from benchmarks.peers import Mitsuba, Ours, Pass, timed
 from benchmarks.scenes import ALL, SCENES
 from benchmarks.scenes.cornell_box import cornell_box
 from benchmarks.scenes.description import BenchmarkScene, Setting
@@ -241,8 +241,6 @@ def main() -> None:
     parser.add_argument("--only", choices=[TUTORIAL, *ALL], help=argparse.SUPPRESS)
     parser.add_argument("--as-rank", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.only or options.as_rank:
-        compile_well()
     if options.only:
         print(json.dumps(measure(options)))
         return

@@ -23,7 +23,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from benchmarks.peers import Ours, Pass, compile_well
+from benchmarks.peers import Ours, Pass
 from benchmarks.scenes import SCENES
 
 RESOLUTION, SPP = 32, 1
@@ -33,7 +33,6 @@ HERE = Path(__file__).resolve().parents[1]
 
 def serve(name: str) -> None:
     """Makes one pass for each line of standard input, and writes its times to standard output."""
-    compile_well()
     make, setting = SCENES[name]
     with tempfile.TemporaryDirectory() as folder:
         ours = Ours(make(Path(folder), setting._replace(resolution=RESOLUTION, spp=SPP)), compiled=True)
