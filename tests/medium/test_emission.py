@@ -11,7 +11,6 @@ import torch
 import torch_radbp as rb
 from tests.deep import deep, deep_but
 from tests.gradients import REPLAY, SOME, assert_informative, assert_transposed, image_and_gradients, relative_error
-from tests.medium.compared import compared
 from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
 from tests.scenes.media import BLACK
@@ -201,7 +200,7 @@ def test_derivatives_are_those_of_the_closed_form(kind, emission, sigma):
 def test_derivatives_are_those_of_differences(number, step, kind):
     """Of light that is scattered on its way, too."""
     scene, name = alone(flame(kind=kind)), both(kind)[number]
-    assert_differences(compared(scene, name, step, spp=1 << 14, max_depth=4, seed=3))
+    assert_differences(rb.check_gradient(scene, name, step=step, spp=1 << 14, max_depth=4, seed=3).comparison)
 
 
 def assert_differences(found, most: float = 0.1) -> None:
@@ -230,7 +229,8 @@ def test_derivatives_by_what_moves_are_those_of_differences(name):
                  box={"type": "cube", "to_world": pose, "bsdf": NULL, "interior": {"type": "ref", "id": "fog"}},
                  core={"type": "cube", "to_world": inner, "bsdf": NULL, "interior": dust,
                        "exterior": {"type": "ref", "id": "fog"}})
-    found = compared(scene, name, 0.02 if name == "camera.to_world" else 0.05, spp=1 << 15, max_depth=3, seed=3)
+    found = rb.check_gradient(scene, name, step=0.02 if name == "camera.to_world" else 0.05, spp=1 << 15, max_depth=3,
+                              seed=3).comparison
     assert_differences(found)
 
 

@@ -14,7 +14,6 @@ import torch
 import torch_radbp as rb
 from tests.deep import deep, deep_but
 from tests.gradients import REPLAY, SOME, assert_informative, assert_transposed, image_and_gradients, relative_error
-from tests.medium.compared import compared
 from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
 from tests.scenes.media import BLACK
@@ -93,7 +92,7 @@ def before_a_lamp(medium: dict):
 @pytest.mark.parametrize("channels", CHANNELS)
 @pytest.mark.parametrize("name, step", zip(NAMES[:4], (0.1, 0.1, 0.3, 0.2)))
 def test_derivatives_are_those_of_differences(name, step, channels):
-    found = compared(before_a_lamp(varied(channels)), name, step, spp=1 << 13, max_depth=4, seed=3)
+    found = rb.check_gradient(before_a_lamp(varied(channels)), name, step=step, spp=1 << 13, max_depth=4, seed=3).comparison
     wanted, error = found.difference.mean(), found.standard_error.square().sum().sqrt() / found.standard_error.numel()
     assert 0 < error < 0.1 * wanted.abs() and (found.jvp.mean() - wanted).abs() < 4 * error
 
@@ -229,7 +228,8 @@ def test_derivatives_by_what_moves_are_those_of_differences(name, depth):
                        "exterior": {"type": "ref", "id": "air"}},
                  bulb={"type": "point", "position": [-0.5, 0.6, 3.0], "intensity": rgb(8, 9, 7)})
     step = 0.01 if name == "camera.to_world" else 0.05
-    found = compared(scene, name, step, spp=1 << (15 if depth == 3 else 14), max_depth=depth, seed=3)
+    found = rb.check_gradient(scene, name, step=step, spp=1 << (15 if depth == 3 else 14), max_depth=depth,
+                              seed=3).comparison
     along = found.jvp / found.jvp.norm()
     error = float((found.standard_error * along).norm())
     wanted = float((found.difference * along).sum())
