@@ -14,6 +14,9 @@ STRIDES = (1, 2, 3, 7, "sqrt", "log")
 MEMOIZED = tuple(rb.MemoizedAdjoint(stride, keep_hits) for stride in STRIDES for keep_hits in (True, False))
 QUADRATIC = (rb.QuadraticAdjoint(), rb.QuadraticAdjoint(keep_hits=False))
 REPLAY = (rb.ReplayAdjoint(), rb.ReplayAdjoint(keep_hits=False))
+# One of each kind: strides that end a segment at every bounce, at others, and where few states are kept; hits kept or not.
+SOME = (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint(2, keep_hits=False), rb.MemoizedAdjoint(3),
+        rb.MemoizedAdjoint("log", keep_hits=False), rb.QuadraticAdjoint(), *REPLAY)
 EXACT = (*MEMOIZED, *QUADRATIC, rb.TapeAdjoint())
 
 
@@ -39,16 +42,19 @@ def image_and_gradients(scene: rb.Scene, names, *, seed: int = 3, sensors=None, 
     return image.detach(), list(torch.autograd.grad(image, wanted, adj_image))
 
 
-def assert_transposed(scene: rb.Scene, name: str, **settings) -> None:
-    """Forward mode and the backward pass by a parameter of float64 are transposes of each other."""
-    parameter = scene.get_parameter(name)
-    tangent = torch.linspace(0.5, 1.0, parameter.numel(), dtype=torch.float64).view_as(parameter)
-    forward = rb.jvp(scene, {name: tangent}, seed=1, **settings)
+def assert_transposed(scene: rb.Scene, *names: str, **settings) -> None:
+    """Forward mode and the backward pass by parameters of float64, all at once, are transposes of each other."""
+    parameters = [scene.get_parameter(name) for name in names]
+    tangents = [torch.linspace(0.5, 1.0, parameter.numel(), dtype=torch.float64).view_as(parameter)
+                for parameter in parameters]
+    forward = rb.jvp(scene, dict(zip(names, tangents)), seed=1, **settings)
     w = cotangent(forward)
-    _, (gradient,) = image_and_gradients(scene, [name], seed=1, adj_image=w, **settings)
+    _, gradients = image_and_gradients(scene, names, seed=1, adj_image=w, **settings)
+    parts = [float((gradient * tangent).sum()) for gradient, tangent in zip(gradients, tangents)]
     expected = float((w * forward).sum())
     assert math.isfinite(expected) and expected != 0
-    assert math.isclose(float((gradient * tangent).sum()), expected, rel_tol=1e-9)
+    assert all(abs(part) > 1e-4 * abs(expected) for part in parts)  # what either leaves out would be noticed
+    assert math.isclose(sum(parts), expected, rel_tol=1e-9)
 
 
 def assert_informative(image: Tensor, gradients: list[Tensor]) -> None:

@@ -34,7 +34,7 @@ class Mutant(NamedTuple):
 
 MUTANTS = (
     # Derivatives.
-    Mutant("adjoint/bounce.py", "Memo((local.E + local.F * memo.L).detach())", "Memo((local.E + local.F).detach())",
+    Mutant("adjoint/bounce.py", "Memo((local.E + local.F * memo.L).detach()", "Memo((local.E + local.F).detach()",
            ("adjoint/test_furnace.py",)),
     Mutant("adjoint/bounce.py", "adj_L = adj_L * state.beta", "adj_L = adj_L * 1.0",
            ("adjoint/test_furnace.py",)),
@@ -105,6 +105,19 @@ MUTANTS = (
            ("boundary/test_edge_tree.py", "boundary/test_segment_tree.py")),
     Mutant("boundary/terms/reflections.py", "slope.x.abs() + slope.y.abs()",
            "torch.maximum(slope.x.abs(), slope.y.abs())", ("derivatives/test_mirrors.py",)),
+    # Media.
+    Mutant("path/panes.py", "* panes.others * panes.count", "* panes.others", ("medium/test_panes.py",)),
+    Mutant("path/passage.py", "longer = segment / settled(segment)", "longer = segment / segment",
+           ("medium/test_boundaries.py",)),
+    Mutant("path/passage.py", "return left if arrival.flight is None else left / settled(arrival.flight.chance)",
+           "return left if arrival.flight is None else left / arrival.flight.chance",
+           ("medium/test_boundaries.py", "medium/test_homogeneous.py")),
+    Mutant("medium/heterogeneous.py", "rest = sigma.map(lambda each: (bound - each) / (bound - control))",
+           "rest = sigma.map(lambda each: (bound - each) / bound)", ("medium/test_heterogeneous.py",)),
+    # Compiled code.
+    Mutant("jit/lane/fused.py", "negated != second", "negated", ("jit/test_kernel_code.py",)),
+    Mutant("jit/cpu/kernel_code.py", "return KernelCode(object_code(text, well), b\"\" if well",
+           "return KernelCode(object_code(text, well), b\"\" if True", ("jit/test_kernel_code.py",)),
     # Ray casters.
     Mutant("raycast/every_triangle.py", 'code.both(code.compare(distance, "ogt", ZERO), code.compare(distance, "olt", end))',
            'code.compare(distance, "olt", end)', ("raycast/test_hits.py", "raycast/test_direct.py")),

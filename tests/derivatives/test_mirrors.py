@@ -146,7 +146,7 @@ def test_threads_and_chunks_change_no_bit_and_single_precision_serves():
 GLOWING = {"sphere": {"type": "sphere", "radius": 0.1}, "cube": {"type": "cube", "to_world": scale((0.08, 0.08, 0.08))}}
 
 
-@pytest.mark.parametrize("lamp", GLOWING)
+@pytest.mark.parametrize("lamp", deep_but(["sphere"], GLOWING))
 def test_a_lamp_in_a_ball_of_glass_loses_on_one_side_what_it_gains_on_the_other(lamp):
     """Moved across the view, either of them leaves the sum as it is; both together move the image of a sphere likewise."""
     view = sensor(32, (0, 0, 4), (0, 0, 0), fov=30, rfilter="gaussian")

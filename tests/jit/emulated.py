@@ -82,7 +82,7 @@ class Emulated:
     def load(self, text: str, name: str) -> Any:
         if self.assemble:
             self.ptx.append(ptx(text, self.architecture))
-        return name, MachineCode(object_code(on_processor(text, self.backwards)), entry="launch")
+        return name, MachineCode(object_code(on_processor(text, self.backwards), optimized=False), entry="launch")
 
     @contextlib.contextmanager
     def together(self) -> Iterator[Callable[[Any, int, int, int, int], None]]:

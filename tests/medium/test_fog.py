@@ -12,7 +12,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.gradients import EXACT, REPLAY, cotangent, image_and_gradients, relative_error
+from tests.gradients import SOME, cotangent, image_and_gradients, relative_error
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
 from torch_radbp.plugin import REGISTRY, register
 
@@ -115,7 +115,7 @@ def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, sampl
     image, expected = image_and_gradients(room(), names, **settings | {"adjoint": rb.TapeAdjoint()})
     for name, gradient in zip(names, expected):
         assert torch.isfinite(gradient).all() and gradient.abs().max() > 0, name
-    for adjoint in (*EXACT[:-1], *REPLAY):
+    for adjoint in SOME:
         found, gradients = image_and_gradients(room(), names, compile=compile, **settings | {"adjoint": adjoint})
         assert relative_error(found, image) < 1e-12
         for name, gradient, wanted in zip(names, gradients, expected):
