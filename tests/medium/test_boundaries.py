@@ -14,7 +14,6 @@ import torch
 import torch_radbp as rb
 from tests.deep import deep, deep_but
 from tests.gradients import REPLAY, SOME, assert_informative, assert_transposed, image_and_gradients, relative_error
-from tests.medium.compared import compared
 from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, look_at, overhead, rectangle, rgb
 from tests.scenes.media import (
@@ -123,7 +122,7 @@ def test_derivatives_are_those_of_differences(name, step, bsdf):
                  floor=rectangle((0, 0, 0), 1.5, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0}),
                  ball=ball(0.9, bsdf=bsdf, interior=haze((0.6, 0.8, 1.0), (0.5, 0.4, 0.3), 0.4)),
                  core=ball(0.7, bsdf=NULL, interior=haze((1, 2, 1.5), (0.3, 0.6, 0.5), -0.3)))
-    found = compared(scene, name, step, spp=1 << 14, max_depth=5, seed=3)
+    found = rb.check_gradient(scene, name, step=step, spp=1 << 14, max_depth=5, seed=3).comparison
     wanted, error = found.difference.mean(), found.standard_error.square().sum().sqrt() / found.standard_error.numel()
     assert 0 < error < 0.1 * wanted.abs() and (found.jvp.mean() - wanted).abs() < 4 * error
 
@@ -158,7 +157,7 @@ def test_derivatives_by_boundaries_that_move_are_those_of_differences(name, dept
                  ball=ball(0.9, bsdf=NULL, interior={"type": "ref", "id": "air"}),
                  core=ball(0.6, bsdf=NULL, interior=haze((1, 2, 1.5), (0.3, 0.6, 0.5), -0.3),
                            exterior={"type": "ref", "id": "air"}))
-    found = compared(scene, name, 0.05, spp=1 << 15, max_depth=depth, seed=3)
+    found = rb.check_gradient(scene, name, step=0.05, spp=1 << 15, max_depth=depth, seed=3).comparison
     along = found.jvp / found.jvp.norm()
     error = float((found.standard_error * along).norm())
     wanted = float((found.difference * along).sum())
