@@ -10,6 +10,7 @@ from tests.jit.emulated import Emulated
 from tests.jit.interpreter import interpreted, needs_interpreter
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.nvidia.gpu import Gpu
+from torch_radbp.jit.nvidia.recorded_launches import RecordedLaunches
 from torch_radbp.jit.order import chosen, inverted, nothing, partition, put
 from torch_radbp.jit.recording.addition import Addition, Sums
 from torch_radbp.jit.recording.lane_count import LaneCount, waited_for
@@ -139,6 +140,71 @@ def test_numbers_of_chosen_lanes_are_added_to_totals(backwards, monkeypatch):
     expected = torch.zeros(8, dtype=torch.float64).index_add_(0, number[high], x[high].double())
     torch.testing.assert_close(total.sum(1), expected, rtol=1e-13, atol=0.0)
     assert touched.all() and expected[:QUEUES].all()
+
+
+def replays(gpu: Gpu) -> int:
+    """The sequences that were started as graphs so far."""
+    return getattr(gpu.launcher, "driver", gpu.launcher).replays
+
+
+def memory_that_comes_back(monkeypatch) -> dict[int, list[Tensor]]:
+    """The memory that sequences of launches work in is that of the last one, as allocators have it; by bytes, to be cleared."""
+    known: dict[int, list[Tensor]] = {}
+    places: dict[int, int] = {}
+
+    def room(self, size: int) -> Tensor:
+        own, place = known.setdefault(size, []), places.get(size, 0)
+        if place == len(own):
+            own.append(torch.empty(size, dtype=torch.uint8))
+        places[size] = place + 1
+        return own[place]
+
+    call = RecordedLaunches.__call__
+    monkeypatch.setattr(RecordedLaunches, "bytes", room)
+    monkeypatch.setattr(RecordedLaunches, "__call__", lambda *given: places.clear() or call(*given))
+    return known
+
+
+def test_launches_that_come_again_are_started_as_one_graph(gpu, monkeypatch):
+    """By what lies in their memory then; and as launches as soon as any of it lies elsewhere."""
+    (number, x), targets, of, found = numbers(1000), torch.zeros(1000), Functions(gpu), []
+    known = memory_that_comes_back(monkeypatch)
+
+    def play() -> list[Tensor]:
+        played = Tape(()).play(("sorted",), lambda *given: sorted_by(of, *given), (number, x, targets), 1000, waits=False)
+        return [each.clone() for each in flat(played.results)]
+
+    for turn in range(4):
+        number.copy_((number + 1) % QUEUES)
+        x.copy_(x.flip(0))
+        targets.zero_()
+        found.append((number.clone(), x.clone(), targets, play(), targets.clone()))
+        assert replays(gpu) == max(0, turn)
+    held = dict(known)  # so that none of it is handed out again
+    known.clear()
+    play()
+    assert replays(gpu) == 3 and held
+    targets = torch.zeros(1000)
+    play()
+    assert replays(gpu) == 3
+    monkeypatch.undo()
+    for number, x, _, results, mine in found:
+        other = torch.zeros(1000)
+        expected = sorted_by(Functions(), number, x, other)
+        assert torch.equal(mine, other)
+        for each, wanted in zip(results, flat(expected.results)):
+            assert torch.equal(each[:len(wanted)], wanted)
+
+
+def test_a_caller_who_captures_launches_gets_launches(gpu, monkeypatch):
+    """Such as `torch.cuda.graph`: a graph inside of a graph is not what it asked for."""
+    (number, x), of = numbers(100), Functions(gpu)
+    memory_that_comes_back(monkeypatch)
+    monkeypatch.setattr(gpu.launcher, "is_captured", lambda: True)
+    targets = torch.zeros(100)
+    for _ in range(3):
+        Tape(()).play(("sorted",), lambda *given: sorted_by(of, *given), (number, x, targets), 100, waits=False)
+    assert replays(gpu) == 0
 
 
 def test_what_is_done_outside_is_done_between_launches(gpu):

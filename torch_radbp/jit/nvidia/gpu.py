@@ -33,6 +33,9 @@ from torch_radbp.threads.made_once import made_once
 SCATTERED = {(dtype, tables): (dtype, tables) for dtype in SCALARS for tables in range(1, MOST_TABLES + 1)}
 
 
+Start = Callable[[Any, int, int, int, int], None]  # as `Launcher.launch`, but of an address and a number of words
+
+
 class Launcher(Protocol):
     """Loads and launches kernels: the driver of a device (`driver.py`), or a stand-in for tests."""
 
@@ -50,8 +53,17 @@ class Launcher(Protocol):
             parameters: 64-bit words; read before this returns.
         """
 
-    def together(self) -> AbstractContextManager[Callable[[Any, int, int, int, int], None]]:
-        """What starts several kernels, one after the other: as `launch`, but of an address and a number of words."""
+    def together(self) -> AbstractContextManager[Start]:
+        """What starts several kernels, one after the other."""
+
+    def is_captured(self) -> bool:
+        """True while somebody else makes a graph of what is launched."""
+
+    def captured(self, start: Callable[[Start], None]) -> Any:
+        """A graph of what `start` launches, by the function that it is given and by a `Caster`; None: there are none."""
+
+    def play(self, graph: Any) -> None:
+        """Starts the kernels of a graph, one after the other."""
 
 
 class LoadedKernel:
@@ -146,12 +158,21 @@ class Gpu(AnyDevice):
             caster: of rays.
         """
         address = words.data_ptr() - 8 * part.words.start
-        with self.launcher.together() as launch:
+
+        def start(launch: Start) -> None:
             for kernel, blocks, first, last in part.launches:
                 if isinstance(kernel, RayQuery):
                     caster.launch(kernel.kernel, lanes, *(ctypes.c_int64 * (last - first)).from_address(address + 8 * first))
                 else:
                     launch(kernel.kernel, blocks, BLOCK, address + 8 * first, last - first)
+
+        if not self.launcher.is_captured():
+            given = ctypes.string_at(words.data_ptr(), words.nbytes) + (caster.given() if part.casts else b"")
+            graph = part.graphs.of(given, partial(self.launcher.captured, start))
+            if graph is not None:
+                return self.launcher.play(graph)
+        with self.launcher.together() as launch:
+            start(launch)
 
     def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
         words = [place.data_ptr()]
