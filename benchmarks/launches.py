@@ -117,8 +117,8 @@ def card() -> Iterator[Card]:
         return prepared(self, arguments)
 
     with pytest.MonkeyPatch.context() as patch:
-        render_on(made.gpu, patch, taped=True)
         patch.setattr(Warp, "_start", started)
+        render_on(made.gpu, patch, taped=True)
         for module in (wp, import_module("warp._src.torch")):  # whatever tensors say
             patch.setattr(module, "device_from_torch", lambda device: wp.get_device("cpu"))
         patch.setattr(Warp, "_stream", lambda self: None)
