@@ -126,6 +126,9 @@ class Emulated:
         words = ctypes.c_void_p(parameters.buffer_info()[0])
         ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)(code.address)(blocks, threads, words)
 
+    def stream(self) -> int:
+        return 0
+
     def is_captured(self) -> bool:
         self.calls += 1
         return False

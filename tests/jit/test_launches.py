@@ -10,7 +10,6 @@ from tests.jit.emulated import Emulated
 from tests.jit.interpreter import interpreted, needs_interpreter
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.nvidia.gpu import Gpu
-from torch_radbp.jit.nvidia.recorded_launches import RecordedLaunches
 from torch_radbp.jit.order import chosen, inverted, nothing, partition, put
 from torch_radbp.jit.recording.addition import Addition, Sums
 from torch_radbp.jit.recording.lane_count import LaneCount, waited_for
@@ -147,28 +146,9 @@ def replays(gpu: Gpu) -> int:
     return getattr(gpu.launcher, "driver", gpu.launcher).replays
 
 
-def memory_that_comes_back(monkeypatch) -> dict[int, list[Tensor]]:
-    """The memory that sequences of launches work in is that of the last one, as allocators have it; by bytes, to be cleared."""
-    known: dict[int, list[Tensor]] = {}
-    places: dict[int, int] = {}
-
-    def room(self, size: int) -> Tensor:
-        own, place = known.setdefault(size, []), places.get(size, 0)
-        if place == len(own):
-            own.append(torch.empty(size, dtype=torch.uint8))
-        places[size] = place + 1
-        return own[place]
-
-    call = RecordedLaunches.__call__
-    monkeypatch.setattr(RecordedLaunches, "bytes", room)
-    monkeypatch.setattr(RecordedLaunches, "__call__", lambda *given: places.clear() or call(*given))
-    return known
-
-
 def test_launches_that_come_again_are_started_as_one_graph(gpu, monkeypatch):
     """By what lies in their memory then; and as launches as soon as any of it lies elsewhere."""
     (number, x), targets, of, found = numbers(1000), torch.zeros(1000), Functions(gpu), []
-    known = memory_that_comes_back(monkeypatch)
 
     def play() -> list[Tensor]:
         played = Tape(()).play(("sorted",), lambda *given: sorted_by(of, *given), (number, x, targets), 1000, waits=False)
@@ -180,13 +160,12 @@ def test_launches_that_come_again_are_started_as_one_graph(gpu, monkeypatch):
         targets.zero_()
         found.append((number.clone(), x.clone(), targets, play(), targets.clone()))
         assert replays(gpu) == max(0, turn)
-    held = dict(known)  # so that none of it is handed out again
-    known.clear()
-    play()
-    assert replays(gpu) == 3 and held
+    held = [Tape(()).play(("sorted",), lambda *given: sorted_by(of, *given), (number, x, targets), 1000, waits=False)
+            for _ in range(2)]
+    assert replays(gpu) == 4 and held  # the second one lies elsewhere
     targets = torch.zeros(1000)
     play()
-    assert replays(gpu) == 3
+    assert replays(gpu) == 4
     monkeypatch.undo()
     for number, x, _, results, mine in found:
         other = torch.zeros(1000)
@@ -199,7 +178,6 @@ def test_launches_that_come_again_are_started_as_one_graph(gpu, monkeypatch):
 def test_a_caller_who_captures_launches_gets_launches(gpu, monkeypatch):
     """Such as `torch.cuda.graph`: a graph inside of a graph is not what it asked for."""
     (number, x), of = numbers(100), Functions(gpu)
-    memory_that_comes_back(monkeypatch)
     monkeypatch.setattr(gpu.launcher, "is_captured", lambda: True)
     targets = torch.zeros(100)
     for _ in range(3):

@@ -20,6 +20,7 @@ from torch_radbp.jit.lane.emit import emit
 from torch_radbp.jit.lane.graph import Program
 from torch_radbp.jit.lane.lowered import without_library
 from torch_radbp.jit.nvidia.driver import NoDriver, driver_of
+from torch_radbp.jit.nvidia.graphs import MOST_LANES, SequenceMemory
 from torch_radbp.jit.nvidia.launches import Caster, Part, RayQuery
 from torch_radbp.jit.nvidia.nvptx import BLOCK, kernel_module
 from torch_radbp.jit.nvidia.nvptx_lanes import COPIES, SMALL, put_text, scatter_text
@@ -55,6 +56,9 @@ class Launcher(Protocol):
 
     def together(self) -> AbstractContextManager[Start]:
         """What starts several kernels, one after the other."""
+
+    def stream(self) -> int:
+        """The number of torch's current stream."""
 
     def is_captured(self) -> bool:
         """True while somebody else makes a graph of what is launched."""
@@ -113,6 +117,7 @@ class Gpu(AnyDevice):
         self.launcher = launcher
         self.kernels: dict[tuple, LoadedKernel] = {}  # of `put` and `scatter_add`, by name and dtypes
         self.loading = Lock()
+        self.memory = SequenceMemory()
 
     def text(self, program: Program) -> str:
         """The LLVM IR of a program's kernel."""
@@ -148,7 +153,11 @@ class Gpu(AnyDevice):
         """See `Target`."""
         return RecordedLaunches(self, recording, given, results)
 
-    def launch_all(self, part: Part, words: Tensor, lanes: int, caster: Caster | None) -> None:
+    def comes_again(self, lanes: int) -> bool:
+        """True if sequences of launches over so many lanes may have graphs."""
+        return lanes <= MOST_LANES and not self.launcher.is_captured()
+
+    def launch_all(self, part: Part, words: Tensor, lanes: int, caster: Caster | None, comes_again: bool) -> None:
         """Starts kernels, one after the other, and waits for none.
 
         Args:
@@ -156,6 +165,7 @@ class Gpu(AnyDevice):
             words: theirs, int64 on the CPU.
             lanes: as many as there may be.
             caster: of rays.
+            comes_again: it may have a graph.
         """
         address = words.data_ptr() - 8 * part.words.start
 
@@ -166,13 +176,19 @@ class Gpu(AnyDevice):
                 else:
                     launch(kernel.kernel, blocks, BLOCK, address + 8 * first, last - first)
 
-        if not self.launcher.is_captured():
+        if comes_again:
             given = ctypes.string_at(words.data_ptr(), words.nbytes) + (caster.given() if part.casts else b"")
             graph = part.graphs.of(given, partial(self.launcher.captured, start))
             if graph is not None:
                 return self.launcher.play(graph)
         with self.launcher.together() as launch:
             start(launch)
+
+    def room(self, size: int, device: torch.device, comes_again: bool) -> Tensor:
+        """Bytes that a sequence of launches works in, which may have a graph."""
+        if comes_again and size:
+            return self.memory.room(size, self.launcher.stream(), device)
+        return torch.empty(size, dtype=torch.uint8, device=device)
 
     def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
         words = [place.data_ptr()]
