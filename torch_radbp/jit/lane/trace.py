@@ -131,7 +131,7 @@ class Tracer(TorchDispatchMode):
 
     def apply(self, operation: str, dtype: torch.dtype, *arguments) -> Value:
         """An operation on arguments converted to `dtype`, with a result in it."""
-        return self.builder.value(operation, tuple(self.operand(argument, dtype) for argument in arguments), dtype)
+        return self.builder.value(operation, tuple([self.operand(argument, dtype) for argument in arguments]), dtype)
 
     def compare(self, operation: str, dtype: torch.dtype, a, b) -> Value:
         """A comparison of arguments converted to `dtype`."""
