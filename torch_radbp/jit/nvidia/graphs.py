@@ -25,7 +25,7 @@ from torch import Tensor
 
 from torch_radbp.tensors.torch_internals import holders
 
-MOST_LANES = 1 << 17  # of sequences that have graphs
+MOST_LANES = 1 << 16  # of sequences that have graphs
 MOST_GRAPHS = 64  # of one sequence: bounces of a call, times the wavefronts of it that lie in memory of their own
 MOST_BYTES = 256 << 20  # that are kept for sequences
 ONCE = object()  # in the place of the graph of words that came once
